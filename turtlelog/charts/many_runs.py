@@ -14,13 +14,11 @@ from turtlelog.compare import name_runs
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.run import Run
+from turtlelog.run.stop_reasons import AT_REST
 
 MANY: Final = len(FEW)
 """Largest number of runs with distinct hues. With more, colours follow the order of the runs, and a
 bar shows this order."""
-
-_ARRIVED: Final = frozenset({"within_tolerance", "standstill", "path_end"})
-"""Stop reasons of a run that came to rest, or to the end of its path, by itself."""
 
 _MOST_SWINGS: Final = 10
 """Largest number of sign changes of a command in the last half of a run that comes to rest. The
@@ -129,7 +127,7 @@ def _join_names(names: Sequence[str]) -> str:
 
 def _is_restless(run: Run) -> bool:
     table = run.samples if len(run.samples) else run.commands
-    if run.stop_reason in _ARRIVED or not len(table):
+    if run.stop_reason in AT_REST or not len(table):
         return False
     late = table.time_ns >= (run.start_ns + run.end_ns) // 2
     swings = (_count_swings(values[late]) for values in (table.speed_m_s, table.turn_rate_rad_s))

@@ -20,7 +20,7 @@ from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.files.urls import make_path
 from turtlelog.log import write_recording
-from turtlelog.measure import find_signal, is_lawless, list_signals
+from turtlelog.measure import find_signal, list_signals
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
@@ -97,10 +97,10 @@ def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
     keys = dict.fromkeys(loop.gain for loop in run.declaration.loops if loop.gain is not None)
     gains = [f"{name} = {parameters[name]}" for name in keys if name in parameters]
     gains = gains or [f"{n} = {v}" for n, v in parameters.items() if n.startswith("law.")]
-    if gains or not is_lawless(run):
+    if gains or not run.is_lawless:
         yield f"  gains           {', '.join(gains) or 'not recorded'}"
     others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*keys, "name")]
-    if is_lawless(run) and not others:
+    if run.is_lawless and not others:
         yield f"  source          {run.source}"
         return
     text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"

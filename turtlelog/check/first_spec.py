@@ -16,7 +16,6 @@ from turtlelog.measure import (
     Metric,
     MetricKind,
     find_signal,
-    is_lawless,
     list_essential_metrics,
     list_metrics,
     measure_run,
@@ -96,7 +95,7 @@ def _list_read(read: ReadChoice) -> Iterator[str]:
 
 
 def _list_checks(run: Run) -> Iterator[str]:
-    if is_lawless(run):
+    if run.is_lawless:
         yield from _list_of_motion(run)
         return
     kinds = list_metrics(run.declaration)

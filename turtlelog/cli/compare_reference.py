@@ -130,8 +130,7 @@ def _summarise_reference(
 ) -> "RunSummary":
     """Return the summary of the reference, also for runs without a known law."""
     usual = list(tl.compare.list_usual_of_run(reference))
-    is_lawless = tl.measure.is_lawless(reference)
-    unlike = [found for found in others if found.is_lawless != is_lawless]
+    unlike = [found for found in others if found.is_lawless != reference.is_lawless]
     if unlike:
         usual += tl.compare.list_usual_of_run(unlike[-1])
     return tl.summarise_run(reference, file=str(path), metrics=_measure_known(reference, usual))

@@ -37,7 +37,8 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, TurtlelogError, UsageError
 from turtlelog.files.urls import make_path
-from turtlelog.run.ending import find_goal_end
+from turtlelog.run.goal_end import find_goal_end
+from turtlelog.run.stop_reasons import INTERRUPTED
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
@@ -229,7 +230,7 @@ def _answer(
     json: bool = False,
     before: "Run | None" = None,
 ) -> int:
-    code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
+    code = EXIT_INTERRUPTED if result.stop_reason == INTERRUPTED else EXIT_FINE
     if code:
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError, describe_unknown
-from turtlelog.measure import is_lawless
 from turtlelog.measure.context import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
-from turtlelog.run.ending import allow_position
+from turtlelog.run.goal_end import allow_position
 from turtlelog.run.paths import closes_by_itself
 
 if TYPE_CHECKING:
@@ -158,7 +157,7 @@ def find_conditions(run: Run, parameters: Mapping[str, Any]) -> Conditions:
     x_m, y_m = map(float, run.poses.xy_m[first])
     path, plant, limits = (_take_table(run, parameters, name) for name in _TABLES)
     goal: tuple[float, float, float | None] | tuple[()] | None = None
-    if not run.declaration.uses_goal and not is_lawless(run):
+    if not run.declaration.uses_goal and not run.is_lawless:
         goal = ()
     elif run.goal_xy_m is not None:
         goal = (*run.goal_xy_m, run.goal_heading_rad)
@@ -198,7 +197,7 @@ def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) 
     """Return the kind of a plant; without the key, a scenario has turtlesim."""
     if is_simulated:
         return str(parameters.get("plant.kind", "turtlesim"))
-    if not is_lawless(run):
+    if not run.is_lawless:
         return None
     if run.poses.speed_m_s is not None:
         return "turtlesim"

@@ -17,13 +17,12 @@ from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.log import split_topic
 from turtlelog.measure import (
     find_metric_kind,
-    is_lawless,
     is_metric_pattern,
     list_essential_metrics,
     list_metrics,
 )
 from turtlelog.run import Parameter, Run
-from turtlelog.run.ending import find_goal_end
+from turtlelog.run.goal_end import find_goal_end
 from turtlelog.run.loops import Declaration
 
 _MOST_PARAMETERS: Final = 2
@@ -267,8 +266,7 @@ def choose_columns(
 
 def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
     """Return the ids of the metrics that characterise a run."""
-    has_no_law = run.is_lawless if isinstance(run, RunSummary) else is_lawless(run)
-    return USUAL_OF_MOTION if has_no_law else list_usual_metrics(run.declaration)
+    return USUAL_OF_MOTION if run.is_lawless else list_usual_metrics(run.declaration)
 
 
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:

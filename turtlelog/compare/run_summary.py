@@ -26,7 +26,7 @@ from turtlelog.measure import (
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run, require_run
-from turtlelog.run.ending import GoalEnd, find_goal_end
+from turtlelog.run.goal_end import GoalEnd, find_goal_end
 from turtlelog.run.loops import Declaration
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Final
 from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.measure import list_metrics
 from turtlelog.run.angles import wrap_angle
-from turtlelog.run.ending import allow_position
+from turtlelog.run.goal_end import allow_position
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 

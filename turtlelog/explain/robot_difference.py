@@ -57,11 +57,6 @@ _BY_CHANCE: Final = 2.0
 """Difference of two logs, in standard deviations, below which robots count as equal."""
 
 
-def is_robot_log(run: Run) -> bool:
-    """Return whether a run has only poses and commands, and nothing of the controller."""
-    return not len(run.samples) and not run.declaration.loops
-
-
 def explain_robots(
     first: Run, second: Run, metric: str, unit: str, work: Work | None = None
 ) -> ExplainedDifference:
@@ -111,7 +106,7 @@ def explain_robots(
 
 def _leave_controller(run: Run) -> Run:
     """Return a run reduced to a robot's log: its poses and commands, goal and path."""
-    if is_robot_log(run):
+    if run.is_lawless:
         return run
     kept = {key: value for key, value in run.parameters.items() if key.startswith("path.")}
     return replace(

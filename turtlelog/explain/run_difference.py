@@ -35,7 +35,7 @@ from turtlelog.explain.explained_difference import (
     find_departure,
 )
 from turtlelog.explain.game import SEEDS, ChangeGame, Play, Work, iterate_outcomes
-from turtlelog.explain.robot_difference import explain_robots, is_robot_log
+from turtlelog.explain.robot_difference import explain_robots
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import (
     LONGEST_S,
@@ -122,7 +122,7 @@ def explain_difference(
     metric = metric or choose_common_metric(first, second)
     _require_common_metric(first, second, metric)
     unit = list_metrics(second.declaration)[metric].unit
-    if is_robot_log(first) or is_robot_log(second):
+    if first.is_lawless or second.is_lawless:
         return explain_robots(first, second, metric, unit, work)
     if not trust_law and (untrusted := _list_untrusted(first, second)):
         return _name_untrusted(first, second, metric, unit, untrusted)

@@ -32,7 +32,6 @@ from .metric_list import (
     choose_metrics as choose_metrics,
     describe_no_metric as describe_no_metric,
     find_metric_kind as find_metric_kind,
-    is_lawless as is_lawless,
     is_metric_pattern as is_metric_pattern,
     list_essential_metrics as list_essential_metrics,
     list_ids_like as list_ids_like,

@@ -240,11 +240,9 @@ class RunContext:
         return math.nan if signal is None else float(signal.values[-1])
 
     @property
-    def is_robot(self) -> bool:
-        """Whether only poses and a goal are known."""
-        run = self.run
-        is_lawless = not run.declaration.loops and not len(run.samples)
-        return is_lawless and run.goal_xy_m is not None
+    def is_lawless_with_goal(self) -> bool:
+        """Whether the controller is unknown, and the goal is known."""
+        return self.run.is_lawless and self.run.goal_xy_m is not None
 
     @property
     def sample_count(self) -> int:

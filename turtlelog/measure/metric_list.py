@@ -104,15 +104,10 @@ def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
     If the law of a run is unknown and the run has no samples, these are the metrics of poses,
     commands and goal.
     """
-    lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
+    lawless = [run for run in of if isinstance(run, Run) and run.is_lawless]
     laws = [run.declaration if isinstance(run, Run) else run for run in of if run not in lawless]
     of_laws = _list_of_laws(*laws) if laws or not of else ()
     return tuple(dict.fromkeys([*of_laws, *_list_of_motion(lawless)]))
-
-
-def is_lawless(run: Run) -> bool:
-    """Return whether the controller of a run is unknown, as for a third-party bag."""
-    return not len(run.samples) and not run.declaration.loops
 
 
 def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
@@ -274,7 +269,7 @@ def miss_metric(declaration: Declaration, name: str) -> Metric:
 def _measure(context: RunContext, name: str, kind: MetricKind | None) -> Metric:
     if kind is None:
         missing = miss_metric(context.run.declaration, name)
-        if not is_lawless(context.run):
+        if not context.run.is_lawless:
             return missing
         reason = "no samples of a controller were read"
         return replace(missing, status=Status.ABSENT, reason=reason)

@@ -68,8 +68,7 @@ def read_heading_reference(run: Run) -> float | Values | None:
     known = [(loop, found) for loop, found in loops if found is not None]
     if not known:
         # If the controller is unknown, only the goal gives the reference heading.
-        is_unknown = not run.declaration.loops and not len(run.samples)
-        return run.goal_heading_rad if is_unknown else None
+        return run.goal_heading_rad if run.is_lawless else None
     if len(known) == 1:
         return known[0][1]
     acting = find_acting(run, tuple(loop for loop, _ in known))

@@ -19,14 +19,12 @@ from turtlelog.run import PhaseSpan, Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import PAUSE, ControlLoop
 from turtlelog.run.paths import Path
+from turtlelog.run.stop_reasons import TIMEOUT
 
 if TYPE_CHECKING:
     from turtlelog.measure.context import MeasureSettings
 
 Values = NDArray[np.float64]
-
-_TIMEOUT: Final = "timeout"
-"""Stop reason of a law that exceeded its time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,7 +231,7 @@ def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
 
 def came_to_rest(run: Run) -> bool:
     """Return whether the law ended the run because it was done, not by a timeout or a cut."""
-    return run.is_complete and run.stop_reason != _TIMEOUT
+    return run.is_complete and run.stop_reason != TIMEOUT
 
 
 def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:

@@ -14,6 +14,7 @@ from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run, SampleColumns
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import FROM_OUTSIDE
 
 Value = float | int | str | None
 
@@ -237,7 +238,7 @@ def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | 
     """Return the difference of two counts; lost rows or a truncated recording explain fewer."""
     if count.recorded == count.replayed:
         return None
-    if count.recorded < count.replayed and (is_cut_short(run) or _has_holes(run)):
+    if count.recorded < count.replayed and (run.stop_reason in FROM_OUTSIDE or _has_holes(run)):
         return None
     return Difference(
         signal=name, time_ns=run.end_ns, recorded=count.recorded, replayed=count.replayed
@@ -311,15 +312,6 @@ def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
     )
     for name, unit, recorded, others in columns:
         yield Pairing(name, unit, was.time_ns[:count], recorded[:count], others[:count])
-
-
-_CUT: Final = (None, "interrupted")
-"""Stop reasons of runs that were ended from outside."""
-
-
-def is_cut_short(run: Run) -> bool:
-    """Return whether a run might have continued if the recording had not ended."""
-    return run.stop_reason in _CUT
 
 
 _RowChoice = NDArray[np.int64] | slice

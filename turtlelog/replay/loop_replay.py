@@ -31,7 +31,6 @@ from turtlelog.replay.differences import (
     has_all_commands,
     has_published,
     has_ticks,
-    is_cut_short,
     list_unrecorded,
     pair_by_sample,
     pair_by_tick,
@@ -43,6 +42,7 @@ from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.recorded_motion import advise_other_mode
 from turtlelog.run import Run, SampleColumns, require_run
 from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import FINISHED, FROM_OUTSIDE, MAX_DURATION, name_stop
 from turtlelog.scenario import Scenario, choose_scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import PlainLoop, SampleRow, SampleRows, simulate_run
 from turtlelog.simulate.class_law import is_built_in
@@ -197,7 +197,7 @@ def _answer_poses(
         rows.add(sample, *states)
         blocks_ticks.append(sample.blocks_ticks)
     answers = Answers(rows.build_columns(), loop.declaration)
-    reason = loop.name_stop(sample.stop) if sample.stop else None
+    reason = name_stop(sample.stop, loop.stops) if sample.stop else None
     return answers, np.array(blocks_ticks, dtype=np.int64), reason
 
 
@@ -326,7 +326,7 @@ def replay_loop(
     scenario = resolve_scenario(scenario, trust_law=trust_law)
     within = _shorten(scenario, run) if is_own else scenario
     replayed = simulate_run(within, step_budget_s=step_budget_s)
-    if replayed.stop_reason == TIME_IS_UP and within is not scenario:
+    if replayed.stop_reason == MAX_DURATION and within is not scenario:
         raise ReplayError(
             f"{run.name}: the replay goes on after {within.max_duration_s:g} s, and the recording"
             f" ends after {run.end_ns / 1e9:g} s. --set max_duration_s={scenario.max_duration_s:g}"
@@ -378,14 +378,6 @@ def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
 _SIGNAL: Final = "stop"
 
 
-_SOMEHOW: Final = "finished"
-"""Stop reason of a log in which the controller ended without a reason."""
-
-
-TIME_IS_UP: Final = "max_duration"
-"""Stop reason of a run that the scenario's `max_duration_s` ended."""
-
-
 def compare_last_answer(
     run: Run, row: int, stop_reason: str | None, *, blocks: bool
 ) -> Difference | None:
@@ -393,9 +385,9 @@ def compare_last_answer(
     time_ns = int(run.samples.time_ns[row])
     if row < len(run.samples) - 1:
         return _build(time_ns, None, stop_reason)
-    if blocks and run.stop_reason == TIME_IS_UP:
+    if blocks and run.stop_reason == MAX_DURATION:
         return None  # the time was up before it could stop
-    found = TIME_IS_UP if stop_reason is None else stop_reason
+    found = MAX_DURATION if stop_reason is None else stop_reason
     return None if _agrees(run, found) else _build(time_ns, run.stop_reason, stop_reason)
 
 
@@ -405,9 +397,9 @@ def compare_ends(run: Run, stop_reason: str | None) -> Difference | None:
 
 
 def _agrees(run: Run, stop_reason: str | None) -> bool:
-    if run.stop_reason == _SOMEHOW:
-        return stop_reason != TIME_IS_UP
-    return is_cut_short(run) or run.stop_reason == stop_reason
+    if run.stop_reason == FINISHED:
+        return stop_reason != MAX_DURATION
+    return run.stop_reason in FROM_OUTSIDE or run.stop_reason == stop_reason
 
 
 def _build(time_ns: int, recorded: str | None, replayed: str | None) -> Difference:

@@ -12,7 +12,6 @@ from .columns import (
     take_rows as take_rows,
 )
 from .run import (
-    CUT_SHORT as CUT_SHORT,
     Event as Event,
     GoalLine as GoalLine,
     Parameter as Parameter,
@@ -27,6 +26,9 @@ from .software import (
     describe_changes as describe_changes,
     describe_software as describe_software,
     list_software_changes as list_software_changes,
+)
+from .stop_reasons import (
+    CUT_SHORT as CUT_SHORT,
 )
 from .tables import (
     TABLES as TABLES,

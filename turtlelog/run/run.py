@@ -28,15 +28,13 @@ from turtlelog.run.columns import (
     rebuild_value,
     slice_run,
 )
-from turtlelog.run.ending import find_goal_end
+from turtlelog.run.goal_end import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
+from turtlelog.run.stop_reasons import CUT_SHORT
 from turtlelog.run.tables import TABLES, build_pandas, build_xarray, iterate_arrow
 
 Parameter = bool | int | float | str | list[Any]
-
-CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed", "step_budget"})
-"""Stop reasons of runs that the controller did not end itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,6 +253,11 @@ class Run:
     def is_complete(self) -> bool:
         """Whether the controller ended the run itself."""
         return self.stop_reason is not None and self.stop_reason not in CUT_SHORT
+
+    @property
+    def is_lawless(self) -> bool:
+        """Whether the controller is unknown, as for a third-party bag: no samples and no loops."""
+        return not len(self.samples) and not self.declaration.loops
 
     @property
     def duration_s(self) -> float:

@@ -17,12 +17,13 @@ from turtlelog.laws import LAWS, find_law, find_module, is_given, read_law_sourc
 from turtlelog.parts import Plant
 from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import STEP_BUDGET
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario
 from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
 from turtlelog.simulate.rows import describe_stop
-from turtlelog.simulate.step_budget import STEP_BUDGET, STEP_BUDGET_S, StepBudgetError
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 from turtlelog.version import __version__
 
 _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")

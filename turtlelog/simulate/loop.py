@@ -9,7 +9,7 @@ needed, in compiled code all rows.
 """
 
 import math
-from typing import Any
+from typing import Any, Final
 
 from turtlelog.arithmetic import (
     begin_row,
@@ -20,10 +20,10 @@ from turtlelog.arithmetic import (
     wrap_angle,
 )
 from turtlelog.parts import LARGEST_FLOAT, NEVER_NS
+from turtlelog.run.stop_reasons import MAX_DURATION, number_stop
 from turtlelog.simulate.rows import (
     COMMAND_FAILED,
     COMMANDS_DROPPED,
-    MAX_DURATION,
     NUMBERS_FAILED,
     POSES_DROPPED,
     REFERENCE_FAILED,
@@ -32,6 +32,8 @@ from turtlelog.simulate.rows import (
     STOP,
     WALL_HIT,
 )
+
+_TIME_IS_UP: Final = number_stop(MAX_DURATION)
 
 
 def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
@@ -61,7 +63,7 @@ def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, bef
     """Record the changes in a tick; before the tick there were `before` samples."""
     now = state.now
     if now.stop == 0 and tick == settings.scene.last_tick:
-        now.stop = MAX_DURATION
+        now.stop = _TIME_IS_UP
     if now.has_losses:
         tell_losses(now, now.lost_poses, rows, tick)
         tell_losses(now, now.lost_commands, rows, tick)

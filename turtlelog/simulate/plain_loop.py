@@ -1,6 +1,6 @@
 """The loop in ordinary Python, tick by tick, for a law in any Python, without a compiler."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
@@ -27,6 +27,7 @@ from turtlelog.parts import LARGEST_FLOAT, Plant
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import Event
 from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import LAW_FAILED, STEP_BUDGET, name_stop, number_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import loop, step_budget
 from turtlelog.simulate.class_law import (
@@ -44,9 +45,6 @@ from turtlelog.simulate.loop_parts import (
     list_streams,
 )
 from turtlelog.simulate.rows import (
-    LAW_FAILED,
-    MAX_DURATION,
-    STEP_BUDGET as LATE,
     EventRow,
     SampleRow,
     TickRow,
@@ -223,7 +221,8 @@ class PlainLoop:
             if now.failure != 0:
                 failure = self._describe_numbers()
             if failure is not None:
-                now.stop = LATE if isinstance(failure, step_budget.StepBudgetError) else LAW_FAILED
+                is_late = isinstance(failure, step_budget.StepBudgetError)
+                now.stop = number_stop(STEP_BUDGET if is_late else LAW_FAILED)
             finish_tick(settings, state, rows, parts, tick, before)
             end = now.samples
             computed = (samples[before],) if end == before + 1 else _list_rows(samples, before, end)
@@ -233,7 +232,7 @@ class PlainLoop:
             if now.events != events:
                 events = now.events
                 told = self._take_events(period_ns, "" if failure is None else f": {failure}")
-                stop = self.name_stop(now.stop) if now.stop != 0 else None
+                stop = name_stop(now.stop, self.stops) if now.stop != 0 else None
             own = tuple([self.take_states(one.sequence) for one in computed]) if states else ()
             yield Tick(tick * period_ns, ticks[tick], computed, sent, own, told, stop)
             if failure is not None:
@@ -279,14 +278,11 @@ class PlainLoop:
         asked: int = len(self.rows.samples) + self.rows.forgotten
         return asked
 
-    def name_stop(self, stop: int) -> str:
-        """Return the stop reason of the run, in one word."""
-        if stop < 0:
-            own = {MAX_DURATION: "max_duration", LAW_FAILED: "law_failed"}
-            return own.get(stop, step_budget.STEP_BUDGET)
-        if self._class_law is not None:
-            return self._class_law.stops[stop - 1]
-        return self._law.stops[stop - 1]  # type: ignore[union-attr]
+    @property
+    def stops(self) -> Sequence[str]:
+        """Stop reasons of the law, in order."""
+        law = self._law if self._class_law is None else self._class_law
+        return law.stops  # type: ignore[union-attr]
 
     def describe_late(self, what: str) -> str:
         """Return a sentence on the late answer, and how to set a longer budget."""
@@ -322,9 +318,7 @@ class PlainLoop:
         """Return the events so far and delete them."""
         found = [*self.rows.events.values()]
         self.rows.events.clear()
-        return tuple(
-            describe_event(row, period_ns, self.name_stop, because=because) for row in found
-        )
+        return tuple(describe_event(row, period_ns, self.stops, because=because) for row in found)
 
     def _forget(self) -> None:
         """Delete the rows that are no longer needed."""

@@ -4,7 +4,7 @@ In ordinary Python the data are objects, in compiled code records with the same 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from typing import Any, Final, TypeVar
@@ -12,9 +12,7 @@ from typing import Any, Final, TypeVar
 from turtlelog.laws.base import LawRow
 from turtlelog.parts import NEVER_NS
 from turtlelog.run import Event
-
-MAX_DURATION, LAW_FAILED, STEP_BUDGET = -1, -2, -3
-"""Stop reasons that do not come from the law. A law's own stop reasons are numbers above 0."""
+from turtlelog.run.stop_reasons import name_stop
 
 COMMAND_FAILED, NUMBERS_FAILED, REFERENCE_FAILED, STATES_FAILED, RUNS_AWAY = 1, 2, 3, 4, 5
 """Kinds of failures: an invalid command, error, reference pose or state, and a plant that exceeds
@@ -266,15 +264,13 @@ _LOSSES: Final = {
 """Sources of losses, and words for lost items."""
 
 
-def describe_event(
-    row: Any, period_ns: int, name_stop: Callable[[int], str], *, because: str = ""
-) -> Event:
+def describe_event(row: Any, period_ns: int, stops: Sequence[str], *, because: str = "") -> Event:
     """Return a sentence on an event.
 
     Args:
         row: Row of `EventRow`.
         period_ns: Period of the clock [ns].
-        name_stop: Function that returns a stop reason by number.
+        stops: Stop reasons of the law, in order.
         because: Text after the stop reason.
     """
     number, first, second = int(row.kind), row.first, row.second
@@ -286,7 +282,7 @@ def describe_event(
     elif number == COMMANDS_DROPPED and first < 0.0:
         text = f"The plant's queue dropped {int(second)} commands."
     elif number == STOP:
-        text = describe_stop(name_stop(int(second)), because)
+        text = describe_stop(name_stop(int(second), stops), because)
     else:
         text = _describe_loss(kind, int(first), int(second))
     return Event(time_ns=int(row.tick) * period_ns, kind=kind, text=text)

@@ -28,9 +28,6 @@ from turtlelog.errors import SimulationError
 if TYPE_CHECKING:
     from turtlelog.simulate.plain_loop import PlainLoop
 
-STEP_BUDGET: Final = "step_budget"
-"""Stop reason of a run whose law exceeded its time limit."""
-
 STEP_BUDGET_S: Final = 10.0
 """Default time limit for one answer of a user law [s]: far longer than a robot waits, and short for
 a user whose law never returns."""

@@ -17,7 +17,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, choose_named, write_sentences
-from turtlelog.measure import Metric, is_lawless
+from turtlelog.measure import Metric
 from turtlelog.run import CUT_SHORT, Run
 
 _MOST_DIFFERING: Final = 8
@@ -272,7 +272,7 @@ def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -
     found = {}
     for number, (run, known) in enumerate(zip(runs, metrics, strict=True)):
         metric = known.get("final.position_error")
-        aims = is_lawless(run) or run.declaration.uses_goal
+        aims = run.is_lawless or run.declaration.uses_goal
         if aims and metric is not None and metric.value is not None:
             found[number] = metric.value
     return found

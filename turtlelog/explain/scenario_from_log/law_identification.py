@@ -25,6 +25,7 @@ from turtlelog.measure.motion import CERTAIN
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import DONE, PAUSE
+from turtlelog.run.stop_reasons import SETTLED, STANDSTILL, TIMEOUT, WITHIN_TOLERANCE
 from turtlelog.scenario import DEFAULT_LAW
 
 ROTATE: Final = "rotate"
@@ -350,12 +351,12 @@ def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Endi
     contradicted = {rule.key: _describe_beyond(rule) for rule in rules if rule.is_contradicted}
     if speed[-1] == 0.0:
         return Ending(
-            reason=_say("within_tolerance", "the last command is 0", is_certain=is_certain),
+            reason=_say(WITHIN_TOLERANCE, "the last command is 0", is_certain=is_certain),
             rules=contradicted,
         )
     met = [rule for rule in rules if rule.ends_here and not rule.is_contradicted]
     if met:
-        needs_poses = met[0].name == "settled"
+        needs_poses = met[0].name == SETTLED
         reason = _say(met[0].name, met[0].evidence, is_certain=is_certain or not needs_poses)
         return Ending(reason=reason, rules=contradicted)
     if not is_finished:
@@ -377,7 +378,7 @@ def _judge_standstill(trace: Trace) -> _Rule:
     first = np.arange(len(counts)) - np.maximum(counts - 1, 0)
     counts = np.where(counts > 0, number - number[first] + 1, 0)
     return _Rule(
-        name="standstill",
+        name=STANDSTILL,
         key="law.standstill_samples",
         usual=_USUAL.standstill_samples,
         now=int(counts[-1]),
@@ -400,7 +401,7 @@ def _judge_times(trace: Trace) -> list[_Rule]:
         since = driving - driving[np.arange(len(close)) - np.maximum(held - 1, 0)]
         rules.append(
             _Rule(
-                name="settled",
+                name=SETTLED,
                 key="law.settled_for_s",
                 usual=_USUAL.settled_for_s,
                 now=float(since[-1]),
@@ -413,7 +414,7 @@ def _judge_times(trace: Trace) -> list[_Rule]:
     before = float(time_s[-2]) if len(time_s) > trace.rotating + 1 else 0.0
     rules.append(
         _Rule(
-            name="timeout",
+            name=TIMEOUT,
             key="law.timeout_s",
             usual=_USUAL.timeout_s,
             now=float(time_s[-1]),

@@ -46,9 +46,9 @@ from turtlelog.laws import LAWS
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.measure.dead_time import LARGEST_TICKS, shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
-from turtlelog.replay.loop_replay import TIME_IS_UP
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.run.loops import PAUSE, RESERVED, ControlLoop
+from turtlelog.run.stop_reasons import MAX_DURATION
 from turtlelog.scenario import flatten_scenario
 
 _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
@@ -231,8 +231,8 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
 
 def describe_stop_rule(run: Run, recorded: RecordedScenario) -> Finding:
     """Return the rule that ended the run, as recorded and as simulated again."""
-    if run.stop_reason == TIME_IS_UP:
-        return find_exactly(TIME_IS_UP, "as recorded: no rule of the law had ended the run")
+    if run.stop_reason == MAX_DURATION:
+        return find_exactly(MAX_DURATION, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason
     if again is None:
         return miss("only a re-simulation shows which rule of the law ended the run")

@@ -24,6 +24,7 @@ from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.importers.table_text import decode_text, read_header
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
+from turtlelog.run.stop_reasons import FINISHED
 
 _PHASES: Final = {name: number for number, name in enumerate(DECLARATION.phase_names)}
 
@@ -174,7 +175,7 @@ def build_paper_run(log: _PaperLog, *, sort: bool) -> Run:
         goal_xy_m=goal_xy_m,
         declaration=DECLARATION,
         parameters=log.parameters,
-        stop_reason="finished" if is_finished else None,
+        stop_reason=FINISHED if is_finished else None,
         absent=(*_NEVER_LOGGED, *log.absent, *(() if goal_xy_m else ("goal_xy_m",))),
         notes=notes,
     )

@@ -28,6 +28,7 @@ from turtlelog.log.mcap_writer import McapFile
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
 from turtlelog.run import Event, Run
+from turtlelog.run.stop_reasons import INTERRUPTED
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, collect_run, declare_scenario, iterate_ticks
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
@@ -37,9 +38,6 @@ CHUNK_BYTES: Final = 2**16
 
 _FLUSH_S: Final = 1.0
 """Time after which a chunk is written even if it is not full, by the wall clock [s]."""
-
-INTERRUPTED: Final = "interrupted"
-"""Stop reason of a run that was ended from outside."""
 
 _INTERRUPTIONS: Final = (KeyboardInterrupt, SystemExit)
 _NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})

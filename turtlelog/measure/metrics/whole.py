@@ -80,7 +80,7 @@ def measure_heading_error(course: RunContext) -> Outcome:
     """Return the magnitude of the heading error."""
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
-        return math.nan, math.nan, _NO_HEADING if course.is_robot else _NO_BEARING
+        return math.nan, math.nan, _NO_HEADING if course.is_lawless_with_goal else _NO_BEARING
     return math.degrees(abs(error_rad)), course.last_pose_s, FOUND
 
 
@@ -129,7 +129,7 @@ def measure_goal_heading_error(course: RunContext) -> Outcome:
 def _compute_heading_error_at_15s(context: RunContext) -> Result:
     error_rad = _find_heading_error(context, PAPER_WINDOW_S)
     if error_rad is None:
-        return REASONS[_NO_HEADING if context.is_robot else _NO_BEARING]
+        return REASONS[_NO_HEADING if context.is_lawless_with_goal else _NO_BEARING]
     return _find_cut(context) or Found(math.degrees(abs(error_rad)), _tell_time(context))
 
 

@@ -18,6 +18,7 @@ from turtlelog.laws import LawPart, find_law
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.run import Run
 from turtlelog.run.path_pieces import PathPiece
+from turtlelog.run.stop_reasons import TIMEOUT, name_stop
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import collect, loop
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
@@ -43,7 +44,7 @@ from turtlelog.simulate.loop_parts import (
     list_of,
     list_streams,
 )
-from turtlelog.simulate.rows import MAX_DURATION, EventRow, SampleRow, TickRow, describe_event
+from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event
 from turtlelog.simulate.settings import (
     NoNumbers,
     bound_rows,
@@ -231,7 +232,8 @@ def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
         types.Tuple([asked, values.copy(ndim=2), reasons.copy(ndim=2)]),
     )
     name = name_loop(loop.law, loop.plant, loop.states)
-    timeout = loop.law.stops.index("timeout") + 1 if "timeout" in loop.law.stops else 0
+    stops = loop.law.stops
+    timeout = stops.index(TIMEOUT) + 1 if TIMEOUT in stops else 0
     scope = {"STAMP": int(name.rpartition("_")[2][:12], 16), "TIMEOUT": timeout}
     made = compile_entry(compiled_entry.run_rows, f"rows_{name}", lambda _: scope, signature)
     return partial(made, loop.run, measure)
@@ -335,9 +337,9 @@ class CompiledRunner:
             ),
             commands=collect.build_commands(answers[: now["published"]]),
             samples=collect.build_samples(answers, states, declaration, has_shaping=shapes),
-            stop_reason=name_stop(law, int(now["stop"])),
+            stop_reason=name_stop(int(now["stop"]), loop.law.stops),
             events=tuple(
-                describe_event(row, plant.period_ns, lambda number: name_stop(law, number))
+                describe_event(row, plant.period_ns, loop.law.stops)
                 for row in rows.events[: now["events"]].view(np.recarray)
             ),
         )
@@ -360,8 +362,3 @@ def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, sample
         drawn = draw_events(seed, STREAMS[name], count)
         for place, column in enumerate(STREAMS[name].fields):
             table[name][column][:count] = drawn[:, place]
-
-
-def name_stop(law: Any, number: int) -> str:
-    """Return the stop reason of a compiled loop, in one word."""
-    return "max_duration" if number == MAX_DURATION else law.stops[number - 1]

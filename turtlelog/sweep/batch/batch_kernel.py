@@ -93,7 +93,7 @@ class Course(NamedTuple):
     last_heading_rad: float
     last_cross_track_m: float
     heading_error_rad: float
-    is_robot: bool
+    is_lawless_with_goal: bool
     memory: Memory
     offset_m: Any
 

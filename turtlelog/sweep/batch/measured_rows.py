@@ -19,11 +19,12 @@ from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
 from turtlelog.processes import count_cores
+from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, draw_streams, name_stop
+from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, draw_streams
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch.batch_columns import (
@@ -384,10 +385,11 @@ class _Work:
         result, rows = self.result, prepared.rows[good]
         if not len(rows):
             return
-        now, law = prepared.states["now"], find_law(self._base.law.kind)
+        now = prepared.states["now"]
+        law: Any = find_law(self._base.law.kind)  # a LawPart, since its loop is compiled
         result.samples[rows] = now["samples"][good]
         for row, reason in zip(rows, now["stop"][good].tolist(), strict=True):
-            result.stop_reasons[row] = name_stop(law, reason)
+            result.stop_reasons[row] = name_stop(reason, law.stops)
         for name in self._metrics:
             place = self._places[name]
             if place is None:

@@ -6,14 +6,10 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from turtlelog.display import format_short
 from turtlelog.run.angles import wrap_angle
+from turtlelog.run.stop_reasons import AT_GOAL, MAY_MISS, WITHIN_TOLERANCE
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
-
-_REACHED: Final = "within_tolerance"
-_MISSED: Final = (_REACHED, "standstill", "settled", "timeout", "max_duration")
-"""Stop reasons of built-in laws in runs that do not reach the goal; `within_tolerance` of a law
-that reads late or wrong poses."""
 
 _CORNER: Final = math.sqrt(2.0)
 """Largest distance of a law's own end as a multiple of the position tolerance: x and y are each
@@ -91,13 +87,13 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
     error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), _allow(run, run.goal_xy_m)
     # A law that reads late or wrong poses stops where it believes the goal to be.
     is_seen = run.poses.sensed_xy_m is None
-    is_own_end = run.stop_reason == _REACHED and is_seen and error_m <= _CORNER * allowed_m
+    is_own_end = run.stop_reason == WITHIN_TOLERANCE and is_seen and error_m <= _CORNER * allowed_m
     is_within = is_own_end or (error_m <= allowed_m and _stays(run, error_m, allowed_m))
     turned_rad = None if is_own_end or not is_within else _find_turned(run)
     verdict: Literal["reached", "missed", "ended"] = "ended"
     if is_within and turned_rad is None:
         verdict = "reached"
-    elif error_m > allowed_m and run.stop_reason in _MISSED and allowed_m:
+    elif error_m > allowed_m and run.stop_reason in MAY_MISS and allowed_m:
         verdict = "missed"
     left_m, short_m = _find_place(run, run.goal_xy_m, allowed_m)
     return GoalEnd(
@@ -113,7 +109,7 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
 
 def _stays(run: "Run", error_m: float, allowed_m: float) -> bool:
     """Return whether a robot stopped by a time limit would stay within the tolerances."""
-    if run.stop_reason in {_REACHED, "standstill", "settled"} or len(run.poses) < 2:
+    if run.stop_reason in AT_GOAL or len(run.poses) < 2:
         return True
     moved_m = math.dist(*run.poses.xy_m[-2:])
     lasted_s = float(run.poses.time_ns[-1] - run.poses.time_ns[-2]) / 1e9
