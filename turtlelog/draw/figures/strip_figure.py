@@ -15,8 +15,9 @@ from turtlelog.charts.many_runs import find_gain_unit
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
-from turtlelog.draw.figures.page import choose_colors, fix_style
+from turtlelog.draw.figures.page import fix_style
 from turtlelog.draw.figures.placed_words import measure_text_mm
+from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
