@@ -10,6 +10,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.curves import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.compare import name_runs
+from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
 from turtlelog.run import Run
 
@@ -33,6 +34,9 @@ _MARK_EVERY: Final = 0.24
 """Distance of a run's markers on its curve, as a share of the panel's diagonal."""
 
 _MOST_LETTERS: Final = 28
+_TAIL: Final = 13
+"""Number of last letters kept of a longer name: half of its letters, without the mark."""
+
 _NAMES: Final = frozenset(
     {
         *("goal", "goal bearing", "goal heading", "zero", "limit", "path", "start"),
@@ -107,6 +111,4 @@ def _clean(name: str) -> str:
 
 
 def _shorten(name: str) -> str:
-    half = _MOST_LETTERS // 2
-    short = name if len(name) <= _MOST_LETTERS else f"{name[:half]}…{name[1 - half :]}"
-    return short.replace("$", r"\$")
+    return cut_name(name, _MOST_LETTERS, tail=_TAIL, mark="…").replace("$", r"\$")
