@@ -112,7 +112,7 @@ def draw_time_plot(
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
         how = "without" if leaves_out(len(runs), plot) else "pale:"
-        words = f"{how} {many_runs.describe_restless(runs)}, not settled"
+        words = f"{how} {many_runs.describe_restless(runs, restless)}, not settled"
         axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
