@@ -33,7 +33,7 @@ from turtlelog.cli.options import (
     require_there,
     split_names,
 )
-from turtlelog.cli.output import fill_lines, print_json, print_note, print_text
+from turtlelog.cli.output import fill_lines, print_json, print_note, print_text, write_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.replay_plant import build_plant, judge_rounding, list_breaks
 from turtlelog.cli.targets import require_new_target
@@ -200,11 +200,7 @@ def _measure_luck(
 
 
 def _write_scenario(found: "Identification", path: Path) -> None:
-    from turtlelog.log.file_access import replace_when_complete
-
-    text = tl.format_scenario(found.build_scenario())
-    with replace_when_complete(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, tl.format_scenario(found.build_scenario()))
     print_note(f"wrote {path}")
 
 
