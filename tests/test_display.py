@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 
 import turtlelog as tl
-from turtlelog.display import NamedValues, format_html, format_range, parse_utc
+from turtlelog.display import NamedValues, cut_name, format_html, format_range, parse_utc
 from turtlelog.explain.attribution import ValueSet
 from turtlelog.explain.scenario_from_log.identification import Certainty
 from turtlelog.laws.loading import LAWS
@@ -177,6 +177,21 @@ def test_attribution_without_shares_does_not_say_that_no_effect_acts() -> None:
     assert repr(found).endswith("0.1067 m: no effect changes it>")
     for why in ({"withheld": "the log differs"}, {"without_value": (ValueSet(causes=("a",)),)}):
         assert repr(replace(found, **why)).endswith("0.1067 m: no contributions>")
+
+
+@pytest.mark.parametrize(
+    ("most", "tail", "mark", "expected"),
+    [
+        (10, 0, "...", "abcdefghij"),
+        (9, 0, "...", "abcdef..."),
+        (9, 2, "...", "abcd...ij"),
+        (9, 4, "…", "abcd…ghij"),
+    ],
+)
+def test_long_name_is_cut_at_its_end_or_before_its_tail(
+    most: int, tail: int, mark: str, expected: str
+) -> None:
+    assert cut_name("abcdefghij", most, tail=tail, mark=mark) == expected
 
 
 def test_counts_of_one_are_singular() -> None:

@@ -38,6 +38,20 @@ def fit_line(text: str) -> str:
 _LINE: Final = 80
 
 
+def cut_name(name: str, most: int, *, tail: int = 0, mark: str = "...") -> str:
+    """Return a name of at most `most` characters; a mark replaces the rest of a longer name.
+
+    Args:
+        name: Name.
+        most: Largest number of characters, including the mark.
+        tail: Number of last characters to keep.
+        mark: Characters in the place of the rest.
+    """
+    if len(name) <= most:
+        return name
+    return f"{name[: most - len(mark) - tail]}{mark}{name[len(name) - tail :]}"
+
+
 def join_words(words: Sequence[str], last: str = "and") -> str:
     """Return words as a list in a sentence."""
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))

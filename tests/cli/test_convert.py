@@ -166,7 +166,7 @@ def test_what_reads_back_differently_is_refused(
         (["run.mcap", "-o", "a.cvs"], "a.cvs: convert writes .mcap, .csv, .parquet and .tum files"),
         (
             ["run.mcap", "-o", "a.csv", "--format", "csv"],
-            "--format: leave it out, the name a.csv says it",
+            "--to: leave it out, the name a.csv says it",
         ),
         (["in.csv", "-o", "in.csv"], "this is the input; name another file"),
         (["run.mcap", "-o", "full"], "full: this folder has files; name a new"),

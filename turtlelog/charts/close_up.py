@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turtlelog.charts.curves import Values
+from turtlelog.display import cut_name
 from turtlelog.run import Run
 
 ARRIVED_M: Final = 1.0
@@ -152,7 +153,7 @@ def choose_rings(furthest_m: float) -> tuple[float, tuple[float, ...]]:
 
 def name_ends(close_up: CloseUp, names: Sequence[str]) -> CloseUp:
     """Return a close-up with names for the runs, in their order; long names are cut."""
-    short = [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}..." for name in names]
+    short = [cut_name(name, _LONGEST) for name in names]
     ends = tuple(replace(end, name=short[end.run]) for end in close_up.ends)
     return replace(close_up, ends=ends)
 

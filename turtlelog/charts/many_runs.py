@@ -97,10 +97,9 @@ def find_restless(runs: Sequence[Run]) -> frozenset[int]:
     return found if 2 * len(found) <= len(runs) else frozenset()
 
 
-def describe_restless(runs: Sequence[Run]) -> str:
-    """Return a text on the runs that never come to rest; empty if there are none."""
-    numbers = sorted(find_restless(runs))
-    return join_run_names(numbers, name_runs(runs), find_color_scale(runs))
+def describe_restless(runs: Sequence[Run], restless: frozenset[int]) -> str:
+    """Return a text on the runs that `find_restless` found; empty if there are none."""
+    return join_run_names(sorted(restless), name_runs(runs), find_color_scale(runs))
 
 
 def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScale | None) -> str:

@@ -31,6 +31,7 @@ from turtlelog.cli.output import (
     print_run_notes,
     print_text,
     quote_file,
+    write_text,
 )
 from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.targets import require_apart, require_new_target, summarise_table, tabulate
@@ -298,8 +299,7 @@ def _write_first(
     if output is None:
         print_text(text)
         return EXIT_FINE
-    with tl.log.replace_when_complete(output) as part:
-        part.write_text(text, encoding="utf-8")
+    write_text(output, text)
     print_note(f"wrote {output}")
     checks = describe_count(text.count("\n[checks."), "check")
     spec = quote_file(output)
@@ -394,8 +394,7 @@ def _check_placed(
                 _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
             yield from file.checked.results
     if reports.junit is not None:
-        with tl.log.replace_when_complete(reports.junit) as part:
-            part.write_text(format_junit(checked), encoding="utf-8")
+        write_text(reports.junit, format_junit(checked))
         print_note(f"wrote {reports.junit}")
     if reports.report is not None:
         results = [result for file in checked for result in file.results]

@@ -218,7 +218,7 @@ def _require_targets(
         raise UsageError(
             f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or"
             " write a folder"
-            " with --format csv or parquet"
+            " with --to csv or parquet"
         )
     if tables.to == "tum":
         for path in outputs:
@@ -226,7 +226,7 @@ def _require_targets(
                 expected = f"a name that ends in {' or '.join(_TRAJECTORIES)}"
                 raise UsageError(f"--to tum: {path} must be {expected}")
     elif tables.to is not None and all(_is_file(path, tables) for path in outputs):
-        raise UsageError(f"--format: leave it out, the name {outputs[0]} says it")
+        raise UsageError(f"--to: leave it out, the name {outputs[0]} says it")
     for path in outputs:
         if _is_file(path, tables):
             require_new_target(path, [file], suffix=path.suffix.lower())

@@ -8,7 +8,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Place
-from turtlelog.cli.output import fill_lines, find_command_name, find_width, print_note, print_text
+from turtlelog.cli.output import (
+    fill_lines,
+    find_command_name,
+    find_width,
+    print_note,
+    print_text,
+    write_text,
+)
 from turtlelog.display import format_short
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
@@ -37,12 +44,9 @@ def demo(
     runs = [_record(name, output) for name in tl.scenario.PAPER_RUNS]
     tl.write_comparison_rrd(runs, output / "comparison.rrd")
     print_note(f"wrote {output / 'comparison.rrd'}")
-    from turtlelog.log import replace_when_complete
-
     table1 = tl.compare.tabulate_table1(runs, beside_paper=True)
     for kind in tl.draw.TABLE_FORMATS:
-        with replace_when_complete(output / f"table1.{kind}") as path:
-            path.write_text(tl.draw.format_table(table1, kind), encoding="utf-8")
+        write_text(output / f"table1.{kind}", tl.draw.format_table(table1, kind))
     print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
     print_note("")
     tables = [

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.motion_answer import MotionAnswer
 from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.cli.replay_answer import build_pose_error
-from turtlelog.cli.replay_plant import PlantReplayAnswer
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -79,95 +79,6 @@ class FindingAnswer:
     interval: tuple[float, float] | None
     candidates: tuple[Any, ...]
     assumed: Any
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateAnswer:
-    """Rate of rows, the range of the central 90 % of the periods, and the longest silence."""
-
-    rows: int
-    period_s: float | None = None
-    low_s: float | None = None
-    high_s: float | None = None
-    longest_silence_s: float | None = None
-    silence_at_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ValueAnswer:
-    """A value of a signal with its time."""
-
-    signal: str
-    unit: str
-    value: float
-    at_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeapAnswer:
-    """A jump of the poses [m, rad]."""
-
-    at_s: float
-    moved: float
-    aside: float
-    turned: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SilenceAnswer:
-    """A gap in the poses."""
-
-    start_s: float
-    end_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TicksAnswer:
-    """Number of commands that act after a number of ticks."""
-
-    ticks: int
-    commands: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DelaysAnswer:
-    """Delays with which commands act."""
-
-    ticks: list[TicksAnswer]
-    low_s: float
-    median_s: float
-    high_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotionAnswer:
-    """Facts about poses and commands without samples. Times count as in a replay.
-
-    Attributes:
-        kind: Kind of the recorded robot.
-        run_duration_s: Duration of the run [s].
-        poses: Rate of the poses.
-        commands: Rate of the commands.
-        largest_commands: Largest command of each axis.
-        outliers: Values that do not belong to the motion.
-        jumps: Jumps of the poses.
-        gaps: Gaps in the poses.
-        command_delays: Delays with which commands act; None if unknown.
-        replay: The commands driven through the plant; None without a model.
-        needs: Data that an explanation would need.
-    """
-
-    kind: str
-    run_duration_s: float
-    poses: RateAnswer
-    commands: RateAnswer
-    largest_commands: list[ValueAnswer]
-    outliers: list[ValueAnswer]
-    jumps: list[LeapAnswer]
-    gaps: list[SilenceAnswer]
-    command_delays: DelaysAnswer | None
-    replay: PlantReplayAnswer | None
-    needs: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,6 +17,7 @@ from turtlelog.cli.output import (
     print_json,
     print_note,
     print_text,
+    write_text,
 )
 from turtlelog.cli.targets import require_new_target, require_pictures
 
@@ -100,7 +101,8 @@ def identify(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
         )
     if scenario is not None and robot is not None:
-        _write_scenario(robot, scenario)
+        write_text(scenario, robot.text)
+        print_note(f"wrote {scenario}")
     if plot is not None:
         tl.draw.write_robot_figure(model, runs[0], plot)
         print_note(f"wrote {plot}")
@@ -108,14 +110,6 @@ def identify(
         tl.draw.write_robot_rrd(model, runs[0], rrd)
         print_note(f"wrote {rrd}")
     return EXIT_FINE if any(axis.is_known for axis in model.axes) else EXIT_FAILED
-
-
-def _write_scenario(robot: "RobotScenario", path: Path) -> None:
-    from turtlelog.log.file_access import replace_when_complete
-
-    with replace_when_complete(path) as temporary:
-        temporary.write_text(robot.text, encoding="utf-8")
-    print_note(f"wrote {path}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,11 +14,11 @@ from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
 from turtlelog.cli.options import (
     Files,
+    MetricsAsked,
     Place,
     ReadingOptions,
     Whole,
     require_files,
-    split_names,
     watch_summaries,
 )
 from turtlelog.cli.output import (
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasureOptions:
+class MeasureOptions(MetricsAsked):
     """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
@@ -66,10 +66,6 @@ class MeasureOptions:
     reference_path: Place | None = None
     goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
     dead_time: Whole | None = None
-
-    def list_patterns(self) -> list[str] | None:
-        """Return the requested ids and patterns; None without a request."""
-        return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_settings(self) -> "MeasureSettings":
         """Return the options as settings."""

@@ -391,6 +391,17 @@ def split_names(text: str, option: str) -> list[str]:
     return names
 
 
+class MetricsAsked:
+    """Base of options with `--metric`, which each command describes itself."""
+
+    __slots__ = ()
+    metric: str | None
+
+    def list_patterns(self) -> list[str] | None:
+        """Return the requested ids and patterns; None without a request."""
+        return None if self.metric is None else split_names(self.metric, "--metric")
+
+
 def require_there(paths: Sequence[Path]) -> None:
     """Refuse missing files before drawing libraries are loaded.
 

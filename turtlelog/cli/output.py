@@ -228,6 +228,12 @@ def read_law(file: Path | str) -> object:
     return None
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, which appears when it is complete."""
+    with tl.log.replace_when_complete(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
 def list_written(paths: Iterable[object]) -> list[str]:
     """Return a line for every written file. Paths stay whole, including blanks."""
     return [escape_controls(hide_secrets(f"wrote {path}")) for path in paths]

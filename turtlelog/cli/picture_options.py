@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from turtlelog import draw
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Place, split_names
+from turtlelog.cli.options import MetricsAsked, Place
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import ShowError, UsageError
@@ -103,7 +103,7 @@ _OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AskedOptions:
+class AskedOptions(MetricsAsked):
     """Content of the figures attribution, gains, luck, strips and violation.
 
     Attributes:
@@ -143,10 +143,6 @@ class AskedOptions:
                 found[name] = _BINDERS[name](self, found[name], runs)
         return found
 
-    def list_metrics(self) -> list[str] | None:
-        """Return the requested metrics; None without a request."""
-        return None if self.metric is None else split_names(self.metric, "--metric")
-
 
 def _bind_attribution(
     asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
@@ -173,13 +169,13 @@ def _bind_luck(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -
 def _bind_gains(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
     from turtlelog.draw.figures.gain_figure import draw_gains
 
-    return replace(kind, draw=partial(draw_gains, metrics=asked.list_metrics()))
+    return replace(kind, draw=partial(draw_gains, metrics=asked.list_patterns()))
 
 
 def _bind_strips(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
     from turtlelog.draw.figures.strip_figure import draw_strips
 
-    return replace(kind, draw=partial(draw_strips, metrics=asked.list_metrics()))
+    return replace(kind, draw=partial(draw_strips, metrics=asked.list_patterns()))
 
 
 def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":

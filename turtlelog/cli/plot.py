@@ -167,7 +167,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     files = list_files(files or [])
     if table is not None:
         _require_no_figures(table, {"--only": only, "--format": formats, "--movie": movie.movie})
-        draw_table(table, output, view, where or PageOptions(), asked.list_metrics(), json=json)
+        draw_table(table, output, view, where or PageOptions(), asked.list_patterns(), json=json)
         return
     require_movie(movie, files)
     _require_clock(movie, timeline)

@@ -15,12 +15,12 @@ import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.options import (
     Json,
+    MetricsAsked,
     Place,
     StepBudgetMs,
     Whole,
     WorkOptions,
     choose_step_budget,
-    split_names,
 )
 from turtlelog.cli.output import (
     EXIT_FINE,
@@ -95,7 +95,7 @@ class PlanOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SweepTableOptions:
+class SweepTableOptions(MetricsAsked):
     """Options for the written files.
 
     Attributes:
@@ -113,10 +113,6 @@ class SweepTableOptions:
     metric: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
     record: Annotated[Place | None, Parameter(metavar="DIR")] = None
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
-
-    def list_patterns(self) -> list[str] | None:
-        """Return the requested metrics; None without a request."""
-        return None if self.metric is None else split_names(self.metric, "--metric")
 
     def build_records(self, work: WorkOptions) -> "RowRecords | None":
         """Return the settings for recording runs, with paths that are valid for workers."""

@@ -8,7 +8,14 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.options import Json, Place, StepBudgetMs, Whole, WorkOptions, choose_step_budget
-from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.output import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    print_json,
+    print_note,
+    print_text,
+    write_text,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
@@ -204,8 +211,7 @@ def tune(
         if "name" not in list_given_keys(options):
             found = replace(found, scenario=replace(found.scenario, name=_name_best(found)))
         if work.output is not None:
-            with tl.log.replace_when_complete(work.output) as path:
-                path.write_text(tl.scenario.format_scenario(found.scenario), "utf-8")
+            write_text(work.output, tl.scenario.format_scenario(found.scenario))
         if runs and found.is_feasible:
             spread = _simulate_variants(found, runs, more, seed, place, work)
     if json:

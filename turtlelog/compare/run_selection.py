@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 from turtlelog import expressions
 from turtlelog.compare.run_summary import TEXTS, RunSummary, complete_parameters, describe_run_end
 from turtlelog.compare.table import order_ids
-from turtlelog.display import describe_count, describe_range, split_numbers
+from turtlelog.display import cut_name, describe_count, describe_range, split_numbers
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.log import split_topic
 from turtlelog.measure import (
@@ -70,7 +70,9 @@ def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], l
     long = [len(name) > _LONGEST for name in names]
     short = _number(
         [
-            _cut(label_file(run.file) if run.file else name) if is_long else name
+            cut_name(label_file(run.file) if run.file else name, _LONGEST, tail=_TAIL)
+            if is_long
+            else name
             for run, name, is_long in zip(runs, names, long, strict=True)
         ]
     )
@@ -81,12 +83,6 @@ def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], l
     }
     renamed = tuple(replace(run, name=name) for run, name in zip(runs, short, strict=True))
     return renamed, _describe_changes(generated)
-
-
-def _cut(name: str) -> str:
-    if len(name) <= _LONGEST:
-        return name
-    return f"{name[: _LONGEST - _TAIL - 3]}...{name[-_TAIL:]}"
 
 
 def _describe_changes(generated: Mapping[str, str]) -> list[str]:

@@ -15,6 +15,7 @@ from .figures import (
     write_trajectory_figure as write_trajectory_figure,
 )
 from .movie_file import write_movie as write_movie
+from .notebook_view import show_run as show_run
 from .report import (
     CheckLine as CheckLine,
     Explanation as Explanation,
@@ -40,5 +41,4 @@ from .rerun.snapshot import (
 )
 from .rerun.viewer import open_viewer as open_viewer, serve_recordings as serve_recordings
 from .rerun.violation_scene import write_violation_rrd as write_violation_rrd
-from .shown_run import show_run as show_run
 from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table

@@ -19,7 +19,7 @@ from turtlelog.charts.curves import Values, find_unit, list_levels, read_curve
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.palette import SUPPOSED_DASH
 from turtlelog.charts.plotted_curves import label_time
-from turtlelog.draw.figures import page
+from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ShowError
@@ -186,7 +186,7 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
     """Draw a signal of the run and of its ghost, from the approach to its reference on."""
     for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
         axes.axhline(level, **page.REFERENCE)
-    lines = [(told.run, page.choose_lines(1)[0], "recorded")]
+    lines = [(told.run, run_styles.choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without {told.ghost_name}"))
     window_s = _find_arrival(told, signal)
@@ -229,7 +229,7 @@ def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
 
 def _draw_ends(axes: Axes, told: Explained) -> None:
     """Draw the ends of the run and its ghost, enlarged if they arrive."""
-    lines = [(told.run, page.choose_lines(1)[0], "recorded")]
+    lines = [(told.run, run_styles.choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
     close_up = find_close_up([run for run, _, _ in lines])
@@ -285,4 +285,4 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Word
 
 
 def _name(told: Explained) -> str:
-    return page.label_runs([told.run])[0]
+    return run_styles.label_runs([told.run])[0]

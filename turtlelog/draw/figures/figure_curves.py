@@ -22,7 +22,7 @@ from turtlelog import theory
 from turtlelog.charts import curves
 from turtlelog.charts.many_runs import find_color_scale
 from turtlelog.charts.palette import FEW, LOOP_DASHES
-from turtlelog.draw.figures import page
+from turtlelog.draw.figures import page, run_styles
 from turtlelog.run import Run
 
 _MOST_SWINGS: Final = 8.0
@@ -105,7 +105,9 @@ def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: 
     """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
     time_s = np.linspace(0.0, _LAST_S, 201)
     for axes, kind in zip(figure.subplots(1, 3), theory.PLANT_INPUTS, strict=True):
-        axes.plot(time_s, theory.compute_plant_response(kind, time_s), **page.choose_lines(1)[0])
+        axes.plot(
+            time_s, theory.compute_plant_response(kind, time_s), **run_styles.choose_lines(1)[0]
+        )
         end = "unbounded" if theory.find_plant_final_value(kind).value is None else "bounded"
         axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
     figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
@@ -120,7 +122,9 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes.axhline(1.0, **page.REFERENCE)
     names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
     styled = (
-        _style_gains(runs) if runs else dict(zip(gains, page.choose_lines(len(gains)), strict=True))
+        _style_gains(runs)
+        if runs
+        else dict(zip(gains, run_styles.choose_lines(len(gains)), strict=True))
     )
     for gain, name in zip(gains, names, strict=True):
         looks = styled[gain]
@@ -136,7 +140,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
 def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
     """Return the style of each gain: the colour of its first run, and dashes for others."""
     styled: dict[float, Mapping[str, Any]] = {}
-    for run, looks in zip(runs, page.choose_run_lines(runs), strict=True):
+    for run, looks in zip(runs, run_styles.choose_run_lines(runs), strict=True):
         for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
             styled.setdefault(gain, {**looks, "linestyle": page.STROKES[dash]})
     return styled
@@ -157,7 +161,7 @@ def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
 
 def list_paper_poles() -> list[Pole]:
     """Return the poles of the ideal loops for the gains of the paper."""
-    styled = zip(PAPER_GAINS, page.choose_lines(len(PAPER_GAINS)), strict=True)
+    styled = zip(PAPER_GAINS, run_styles.choose_lines(len(PAPER_GAINS)), strict=True)
     return [
         Pole(values=theory.compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
         for kp, looks in styled
@@ -293,12 +297,12 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     Returns:
         Labels in the bar, which the legend need not repeat.
     """
-    names = page.label_runs(runs)
+    names = run_styles.label_runs(runs)
     named = [{*names} & {*axes.get_legend_handles_labels()[1]} for axes in figure.axes]
     if len(runs) <= len(FEW) or all(len(found) <= len(FEW) for found in named):
         return frozenset()
     count = len(runs)
-    colors = ListedColormap(page.color_runs(runs))
+    colors = ListedColormap(run_styles.color_runs(runs))
     norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _BAR_INCH)

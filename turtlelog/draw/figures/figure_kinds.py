@@ -33,9 +33,9 @@ from turtlelog.draw.figures.needs import (
     find_lacks,
     has_states,
 )
-from turtlelog.draw.figures.page import label_runs
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.rates_figure import draw_rates
+from turtlelog.draw.figures.run_styles import label_runs
 from turtlelog.draw.figures.sampled_loops import draw_bode, draw_nyquist, draw_root_locus, draw_step
 from turtlelog.draw.figures.strip_figure import draw_strips
 from turtlelog.draw.figures.violation_figure import draw_violation

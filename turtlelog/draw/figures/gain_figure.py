@@ -16,7 +16,8 @@ from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.draw.figures import strip_figure
-from turtlelog.draw.figures.page import STROKES, choose_colors, fix_style, label_runs
+from turtlelog.draw.figures.page import STROKES, fix_style
+from turtlelog.draw.figures.run_styles import choose_colors, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
+from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import STROKES, fix_style, to_rgb
 from turtlelog.sweep.gain_borders import ColumnLimits, LoopLimits, choose_limits
 from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
@@ -121,11 +122,10 @@ def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
     if axis.is_number and len(axis) > _FEW_NUMBERS:
         return
     places = range(0, len(axis), -(-len(axis) // _MOST_WORDS))
-    texts = [axis.tell_place(place) for place in places]
-    cut = [text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…" for text in texts]
+    texts = [cut_name(axis.tell_place(place), _LONGEST, mark="…") for place in places]
     drawn = axes.xaxis if side == "x" else axes.yaxis
     numbers = axis.numbers.tolist()
-    labels = [text.replace("$", r"\$") for text in cut]
+    labels = [text.replace("$", r"\$") for text in texts]
     drawn.set_ticks([], minor=True)
     drawn.set_ticks([numbers[place] for place in places], labels=labels)
 

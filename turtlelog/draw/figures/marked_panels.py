@@ -19,8 +19,9 @@ from turtlelog.charts.curves import Curve, read_curve
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import find_rest
-from turtlelog.draw.figures.page import Page, fix_style, label_runs, style_runs
+from turtlelog.draw.figures.page import Page, fix_style
 from turtlelog.draw.figures.placed_words import GUIDE_ORDER, Table, Word, write_words
+from turtlelog.draw.figures.run_styles import label_runs, style_runs
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run

@@ -24,7 +24,7 @@ from turtlelog.charts.close_up import (
 from turtlelog.charts.curves import REFERENCE as AIMED, Values
 from turtlelog.charts.many_runs import MANY, cut_alike, find_restless
 from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path, tell_gap
-from turtlelog.draw.figures import page
+from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.run import Run
@@ -78,7 +78,7 @@ def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
     close_up = find_close_up(runs)
     if close_up is None or not 1 < len(runs) <= MANY:
         return close_up
-    return name_ends(close_up, cut_alike(page.label_runs(runs)))
+    return name_ends(close_up, cut_alike(run_styles.label_runs(runs)))
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
@@ -117,18 +117,18 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     """Return runs with path styles: grey for very many runs, faint for a run that never rests."""
     if plane_scene.has_grey_paths(runs):
-        return [(run, {**looks, **_OF_MANY}) for run, looks in page.style_runs(runs)]
+        return [(run, {**looks, **_OF_MANY}) for run, looks in run_styles.style_runs(runs)]
     restless = find_restless(runs)
     return [
         (run, {**looks, **(_RESTLESS if number in restless else {})})
-        for number, (run, looks) in enumerate(page.style_runs(runs))
+        for number, (run, looks) in enumerate(run_styles.style_runs(runs))
     ]
 
 
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the ends of runs above all paths; for many per gain, also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
-    colors = page.color_runs(runs)
+    colors = run_styles.color_runs(runs)
     is_many = plane_scene.has_grey_paths(runs)
     # Random order, because in the order of gains the last runs would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
@@ -202,7 +202,7 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for ring_m in close_up.rings_m:
         axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
     misses = list_miss_labels(close_up, lettering)
-    colors = page.color_runs(runs)
+    colors = run_styles.color_runs(runs)
     for label in misses:
         color = colors[label.runs[0]] if len(label.runs) == 1 else "0.2"
         _write(axes, label, color)
@@ -216,7 +216,7 @@ def _show_worst(
     axes: Axes, runs: Sequence[Run], worst: plane_scene.WorstPlace, lettering: Lettering
 ) -> None:
     """Show the largest deviation from the path, with its size."""
-    center, color = np.array(worst.center_xy_m), page.color_runs(runs)[worst.run]
+    center, color = np.array(worst.center_xy_m), run_styles.color_runs(runs)[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
     ends = np.array([worst.path_xy_m, worst.xy_m])
     axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)

@@ -17,7 +17,7 @@ from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import describe_count
-from turtlelog.draw.figures import page
+from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.errors import ShowError
 from turtlelog.identify.axis_motion import measure_axis_steps
@@ -160,7 +160,7 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.set_ylabel(TIME_PLOTS[one.model.axis].label)
     axes.margins(x=0.01)
     if one.traces is not None:
-        axes.set_title(f"{page.label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
+        axes.set_title(f"{run_styles.label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
     else:
         reason = f"not identified: {one.model.reason}"
         told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))

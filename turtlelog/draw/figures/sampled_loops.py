@@ -20,7 +20,8 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
 from turtlelog.draw.figures import figure_curves
-from turtlelog.draw.figures.page import REFERENCE, STROKES, choose_run_lines, fix_style, label_runs
+from turtlelog.draw.figures.page import REFERENCE, STROKES, fix_style
+from turtlelog.draw.figures.run_styles import choose_run_lines, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run

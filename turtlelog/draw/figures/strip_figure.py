@@ -15,8 +15,10 @@ from turtlelog.charts.many_runs import find_gain_unit
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
-from turtlelog.draw.figures.page import choose_colors, fix_style
+from turtlelog.display import cut_name
+from turtlelog.draw.figures.page import fix_style
 from turtlelog.draw.figures.placed_words import measure_text_mm
+from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
@@ -123,7 +125,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     order = sorted(found, key=lambda cell: [_rank(value) for value in cell])
     return RunGroups(
         label=label,
-        names=tuple(_shorten(", ".join(map(_tell, cell))) for cell in order),
+        names=tuple(cut_name(", ".join(map(_tell, cell)), _MOST_LETTERS) for cell in order),
         rows=tuple(tuple(found[cell]) for cell in order),
     )
 
@@ -132,10 +134,6 @@ def _name_key(key: str, runs: Sequence[Run]) -> str:
     """Return the last part of a key, with the unit of a gain. Other keys contain their unit."""
     unit = find_gain_unit(runs, key)
     return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
-
-
-def _shorten(name: str) -> str:
-    return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 3]}..."
 
 
 def _rank(value: Parameter | None) -> tuple[int, float, str]:

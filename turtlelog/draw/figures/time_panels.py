@@ -31,7 +31,7 @@ from turtlelog.charts.plotted_curves import (
 )
 from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
 from turtlelog.charts.time_plots import find_plot
-from turtlelog.draw.figures import page
+from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.draw.figures.plane_panels import draw_paths, show_all
@@ -112,7 +112,7 @@ def draw_time_plot(
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
         how = "without" if leaves_out(len(runs), plot) else "pale:"
-        words = f"{how} {many_runs.describe_restless(runs)}, not settled"
+        words = f"{how} {many_runs.describe_restless(runs, restless)}, not settled"
         axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
@@ -126,7 +126,7 @@ def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label:
         draw_time_plot(axes, runs, name=names[0])
         return
     draw_level(axes, [0.0], **_GRID)
-    for name, looks in zip(names, page.choose_lines(len(names)), strict=True):
+    for name, looks in zip(names, run_styles.choose_lines(len(names)), strict=True):
         for found in list_plotted(runs[0], find_plot(name, runs)):
             draw_curve(axes, found.curve, **looks, label=name)
     _finish(axes, runs, label)
@@ -159,7 +159,7 @@ def _draw_curves(
     is_alone, is_many = len(runs) == 1, len(runs) > many_runs.MANY
     aims: list[Curve] = []
     colors = many_runs.choose_colors_by_value(runs)
-    for number, (run, looks) in enumerate(page.style_runs(runs)):
+    for number, (run, looks) in enumerate(run_styles.style_runs(runs)):
         listed = list_plotted(run, plot, choose_kinds(number, len(runs)))
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
         if number in restless and leaves_out(len(runs), plot):
@@ -247,7 +247,7 @@ def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
     """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
     colors = many_runs.choose_colors_by_value(runs)
-    for run, name, color in zip(runs, page.label_runs(runs), colors, strict=True):
+    for run, name, color in zip(runs, run_styles.label_runs(runs), colors, strict=True):
         for found in list_plotted(run, plot):
             if found.kind != "outlier":
                 continue

@@ -14,8 +14,9 @@ from turtlelog.charts.plotted_curves import label_time
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.draw.figures.page import STROKES, choose_lines, fix_style, label_runs
+from turtlelog.draw.figures.page import STROKES, fix_style
 from turtlelog.draw.figures.placed_words import WordSpace, place_words
+from turtlelog.draw.figures.run_styles import choose_lines, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 

@@ -78,7 +78,7 @@ def draw_plots(
     plots.config = {"runs": inks, **{kind: [] for kind in kinds}}
     runs = [one.run for one in drawn]
     drawing.draw_planes(plots, drawn, find_close_up(runs))
-    restless = _find_restless(drawn)
+    restless = find_restless([one.run for one in drawn if not one.is_ghost])
     lasting = [one.run for number, one in enumerate(drawn) if number not in restless]
     end_s = max(float(run.duration_s) for run in lasting) or 1.0
     plots.config["end_s"] = end_s
@@ -90,7 +90,7 @@ def draw_plots(
     pairs = zip(runs, metrics, strict=False)
     marks = [list_characteristics(run, known) for run, known in pairs]
     for name in _choose_plots(runs):
-        _draw_plot(plots, drawn, name, x_range, (marks, failed))
+        _draw_plot(plots, drawn, name, x_range, (marks, failed), restless)
     colors = {one.name: one.color for one in drawn if not one.is_ghost}
     found = [(one.signal, colors.get(one.run)) for one in failed if one.signal is not None]
     draw_violations(plots, found, x_range)
@@ -129,11 +129,13 @@ def _draw_plot(
     name: str,
     x_range: Any,
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[CheckLine]],
+    restless: frozenset[int],
 ) -> None:
+    """Draw a plot; `restless` are the indices of runs that never settle if others do."""
     models = load_library("bokeh.models")
     plot = find_plot(name, [one.run for one in drawn])
     label = plot.label if name in TIME_PLOTS else f"state {plot.label}"
-    without = describe_restless([one.run for one in drawn if not one.is_ghost])
+    without = describe_restless([one.run for one in drawn if not one.is_ghost], restless)
     if without and plotted_curves.leaves_out(len(drawn), plot):
         label += f", without {without}"
     figure = drawing.make_figure(
@@ -149,8 +151,8 @@ def _draw_plot(
                 location=level.value, dimension="width", line_color=drawing.RING, line_dash="dashed"
             )
             figure.add_layout(span)
-    listed = _list_plotted(drawn, plot)
-    source = models.ColumnDataSource(data=_list_curves(plots, drawn, listed, config))
+    listed = _list_plotted(drawn, plot, restless)
+    source = models.ColumnDataSource(data=_list_curves(plots, drawn, listed, config, restless))
     config["source"] = source.id
     done = [
         (drawn[number].name, found.curve.values) for number, found in listed if found.kind == "run"
@@ -161,7 +163,7 @@ def _draw_plot(
         "xs", "ys", source=source, color="color", line_width="width", line_dash="dash",
         line_alpha="alpha",
     )  # fmt: skip
-    _set_height(figure, drawn, plot, source.data["ys"])
+    _set_height(figure, drawn, plot, source.data["ys"], restless)
     _shade_gaps(figure, drawn)
     signals = {entry.signal for entry in plot.curves if entry.signal}
     mark_plots(plots, figure, drawn, signals, marked[0])
@@ -193,10 +195,9 @@ def _concerns(found: CheckLine, name: str) -> bool:
 
 
 def _list_plotted(
-    drawn: Sequence[drawing.Drawn], plot: plotted_curves.TimePlot
+    drawn: Sequence[drawing.Drawn], plot: plotted_curves.TimePlot, restless: frozenset[int]
 ) -> list[tuple[int, plotted_curves.PlottedCurve]]:
     """Return the curves of a plot with the indices of their runs, in the order of drawing."""
-    restless = _find_restless(drawn)
     listed = [
         (number, found)
         for number, one in enumerate(drawn)
@@ -217,13 +218,13 @@ def _list_curves(
     drawn: Sequence[drawing.Drawn],
     listed: Sequence[tuple[int, plotted_curves.PlottedCurve]],
     config: dict[str, Any],
+    restless: frozenset[int],
 ) -> dict[str, list[Any]]:
     """Return curves as a table with one row per curve.
 
     Held values are stored unchanged; the page's script turns them into steps.
     """
     is_alone = len(drawn) == 1
-    restless = _find_restless(drawn)
     data: dict[str, list[Any]] = {
         key: [] for key in ("xs", "ys", "color", "name", "dash", "width", "alpha")
     }
@@ -250,11 +251,6 @@ def _list_curves(
     return data
 
 
-def _find_restless(drawn: Sequence[drawing.Drawn]) -> frozenset[int]:
-    """Return the indices of runs that never settle if others do, without ghosts."""
-    return find_restless([one.run for one in drawn if not one.is_ghost])
-
-
 def _shade_gaps(figure: Any, drawn: Sequence[drawing.Drawn]) -> None:
     """Shade gaps without poses of a single run, with their duration as text."""
     models = load_library("bokeh.models")
@@ -276,9 +272,9 @@ def _set_height(
     drawn: Sequence[drawing.Drawn],
     plot: plotted_curves.TimePlot,
     curves: Sequence[Values],
+    restless: frozenset[int],
 ) -> None:
     """Set the height of a plot from the runs that settle, or from all runs if all are in view."""
-    restless = _find_restless(drawn)
     if not restless:
         _keep_in_view(figure, curves)
         return

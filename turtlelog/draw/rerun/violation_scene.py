@@ -15,6 +15,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.curves import Curve, select_curve_rows
 from turtlelog.charts.plotted_curves import TIMELINE
 from turtlelog.charts.violated_signal import ViolatedSignal
+from turtlelog.display import cut_name
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import view_curves
@@ -239,7 +240,7 @@ def _name_place(title: str, violated: ViolatedSignal | None) -> str:
     """Return the text next to the mark. If there is a signal, its title names the check."""
     if violated is not None:
         return "first violated"
-    return title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 3]}..."
+    return cut_name(title, _LONGEST_NAME)
 
 
 def _mark_place(stream: rr.RecordingStream, run: Run, at_ns: int, title: str) -> None:
