@@ -24,11 +24,13 @@ from .bag_surroundings import (
 from .bag_topics import (
     ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,
-    JOINTS as JOINTS,
     NEEDS_WHEELBASE as NEEDS_WHEELBASE,
     NEEDS_WHEELS as NEEDS_WHEELS,
-    POSE_TYPES as POSE_TYPES,
     NoPosesError as NoPosesError,
     choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
+)
+from .pose_types import (
+    JOINTS as JOINTS,
+    POSE_TYPES as POSE_TYPES,
 )

@@ -14,14 +14,9 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2.bag import Bag
-from turtlelog.log.ros2.bag_columns import POSITIONS, find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
     COMMAND_TYPES,
-    FIX,
-    JOINTS,
     NEEDS_WHEELS,
-    POSE_TYPES,
-    TRANSFORM_TYPES,
     NoPosesError,
     Pick,
     choose_joint_topic,
@@ -41,6 +36,14 @@ from turtlelog.log.ros2.bag_transforms import (
     trace_frame,
 )
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
+from turtlelog.log.ros2.pose_types import (
+    FIX,
+    JOINTS,
+    POSE_TYPES,
+    POSITIONS,
+    TRANSFORM_TYPES,
+    find_pose_shape,
+)
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""

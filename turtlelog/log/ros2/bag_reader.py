@@ -17,16 +17,6 @@ from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_clock import time_rows
-from turtlelog.log.ros2.bag_columns import (
-    Held,
-    OrderedRows,
-    Values,
-    drop_not_finite,
-    extract_poses,
-    order_topic,
-    separate_times,
-    wrap_far_headings,
-)
 from turtlelog.log.ros2.bag_commands import (
     NEVER_IN_BAGS,
     add_samples,
@@ -46,7 +36,17 @@ from turtlelog.log.ros2.bag_poses import (
     select_robot,
 )
 from turtlelog.log.ros2.bag_references import RobotTrack, add_references
-from turtlelog.log.ros2.bag_topics import TRANSFORMS, NoPosesError, Pick, describe_unread_topics
+from turtlelog.log.ros2.bag_rows import (
+    Held,
+    OrderedRows,
+    Values,
+    drop_not_finite,
+    order_topic,
+    separate_times,
+    wrap_far_headings,
+)
+from turtlelog.log.ros2.bag_topics import NoPosesError, Pick, describe_unread_topics
+from turtlelog.log.ros2.pose_types import TRANSFORMS, extract_poses
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     PATH_NOTE,
