@@ -8,13 +8,13 @@ from .bag_metadata import (
     BagTopic as BagTopic,
     format_bag_metadata as format_bag_metadata,
 )
-from .bag_poses import (
+from .bag_reader import (
+    read_bag as read_bag,
+)
+from .bag_robots import (
     BagRobot as BagRobot,
     find_robots as find_robots,
     select_robot as select_robot,
-)
-from .bag_reader import (
-    read_bag as read_bag,
 )
 from .bag_surroundings import (
     OccupancyMap as OccupancyMap,

@@ -26,16 +26,9 @@ from turtlelog.log.ros2.bag_commands import (
     order_commands,
     read_commands_alone,
 )
-from turtlelog.log.ros2.bag_poses import (
-    BagRobot,
-    PoseSource,
-    describe_robots,
-    find_poses,
-    note_pick,
-    require_robot,
-    select_robot,
-)
+from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import RobotTrack, add_references
+from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
 from turtlelog.log.ros2.bag_rows import (
     Held,
     OrderedRows,
