@@ -216,7 +216,23 @@ class SimulationError(TurtlelogError):
 
 
 class TheoryError(TurtlelogError):
-    """A question that the theory of the ideal loop cannot answer."""
+    """A question that the theory of the ideal loop cannot answer.
+
+    Attributes:
+        quantity: Name of the quantity that is out of its range; None if the error has no quantity.
+        problem: What is wrong with the quantity; without a quantity, the message.
+        value: The refused value of the quantity; None if a computed number was refused.
+        must: What that value must be, as in `greater than 0`; empty without such a value.
+    """
+
+    def __init__(
+        self, problem: str, *, quantity: str | None = None, value: Any = None, must: str = ""
+    ) -> None:
+        super().__init__(problem if quantity is None else f"{quantity}: {problem}")
+        self.quantity = quantity
+        self.problem = problem
+        self.value = value
+        self.must = must
 
 
 class LogError(TurtlelogError):

@@ -157,11 +157,16 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["--dead-time", "1.5"], "--dead-time 1.5: must be a whole number of ticks"),
         (["--dead-time", "1e9"], "--dead-time 1e9: must be a whole number"),
         (["--lag", "nan"], "--lag nan: must be a number from 0 to 1e+100"),
+        (["--lag=-1e-5"], "--lag -1e-05: must be 0 or greater"),
         (["--ki=-1"], "--ki -1: must be 0 or greater"),
         (["--gain", "0"], "--gain 0: must be greater than 0"),
         (
             ["--dead-time-s", "17"],
             "--dead-time-s: expected at most 1000 samples in all, found 1062.5",
+        ),
+        (
+            ["--dead-time-s", "1e9"],
+            "--dead-time-s: expected at most 1000 samples in all, found 6.25e+10",
         ),
         (
             ["--overshoot", "100"],

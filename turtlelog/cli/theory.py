@@ -1,6 +1,5 @@
 """`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
@@ -145,26 +144,17 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
             _require_alone(terms or TermOptions(), timing)
             _answer_file(scenario, changes, topics, wanted, form)
     except TheoryError as err:
-        raise UsageError(_name_option(str(err))) from err
+        raise UsageError(_name_option(err)) from err
 
 
-def _name_option(text: str) -> str:
-    """Return an error about a quantity of the theory, with the option that sets it."""
-    name, colon, problem = text.partition(": ")
-    if not colon or name not in _OPTIONS:
-        return text
-    found = re.fullmatch(r"expected (.*?)((?:> 0|from 0 to \S+)?), found (\S+)", problem)
-    if found is None:
-        return f"{_OPTIONS[name]}: {problem}"
-    what, bound, value = found.groups()
-    is_number = re.fullmatch(r"-?[\d.]+", value) is not None
-    if is_number and not bound:
-        return f"{_OPTIONS[name]}: {problem}"
-    if is_number and (bound == "> 0" or value.startswith("-")):
-        must = "greater than 0" if bound == "> 0" else "0 or greater"
-    else:
-        must = f"{what}{bound}"
-    return f"{_OPTIONS[name]} {value.removesuffix('.0')}: must be {must}"
+def _name_option(err: TheoryError) -> str:
+    """Return the message of an error, with the option that sets the refused quantity."""
+    option = _OPTIONS.get(err.quantity or "")
+    if option is None:
+        return str(err)
+    if not err.must:
+        return f"{option}: {err.problem}"
+    return f"{option} {repr(err.value).removesuffix('.0')}: must be {err.must}"
 
 
 _OPTIONS: Final = {

@@ -20,9 +20,10 @@ from turtlelog.log.importers.table_columns import assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.log.read_choice import CHOSEN, UNUSED, ReadChoice, split_topic
 from turtlelog.log.ros2.bag import Bag, open_bag
-from turtlelog.log.ros2.bag_columns import PoseShape, find_pose_shape
-from turtlelog.log.ros2.bag_poses import find_poses, select_robot
+from turtlelog.log.ros2.bag_poses import find_poses
+from turtlelog.log.ros2.bag_robots import select_robot
 from turtlelog.log.ros2.bag_topics import NoPosesError
+from turtlelog.log.ros2.pose_types import PoseShape, find_pose_shape
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
 from turtlelog.run.trajectory import (
     Trajectory,

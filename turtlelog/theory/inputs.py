@@ -1,5 +1,6 @@
 """Valid ranges of inputs to theory: gains, periods, dead times and levels."""
 
+import math
 from numbers import Integral, Real
 from typing import Any, Final
 
@@ -44,24 +45,23 @@ def require_count(count: Any) -> int:
 def require_level(name: str, value: Any) -> float:
     """Return a level of a signal as float; raise an error if it is not within +-1e100."""
     if not _is_real(value) or not abs(value) <= LARGEST:
-        raise TheoryError(f"{name}: expected a number, found {value!r}")
+        raise _refuse(name, "a number", value)
     return float(value)
 
 
 def require_positive(name: str, value: Any, *, expected: str = "a number") -> float:
     """Return a magnitude as float; raise an error if it is not a positive number."""
     if not _is_real(value) or not value > 0.0:
-        raise TheoryError(f"{name}: expected {expected} > 0, found {value!r}")
+        raise _refuse(name, f"{expected} > 0", value, low="greater than 0")
     if not SMALLEST <= value <= LARGEST:
-        within = f"from {SMALLEST:g} to {LARGEST:g}"
-        raise TheoryError(f"{name}: expected {expected} {within}, found {value!r}")
+        raise _refuse(name, f"{expected} from {SMALLEST:g} to {LARGEST:g}", value)
     return float(value)
 
 
 def require_not_negative(name: str, value: Any) -> float:
     """Return a magnitude as float; raise an error if it is not a number from 0 to 1e100."""
     if not _is_real(value) or not 0.0 <= value <= LARGEST:
-        raise TheoryError(f"{name}: expected a number from 0 to {LARGEST:g}, found {value!r}")
+        raise _refuse(name, f"a number from 0 to {LARGEST:g}", value, low="0 or greater")
     return float(value)
 
 
@@ -70,20 +70,20 @@ def require_array(name: str, expected: str, values: Any) -> NDArray[np.float64]:
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as err:
-        raise TheoryError(f"{name}: expected {expected}, found {err}") from err
+        raise TheoryError(f"expected {expected}, found {err}", quantity=name) from err
 
 
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
     """Return gains [1/s] as an array of one axis; raise an error if any is negative."""
     gains = np.atleast_1d(require_array("kp", "an array of gains", kp))
     if gains.ndim != 1 or not len(gains):
-        raise TheoryError(f"kp: expected a list of gains, found an array of shape {gains.shape}")
+        problem = f"expected a list of gains, found an array of shape {gains.shape}"
+        raise TheoryError(problem, quantity="kp")
     is_outside = ~((gains >= 0.0) & (gains <= LARGEST))
     if is_outside.any():
         index = int(np.argmax(is_outside))
-        raise TheoryError(
-            f"kp: expected gains from 0 to {LARGEST:g}, found {gains[index]} at index {index}"
-        )
+        problem = f"expected gains from 0 to {LARGEST:g}, found {gains[index]} at index {index}"
+        raise TheoryError(problem, quantity="kp")
     return gains
 
 
@@ -91,7 +91,7 @@ def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
     """Return times [s] as an array; raise an error if any is not finite."""
     times = require_array("time_s", "an array of times", time_s)
     if not np.isfinite(times).all():
-        raise TheoryError("time_s: expected finite times, found nan or inf")
+        raise TheoryError("expected finite times, found nan or inf", quantity="time_s")
     return times
 
 
@@ -99,27 +99,31 @@ def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
     """Return times [s] at which python-control can simulate; raise an error for other times."""
     times = require_times(time_s)
     if times.ndim != 1:
-        raise TheoryError(
-            f"time_s: expected a list of times, found an array of shape {times.shape}"
-        )
+        problem = f"expected a list of times, found an array of shape {times.shape}"
+        raise TheoryError(problem, quantity="time_s")
     if len(times) < 2 or times[0] != 0.0:
         found = f"{len(times)}, the first {times[0]}" if len(times) else "none"
-        raise TheoryError(
-            f"time_s: times must start at 0 and have at least 2 values, found {found}"
-        )
+        problem = f"times must start at 0 and have at least 2 values, found {found}"
+        raise TheoryError(problem, quantity="time_s")
     steps = np.diff(times)
     if not steps.min() > 0.0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
-        raise TheoryError("time_s: expected even steps forward, found uneven ones")
+        raise TheoryError("expected even steps forward, found uneven ones", quantity="time_s")
     return times
 
 
 def _require_whole(name: str, value: Any, lowest: int, highest: int) -> int:
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or not lowest <= value <= highest:
-        raise TheoryError(
-            f"{name}: expected a whole number from {lowest} to {highest}, found {value!r}"
-        )
+        low = "0 or greater" if lowest == 0 else ""
+        raise _refuse(name, f"a whole number from {lowest} to {highest}", value, low=low)
     return int(value)
+
+
+def _refuse(name: str, expected: str, value: Any, *, low: str = "") -> TheoryError:
+    """Return an error on a value; `low` says in short what a finite number up to 0 must be."""
+    is_low = low and _is_real(value) and math.isfinite(value) and value <= 0
+    problem = f"expected {expected}, found {value!r}"
+    return TheoryError(problem, quantity=name, value=value, must=low if is_low else expected)
 
 
 def _is_real(value: Any) -> bool:

@@ -109,7 +109,7 @@ def build_delayed(
         LibraryError: If python-control is not installed.
     """
     if pade_order < 0:
-        raise TheoryError(f"pade_order: must be at least 0, not {pade_order}")
+        raise TheoryError(f"must be at least 0, not {pade_order}", quantity="pade_order")
     control = load_library("control")
     system = control.tf(list(numerator), list(denominator))
     if not pade_order or not dead_time_s:
@@ -191,8 +191,8 @@ def _split_dead_time(process: Process, period_s: float, dead_time_ticks: int) ->
     """Return the dead time as whole samples and the remaining fraction of a sample, below 1."""
     samples = require_dead_time(dead_time_ticks) + process.dead_time_s / period_s
     if not samples <= MAX_DEAD_TIME_TICKS + _WHOLE:
-        expected = f"at most {MAX_DEAD_TIME_TICKS} samples in all"
-        raise TheoryError(f"dead_time_s: expected {expected}, found {samples:.6g}")
+        problem = f"expected at most {MAX_DEAD_TIME_TICKS} samples in all, found {samples:.6g}"
+        raise TheoryError(problem, quantity="dead_time_s")
     whole = math.floor(samples + _WHOLE)
     part = samples - whole
     return whole, part if part > _WHOLE else 0.0
@@ -202,8 +202,8 @@ def _scale_time(name: str, time_s: float, period_s: float) -> float:
     """Return a time constant in samples; 0 if it is too short to change a sample."""
     samples = time_s / period_s
     if samples > _LONGEST_LAG:
-        expected = f"at most {_LONGEST_LAG:g} sampling periods"
-        raise TheoryError(f"{name}: expected {expected}, found {samples:.6g}")
+        problem = f"expected at most {_LONGEST_LAG:g} sampling periods, found {samples:.6g}"
+        raise TheoryError(problem, quantity=name)
     return samples if samples >= _SHORTEST_LAG else 0.0
 
 

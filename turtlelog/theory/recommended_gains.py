@@ -196,7 +196,8 @@ def _judge(
 def _require_overshoot(percent: float) -> float:
     percent = require_not_negative("overshoot_percent", percent)
     if not percent < 100.0:
-        raise TheoryError(f"overshoot_percent: expected less than 100 %, found {percent!r}")
+        problem = f"expected less than 100 %, found {percent!r}"
+        raise TheoryError(problem, quantity="overshoot_percent")
     return percent
 
 
@@ -204,7 +205,8 @@ def _require_margin(margin_rad: float | None) -> float:
     margin_rad = PHASE_MARGIN_RAD if margin_rad is None else margin_rad
     margin_rad = require_positive("phase_margin_rad", margin_rad)
     if not margin_rad < math.pi:
-        raise TheoryError(f"phase_margin_rad: expected less than pi, found {margin_rad!r}")
+        problem = f"expected less than pi, found {margin_rad!r}"
+        raise TheoryError(problem, quantity="phase_margin_rad")
     return margin_rad
 
 

@@ -8,7 +8,7 @@ import pytest
 from tests.log.ros2.bags import START_NS, make_command, make_poses, write_mcap
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.ros2 import read_bag
-from turtlelog.log.ros2.bag_columns import OrderedRows, order_rows
+from turtlelog.log.ros2.bag_rows import OrderedRows, order_rows
 
 ROWS = 50_000
 

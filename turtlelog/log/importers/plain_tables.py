@@ -19,7 +19,7 @@ from turtlelog.log.file_access import name_file
 from turtlelog.log.importers.table_columns import QUANTITIES, Choice, assign_columns
 from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.log.read_choice import CHOSEN
-from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
+from turtlelog.log.ros2.bag_rows import separate_times, wrap_far_headings
 from turtlelog.log.spatial_poses import compute_heading, compute_tilt, describe_height, lift_poses
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 

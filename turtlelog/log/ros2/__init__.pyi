@@ -8,13 +8,13 @@ from .bag_metadata import (
     BagTopic as BagTopic,
     format_bag_metadata as format_bag_metadata,
 )
-from .bag_poses import (
+from .bag_reader import (
+    read_bag as read_bag,
+)
+from .bag_robots import (
     BagRobot as BagRobot,
     find_robots as find_robots,
     select_robot as select_robot,
-)
-from .bag_reader import (
-    read_bag as read_bag,
 )
 from .bag_surroundings import (
     OccupancyMap as OccupancyMap,
@@ -24,11 +24,13 @@ from .bag_surroundings import (
 from .bag_topics import (
     ACKERMANN_TYPES as ACKERMANN_TYPES,
     COMMAND_TYPES as COMMAND_TYPES,
-    JOINTS as JOINTS,
     NEEDS_WHEELBASE as NEEDS_WHEELBASE,
     NEEDS_WHEELS as NEEDS_WHEELS,
-    POSE_TYPES as POSE_TYPES,
     NoPosesError as NoPosesError,
     choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
+)
+from .pose_types import (
+    JOINTS as JOINTS,
+    POSE_TYPES as POSE_TYPES,
 )

@@ -20,14 +20,15 @@ from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import CONTROL, CONTROL_COLUMNS, PHASE, POSE
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_clock import time_rows
-from turtlelog.log.ros2.bag_columns import (
+from turtlelog.log.ros2.bag_poses import note_pick
+from turtlelog.log.ros2.bag_rows import (
+    Fields,
     Held,
     OrderedRows,
+    Values,
     drop_not_finite,
-    extract_commands,
     order_topic,
 )
-from turtlelog.log.ros2.bag_poses import note_pick
 from turtlelog.log.ros2.bag_topics import (
     ACKERMANN_TYPES,
     COMMAND_TYPES,
@@ -37,6 +38,7 @@ from turtlelog.log.ros2.bag_topics import (
     Pick,
     choose_command_topic,
 )
+from turtlelog.log.ros2.pose_types import read_twist, widen
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 
@@ -132,10 +134,32 @@ def order_commands(
     found: Held, topic: TopicInfo, choice: ReadChoice
 ) -> tuple[OrderedRows | None, int]:
     """Return finite commands and the number of dropped ones; None if no command is finite."""
-    extract = partial(extract_commands, wheelbase_m=choice.wheelbase)
+    extract = partial(_extract_commands, wheelbase_m=choice.wheelbase)
     ordered = order_topic(found, topic, extract)
     rows, dropped = drop_not_finite(ordered, [*ordered.columns])
     return (rows if len(rows.time_ns) else None), dropped
+
+
+def _extract_commands(
+    kind: str, fields: Fields, *, wheelbase_m: float | None = None
+) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
+    angle) / wheelbase. The turn rate is NaN from 90 deg on.
+    """
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = "drive." if kind.endswith("Stamped") else ""
+        speed_m_s = widen(fields[f"{drive}speed"])
+        steering_rad = widen(fields[f"{drive}steering_angle"])
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
+        steering_rad = np.where(is_aside, np.nan, steering_rad)
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
+    return read_twist(fields, "twist." if kind == "geometry_msgs/msg/TwistStamped" else "")
 
 
 def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:

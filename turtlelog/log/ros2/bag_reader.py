@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Unpack
 
@@ -17,16 +17,6 @@ from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
 from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_clock import time_rows
-from turtlelog.log.ros2.bag_columns import (
-    Held,
-    OrderedRows,
-    Values,
-    drop_not_finite,
-    extract_poses,
-    order_topic,
-    separate_times,
-    wrap_far_headings,
-)
 from turtlelog.log.ros2.bag_commands import (
     NEVER_IN_BAGS,
     add_samples,
@@ -36,17 +26,20 @@ from turtlelog.log.ros2.bag_commands import (
     order_commands,
     read_commands_alone,
 )
-from turtlelog.log.ros2.bag_poses import (
-    BagRobot,
-    PoseSource,
-    describe_robots,
-    find_poses,
-    note_pick,
-    require_robot,
-    select_robot,
-)
+from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import RobotTrack, add_references
-from turtlelog.log.ros2.bag_topics import TRANSFORMS, NoPosesError, Pick, describe_unread_topics
+from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
+from turtlelog.log.ros2.bag_rows import (
+    Held,
+    OrderedRows,
+    Values,
+    drop_not_finite,
+    order_topic,
+    separate_times,
+    wrap_far_headings,
+)
+from turtlelog.log.ros2.bag_topics import NoPosesError, Pick, describe_unread_topics
+from turtlelog.log.ros2.pose_types import TRANSFORMS, extract_poses
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     PATH_NOTE,
@@ -187,14 +180,11 @@ def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
 ) -> tuple[Run, RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
-    poses = order_topic(found, source.topic, extract_poses)
-    has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
-    has_no_heading = has_place & np.isnan(poses.columns["heading"])
-    unturned, vertical = int(has_no_heading.sum()), _count_vertical(poses.columns, has_no_heading)
-    poses, dropped = _drop_nan(poses, source.topic.topic)
-    commands, dropped_commands = None, 0
+    poses, dropped = _order_poses(found, source.topic)
+    commands = None
     if command_pick is not None:
-        commands, dropped_commands = order_commands(found, command_pick.topic, choice)
+        commands, lost = order_commands(found, command_pick.topic, choice)
+        dropped = replace(dropped, commands=lost)
     track = RobotTrack(
         time_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
@@ -203,7 +193,6 @@ def _build_run(
     )
     # Views: a second copy of x and y would take 16 bytes per pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
-    leaps = describe_leaps(track.xy_m) or describe_small_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
@@ -214,57 +203,26 @@ def _build_run(
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     name, source_words = name_bag(path)
-    crowded = _describe_crowded(time_ns)
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
+    plane = describe_height(columns.get("z"), columns.get("tilt"))
+    others = source.notes.get("other_pose_topics")
     notes = {
         "original_timestamp": format_utc(start_ns),
         **source.notes,
         **({"frame": source.frame} if source.frame else {}),
-        "sorted_rows": str(sum(rows.late for rows in tables)),
-        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
-        "moved_rows": str(moved),
-        "wrapped_headings": str(wrapped),
-        **_note_dropped(dropped, dropped_commands, unturned),
+        **_note_rows(tables, dropped, moved=moved, wrapped=wrapped),
         **times.notes,
         **rate_notes,
-        **({"crowded": crowded} if crowded else {}),
+        **_note_crowded(time_ns),
+        **_note_plane(plane, dropped.vertical, track, columns.get("z")),
+        **({} if plane else _note_paths(poses, columns, commands, others)),
+        **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
-    plane = describe_height(columns.get("z"), columns.get("tilt"))
-    if plane is not None or vertical:
-        notes["plane"] = plane or "the robot leaves the plane"
-    if vertical:
-        which = "pose has" if vertical == 1 else "poses have"
-        lost = f"{vertical} {which} no heading, as the forward axis points up or down"
-        notes["plane"] += f"; left out: {lost}"
-    notes |= {} if leaps is None else {"leaps": leaps}
-    if plane is None:
-        notes |= {} if (level := describe_level(columns.get("z"))) is None else {"height": level}
-        # Speeds are along the robot's axes: if it leaves the plane, they differ from those seen
-        # from above.
-        reported = poses.columns if SPEED in columns else columns
-        paths = describe_paths(measure_paths(poses.time_ns, reported, _list_speeds(commands)))
-        others = source.notes.get("other_pose_topics")
-        if paths is not None:
-            is_of_poses = others is not None and "poses" in paths
-            notes[PATH_NOTE] = f"{paths}; others: {others}" if is_of_poses else paths
-    if command_pick is not None:
-        notes |= note_pick("command_topic", command_pick)
     run = Run(
         name=name,
         source=source_words,
-        poses=PoseColumns(
-            time_ns=time_ns,
-            xy_m=np.column_stack([columns["x"], columns["y"]]),
-            heading_rad=heading_rad,
-            speed_m_s=columns.get("speed"),
-            turn_rate_rad_s=columns.get("turn_rate"),
-            measured_speed_m_s=columns.get("measured_speed"),
-            measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-            sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
-            sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
-            **lift_poses(columns.get("z"), columns.get("tilt")),
-        ),
+        poses=_build_poses(time_ns, heading_rad, columns, sensed),
         commands=build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
@@ -272,6 +230,54 @@ def _build_run(
         notes=notes,
     )
     return run, track
+
+
+def _build_poses(
+    time_ns: NDArray[np.int64],
+    heading_rad: Values,
+    columns: Mapping[str, Values],
+    sensed: Values | None,
+) -> PoseColumns:
+    """Return the poses of a run; `sensed` has x, y and heading in columns."""
+    return PoseColumns(
+        time_ns=time_ns,
+        xy_m=np.column_stack([columns["x"], columns["y"]]),
+        heading_rad=heading_rad,
+        speed_m_s=columns.get("speed"),
+        turn_rate_rad_s=columns.get("turn_rate"),
+        measured_speed_m_s=columns.get("measured_speed"),
+        measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
+        sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
+        sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+        **lift_poses(columns.get("z"), columns.get("tilt")),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Dropped:
+    """Numbers of rows that were left out.
+
+    Attributes:
+        poses: Poses with NaN or infinity.
+        commands: Commands with NaN or infinity.
+        unturned: Poses at a place, but without a heading.
+        vertical: Poses without a heading because the forward axis points up or down.
+    """
+
+    poses: int
+    commands: int = 0
+    unturned: int
+    vertical: int
+
+
+def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, _Dropped]:
+    """Return the finite poses in order of time, and the numbers of dropped ones."""
+    poses = order_topic(found, topic, extract_poses)
+    has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
+    unturned = has_place & np.isnan(poses.columns["heading"])
+    vertical = _count_vertical(poses.columns, unturned)
+    poses, dropped = _drop_nan(poses, topic.topic)
+    return poses, _Dropped(poses=dropped, unturned=int(unturned.sum()), vertical=vertical)
 
 
 def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
@@ -300,13 +306,14 @@ _CROWDED_NS: Final = 10_000
 pose every 100 us."""
 
 
-def _describe_crowded(time_ns: NDArray[np.int64]) -> str:
-    """Return a sentence on poses that are too close in time for a sensor; it may be empty."""
+def _note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
+    """Return a note on poses that are too close in time for a sensor, if they are."""
     steps_ns = np.diff(time_ns)
     if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
-        return ""
+        return {}
     span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
-    return f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
+    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
+    return {"crowded": text}
 
 
 def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Values] | None:
@@ -324,13 +331,61 @@ def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> i
     return 0 if tilt_rad is None else int((tilt_rad[rows] > 0.0).sum())
 
 
-def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
-    kinds = {"pose": poses, "command": commands}
+def _note_rows(
+    tables: Sequence[OrderedRows], dropped: _Dropped, *, moved: int, wrapped: int
+) -> dict[str, str]:
+    """Return notes on rows that were sorted, changed or left out."""
+    notes = {
+        "sorted_rows": str(sum(rows.late for rows in tables)),
+        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
+        "moved_rows": str(moved),
+        "wrapped_headings": str(wrapped),
+    }
+    kinds = {"pose": dropped.poses, "command": dropped.commands}
     counts = [describe_count(count, kind) for kind, count in kinds.items() if count]
-    text = " and ".join(counts)
-    if unturned:
-        text += f", {unturned} of the poses without a heading"
-    return {"dropped_nan": text} if counts else {}
+    if not counts:
+        return notes
+    without = f", {dropped.unturned} of the poses without a heading" if dropped.unturned else ""
+    return {**notes, "dropped_nan": f"{' and '.join(counts)}{without}"}
+
+
+def _note_plane(
+    plane: str | None, vertical: int, track: RobotTrack, z_m: Values | None
+) -> dict[str, str]:
+    """Return notes on poses off the plane, on leaps, and on the height of a level robot."""
+    notes = {}
+    if plane is not None or vertical:
+        lost = ""
+        if vertical:
+            which = "pose has" if vertical == 1 else "poses have"
+            lost = (
+                f"; left out: {vertical} {which} no heading, as the forward axis points up or down"
+            )
+        notes["plane"] = f"{plane or 'the robot leaves the plane'}{lost}"
+    leaps = describe_leaps(track.xy_m) or describe_small_leaps(track.xy_m)
+    if leaps is not None:
+        notes["leaps"] = leaps
+    level = describe_level(z_m) if plane is None else None
+    return notes if level is None else {**notes, "height": level}
+
+
+def _note_paths(
+    poses: OrderedRows,
+    columns: Mapping[str, Values],
+    commands: OrderedRows | None,
+    others: str | None,
+) -> dict[str, str]:
+    """Return a note on lengths of paths that differ; `others` are the other topics of poses.
+
+    The robot must stay in the plane: speeds are along its axes, and differ from those seen from
+    above if it leaves the plane.
+    """
+    reported = poses.columns if SPEED in columns else columns
+    paths = describe_paths(measure_paths(poses.time_ns, reported, _list_speeds(commands)))
+    if paths is None:
+        return {}
+    is_of_poses = others is not None and "poses" in paths
+    return {PATH_NOTE: f"{paths}; others: {others}" if is_of_poses else paths}
 
 
 def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:

@@ -10,31 +10,11 @@ from turtlelog.errors import LogError
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
+from turtlelog.log.ros2.pose_types import JOINTS, POSE_TYPES, TRANSFORM_TYPES
 
-TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
-FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
-TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
-FIX: Final = "sensor_msgs/msg/NavSatFix"
-JOINTS: Final = "sensor_msgs/msg/JointState"
 PATH: Final = "nav_msgs/msg/Path"
 _GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
-_TIERS: Final = {
-    "turtlesim/msg/Pose": 0,
-    "turtlesim_msgs/msg/Pose": 0,
-    "nav_msgs/msg/Odometry": 1,
-    "geometry_msgs/msg/PoseStamped": 2,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": 2,
-    "geometry_msgs/msg/Pose": 3,
-    "geometry_msgs/msg/Pose2D": 3,
-    "geometry_msgs/msg/TransformStamped": 4,
-    **dict.fromkeys(TRANSFORM_TYPES, 5),
-    FIX: 6,
-}
-"""Priority of pose types: odometry first, because it has rates, then types with stamps. Satellite
-fixes come last, because they give no heading."""
-
-POSE_TYPES: Final = tuple(_TIERS)
 _POSES_IN_SHORT: Final = (
     "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
 )
@@ -317,7 +297,7 @@ def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
     return (
         int(topic.count < 2),  # a single message shows no motion
         int(topic.topic == POSE64.name),
-        _TIERS[topic.type],
+        POSE_TYPES[topic.type].tier,
         _rank_name(topic.topic, _POSE_NAMES),
         int(_take_home(topic.topic) not in homes),
         topic.topic.count("/"),

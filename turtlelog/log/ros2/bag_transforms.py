@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.ros2.bag_topics import FRAME_TRANSFORM, TRANSFORMS, list_numbers
+from turtlelog.log.ros2.bag_topics import list_numbers
+from turtlelog.log.ros2.pose_types import FRAME_TRANSFORM, TRANSFORMS
 from turtlelog.log.spatial_poses import compose, invert, turn_between
 
 Values = NDArray[np.float64]
