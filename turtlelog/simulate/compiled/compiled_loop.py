@@ -18,6 +18,7 @@ from turtlelog.laws import LawPart, find_law
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.run import Run
 from turtlelog.run.path_pieces import PathPiece
+from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT, name_stop
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import collect, loop
@@ -86,7 +87,7 @@ class Rows(NamedTuple):
 PIECE: Final = np.dtype([(name, np.float64) for name in PathPiece._fields if name != "number"])
 """Record type of a `PathPiece`."""
 
-EVENTS_PERTICK: Final = 7
+_EVENTS_PER_TICK: Final = 7
 """Largest number of events in a tick: one of each kind, plus a second one of dropped commands,
 which are reported with or without a time."""
 
@@ -111,18 +112,18 @@ class Kinds:
             ticks=np.empty(ticks, TICK),
             samples=np.empty(samples, SAMPLE),
             states=np.empty(samples, self.new.dtype["states"]),
-            events=np.empty(EVENTS_PERTICK * ticks, EVENT),
+            events=np.empty(_EVENTS_PER_TICK * ticks, EVENT),
             waiting=np.empty(2 * samples, self.new.dtype["waiting"]),
             table=np.empty((0, 0)),
             pieces=np.empty(0, PIECE),
-            drawn_ticks=np.zeros(ticks, _OFTICKS),
-            drawn_samples=np.zeros(samples, _OFSAMPLES),
+            drawn_ticks=np.zeros(ticks, _OF_TICKS),
+            drawn_samples=np.zeros(samples, _OF_SAMPLES),
             new=self.new,
         )
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
-_OFTICKS, _OFSAMPLES = (build_dtype(build_events(ticks=ticks)) for ticks in (True, False))
+_OF_TICKS, _OF_SAMPLES = (build_dtype(build_events(ticks=ticks)) for ticks in (True, False))
 
 
 _STEPS: Final[dict[str, Function]] = {
@@ -180,7 +181,7 @@ def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kind
 
     stamp = stamp_functions(
         [*_STEPS.values(), *parts, compiled_entry.run_loop, compiled_entry.run_rows],
-        *(kinds.settings, kinds.state, kinds.new.dtype, PIECE, _OFTICKS, _OFSAMPLES),
+        *(kinds.settings, kinds.state, kinds.new.dtype, PIECE, _OF_TICKS, _OF_SAMPLES),
         *(version("numba"), np.__version__),
     )
     return kinds, parts, stamp
@@ -311,8 +312,7 @@ class CompiledRunner:
         if rows is None or ticks > len(rows.ticks) or samples > len(rows.samples):
             rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)
         draw_streams(rows, list_streams(scenario), scenario.seed, ticks, samples)
-        table, pieces = build_tables(scenario)
-        rows = rows._replace(table=table, pieces=pieces)
+        rows = rows._replace(table=build_table(scenario), pieces=build_pieces(scenario.path))
         state = as_record(start, loop.kinds.state)
         now = state[0]["now"]
         run = partial(loop.run, as_record(settings, loop.kinds.settings), state, rows)
@@ -345,13 +345,16 @@ class CompiledRunner:
         )
 
 
-def build_tables(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Return the table of a law, and the pieces of a path."""
+def build_table(scenario: Scenario) -> NDArray[np.float64]:
+    """Return the table of a law; it is empty for a law without one."""
     build = getattr(find_law(scenario.law.kind), "build_table", None)
     rows = [] if build is None else [*build(scenario.law.parameters)]
-    table = np.array(rows, np.float64) if rows else np.empty((0, 0))
-    pieces: tuple[PathPiece, ...] = () if scenario.path is None else scenario.path.ways
-    return table, np.array([piece[1:] for piece in pieces], PIECE)
+    return np.array(rows, np.float64) if rows else np.empty((0, 0))
+
+
+def build_pieces(path: Path | None) -> NDArray[Any]:
+    """Return the pieces of a path as rows of `PIECE`; there are none without a path."""
+    return np.array([piece[1:] for piece in (() if path is None else path.ways)], PIECE)
 
 
 def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, samples: int) -> None:

@@ -19,7 +19,13 @@ from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRI
 from turtlelog.measure.response import list_corners
 from turtlelog.run.loops import PAUSE, REFERENCES as REFERENCES_OF, ControlLoop, Declaration
 from turtlelog.run.paths import Path
-from turtlelog.simulate.compiled.compiled_loop import PIECE, SAMPLE, TICK, compile_entry
+from turtlelog.simulate.compiled.compiled_loop import (
+    PIECE,
+    SAMPLE,
+    TICK,
+    build_pieces,
+    compile_entry,
+)
 from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
 from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.sweep.batch import batch_kernel, path_kernel
@@ -207,11 +213,6 @@ def allocate_memory(
         return memory
     numbers_of_path = as_record(path.numbers), build_pieces(path), list_corners(path)
     return PathMemory(*memory, *numbers_of_path, path.seam_rad)
-
-
-def build_pieces(path: Path | None) -> NDArray[Any]:
-    """Return the pieces of a path as rows of `PIECE`."""
-    return np.array([piece[1:] for piece in (() if path is None else path.ways)], PIECE)
 
 
 def name_measurement(coverage: Coverage) -> str:

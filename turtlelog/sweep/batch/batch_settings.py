@@ -20,7 +20,7 @@ from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loop import build_tables, find_kinds
+from turtlelog.simulate.compiled.compiled_loop import build_table, find_kinds
 from turtlelog.simulate.compiled.twins import as_record
 from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.many import find_loop
@@ -130,7 +130,7 @@ class _Case:
         kinds = find_kinds(*kind)
         self.settings = as_record(settings, kinds.settings)
         self.state, self.seed = as_record(start, kinds.state), scenario.seed
-        self.table = build_tables(scenario)[0]
+        self.table = build_table(scenario)
         self.streams = list_streams(scenario)
         self.ticks, self.samples = bound_rows(scenario, plant)
         x_m, y_m = part.read(start.plant)[:2]

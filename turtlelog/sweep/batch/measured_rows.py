@@ -24,7 +24,7 @@ from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, draw_streams
+from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, build_pieces, draw_streams
 from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch.batch_columns import (
@@ -38,7 +38,6 @@ from turtlelog.sweep.batch.batch_columns import (
     Coverage,
     allocate_memory,
     build_loops,
-    build_pieces,
     find_column,
     is_angle,
     is_covered,
