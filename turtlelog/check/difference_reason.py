@@ -13,6 +13,7 @@ from turtlelog.check.spec import Check
 from turtlelog.display import describe_count, format_pair
 from turtlelog.errors import ExplainError, ScenarioError, TurtlelogError
 from turtlelog.explain import Depth, Work, choose_common_metric, explain_difference
+from turtlelog.explain.difference_report import write_difference_sentences
 from turtlelog.files.text_files import parse_known_toml
 from turtlelog.laws import LAWS
 from turtlelog.measure import Metric, find_metric_kind, list_metrics, measure_run
@@ -87,7 +88,13 @@ def _list_metrics(result: CheckResult) -> list[str]:
 
 
 def _explain(
-    run: Run, reference: Run, metric: str, limit_s: float, *, trust_law: bool
+    run: Run,
+    reference: Run,
+    metric: str,
+    limit_s: float,
+    *,
+    trust_law: bool,
+    are_recorded: bool = True,
 ) -> tuple[str, ...]:
     lengths_s = [float(one.end_ns - one.poses.time_ns[0]) / 1e9 for one in (reference, run)]
     if max(lengths_s) > _LONGEST_S:
@@ -103,7 +110,7 @@ def _explain(
         )
     except TurtlelogError as err:
         return (f"Not explained: {err}.",)
-    return found.sentences[:2]
+    return write_difference_sentences(found, are_recorded=are_recorded)[:2]
 
 
 def _explain_metrics(
@@ -126,14 +133,11 @@ def _explain_metrics(
         name = metric if metric in apart else apart[0]
         return _describe_apart(run, again, reference, metrics[name])
     again = replace(again, simulated_by=reference.simulated_by)
-    head, *rest = _explain(run, again, metric, limit_s, trust_law=trust_law)
+    # A file of metrics has no samples that its scenario could reproduce.
+    why = _explain(run, again, metric, limit_s, trust_law=trust_law, are_recorded=False)
     count = describe_count(len(metrics), "metric")
     basis = f"The scenario in {file}, simulated again, has the {count} of that file."
-    return head, *(text for text in rest if not text.startswith(_BASIS)), basis
-
-
-_BASIS: Final = "The recorded scenarios reproduce"
-"""Beginning of the sentence about two recordings; a file of metrics has no samples to reproduce."""
+    return *why, basis
 
 
 def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:

@@ -60,8 +60,13 @@ _CODE: Final = (
 )
 
 
-def write_difference_sentences(found: ExplainedDifference) -> tuple[str, ...]:
-    """Return sentences on the difference, its reasons, their dependences, and what else differs."""
+def write_difference_sentences(
+    found: ExplainedDifference, *, are_recorded: bool = True
+) -> tuple[str, ...]:
+    """Return sentences on the difference, its reasons, their dependences, and what else differs.
+
+    `are_recorded`: whether both runs have recorded samples, which their scenarios can reproduce.
+    """
     is_seed_alone = bool(found.contributions) and not _list_divided(found)
     orders = f"{found.orders} orders of the changes were sampled"
     sampled = f"{orders}: each contribution has a standard error."
@@ -78,7 +83,7 @@ def write_difference_sentences(found: ExplainedDifference) -> tuple[str, ...]:
         _write_unclear(found),
         _write_effects(found),
         idle if found.idle else "",
-        _write_basis(found),
+        _write_basis(found, are_recorded=are_recorded),
         *_write_robot_basis(found),
     ]
     return tuple(filter(None, sentences))
@@ -366,11 +371,11 @@ def _write_effects(found: ExplainedDifference) -> str:
     return f"{head} {join_words(parts)}." if parts else ""
 
 
-def _write_basis(found: ExplainedDifference) -> str:
+def _write_basis(found: ExplainedDifference, *, are_recorded: bool) -> str:
     """Return the basis of the contributions."""
     sides: Sequence[Side] = (found.first, found.second)
     if found.contributions and all(side.basis == "recorded" for side in sides):
-        return "The recorded scenarios reproduce all samples of both runs."
+        return "The recorded scenarios reproduce all samples of both runs." * are_recorded
     return " ".join(_write_identified(side) for side in sides if side.basis == "identified")
 
 
