@@ -50,8 +50,8 @@ NEVER_IN_BAGS: Final = (
 
 def read_commands_alone(
     bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
-) -> Run:
-    """Return the run of a bag that contains commands but no poses."""
+) -> tuple[Run, str]:
+    """Return the run of a bag that contains commands but no poses, and the topic's name."""
     pick, lack = choose_commands(topics, choice, pose_topic="")
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
@@ -78,7 +78,7 @@ def read_commands_alone(
     none = np.zeros(0)
     name, source = name_bag(bag.path)
     no_time_ns = np.zeros(0, dtype=np.int64)
-    return Run(
+    run = Run(
         name=name,
         source=source,
         poses=PoseColumns(time_ns=no_time_ns, xy_m=np.zeros((0, 2)), heading_rad=none),
@@ -95,6 +95,7 @@ def read_commands_alone(
             **note_pick("command_topic", pick),
         },
     )
+    return run, pick.topic.topic
 
 
 def name_bag(path: Path) -> tuple[str, str]:

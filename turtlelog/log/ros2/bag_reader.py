@@ -90,8 +90,8 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         try:
             source = find_poses(bag, distinct, choice)
         except NoPosesError as err:
-            run = read_commands_alone(bag, distinct, choice, err)
-            return _note_chosen(_note_robots(run, robots, choice), bag, distinct)
+            run, topic = read_commands_alone(bag, distinct, choice, err)
+            return _note_chosen(_note_robots(run, robots, topic, choice.robot), bag, distinct)
         commands, lack = choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
@@ -103,16 +103,20 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run = add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
-    return _note_chosen(_note_robots(run, robots, choice), bag, distinct)
+    # In transforms, the name of a robot may occur in the frames alone.
+    has_frames = any((one.topic, one.type) == (source.topic.topic, TRANSFORMS) for one in distinct)
+    asked = None if has_frames else choice.robot
+    return _note_chosen(_note_robots(run, robots, source.topic.topic, asked), bag, distinct)
 
 
-def _note_robots(run: Run, robots: Sequence[BagRobot], choice: ReadChoice) -> Run:
-    """Return a run with a note on the robots of its bag and the chosen one."""
-    picks = (run.notes.get(name, "") for name in ("pose_topic", "command_topic"))
-    topic, _, frames = next(filter(None, picks)).partition(" (")
+def _note_robots(run: Run, robots: Sequence[BagRobot], topic: str, asked: str | None) -> Run:
+    """Return a run with a note on the robots of its bag and the one that the topic belongs to.
+
+    A requested robot is refused if the topic belongs to another.
+    """
     words = {*topic.split("/")[:-1]}
-    if choice.robot is not None and TRANSFORMS not in frames:
-        require_robot(choice.robot, topic, robots)
+    if asked is not None:
+        require_robot(asked, topic, robots)
     chosen = next((robot.name for robot in robots if robot.name in words), None)
     notes = {"robots": describe_robots(robots, chosen)} if robots else {}
     return replace(run, notes={**run.notes, **notes})
