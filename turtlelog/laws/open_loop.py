@@ -11,14 +11,12 @@ from msgspec import Meta
 from turtlelog.arithmetic import count_begun
 from turtlelog.errors import ParameterError
 from turtlelog.laws.base import Goal, LawPart, Row
+from turtlelog.run import stop_reasons
 from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path
 
 _TICK_S: Final = 0.016
 """One tick of turtlesim [s], the usual sampling period of the controller."""
-
-END_OF_SIGNAL: Final = "end_of_signal"
-"""Stop reason of every run of an open loop."""
 
 _END_OF_SIGNAL: Final = 1
 
@@ -329,7 +327,7 @@ PART: Final = LawPart(
     step=step,
     declare=declare,
     State=OpenLoopState,
-    stops=(END_OF_SIGNAL,),
+    stops=(stop_reasons.END_OF_SIGNAL,),
     counts_samples=(),
     list_unused=lambda _: ("path",),
     prepare=build_signal,

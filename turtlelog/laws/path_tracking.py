@@ -12,11 +12,12 @@ from typing import Any, Final
 from turtlelog.arithmetic import called, least, wrap_angle
 from turtlelog.errors import LawError
 from turtlelog.laws.base import Goal
+from turtlelog.run import stop_reasons
 from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.run.path_pieces import Point, find_on_first_lap, follow, locate
 from turtlelog.run.paths import Path
 
-STOPS: Final = ("path_end",)
+STOPS: Final = (stop_reasons.PATH_END,)
 PATH_END: Final = 1
 
 Target = tuple[Point, float, float, float]

@@ -13,13 +13,14 @@ from msgspec import Meta
 from turtlelog.arithmetic import called, hypot, most, wrap_angle
 from turtlelog.laws.base import TOLERANCE, Goal, LawPart
 from turtlelog.parts import MAY_BE_INFINITE
+from turtlelog.run import stop_reasons
 from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.run.paths import Path
 
 _DRIVE, _TURN = 0, 1
 """Numbers of the phases in the declaration."""
 
-_STOPS: Final = ("within_tolerance", "timeout")
+_STOPS: Final = (stop_reasons.WITHIN_TOLERANCE, stop_reasons.TIMEOUT)
 _WITHIN_TOLERANCE, _TIMEOUT = 1, 2
 
 SERIES_BELOW: Final = 1e-4

@@ -22,11 +22,17 @@ from turtlelog.arithmetic import (
     wrap_angle,
 )
 from turtlelog.errors import ParameterError
+from turtlelog.run import stop_reasons
 
 ROTATE, TRANSLATE, REORIENT = 0, 2, 3
 """Numbers of the phases in the declaration; 1 is the pause."""
 
-STOPS: Final = ("within_tolerance", "standstill", "settled", "timeout")
+STOPS: Final = (
+    stop_reasons.WITHIN_TOLERANCE,
+    stop_reasons.STANDSTILL,
+    stop_reasons.SETTLED,
+    stop_reasons.TIMEOUT,
+)
 WITHIN_TOLERANCE, STANDSTILL, SETTLED, TIMEOUT = 1, 2, 3, 4
 
 ON_HEADING: Final = 1
