@@ -102,7 +102,7 @@ def measure(share: float = 1.0) -> Iterator[Row]:
     }
     at = np.sort(np.concatenate([reference.poses.time_ns, run.poses.time_ns]), kind="stable")
     xp, fp = reference.poses.time_ns, reference.poses.xy_m[:, 0].copy()
-    names = [name for name in tl.SIGNALS if tl.read_signal(run, name) is not None]
+    names = [name for name in tl.SIGNALS if tl.measure.find_signal(run, name) is not None]
     ours, interp = time_calls(
         lambda: compare_aligned_signals(reference, run, clock, tolerances),
         lambda: np.interp(at, xp, fp),
