@@ -52,6 +52,12 @@ def describe_error(err: BaseException) -> str:
     return f"{type(err).__name__}: {text}".removesuffix(": ")
 
 
+def release_frames(err: TurtlelogError) -> TurtlelogError:
+    """Return an error that is kept for later, without the columns that its traceback holds."""
+    err.__cause__ = err.__context__ = None
+    return err.with_traceback(None)
+
+
 def make_portable(err: Exception) -> Exception:
     """Return an error that another process can raise: the error itself, or its line.
 

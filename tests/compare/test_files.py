@@ -27,6 +27,14 @@ def test_files_are_summarised_in_order_and_errors_stand_in_their_places(recordin
         }
 
 
+def test_errors_keep_nothing_of_what_was_read(recording: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording.read_bytes()[:-1000])
+    (found,) = tl.compare.summarise_files([cut])
+    assert isinstance(found, tl.TurtlelogError)
+    assert (found.__traceback__, found.__cause__, found.__context__) == (None, None, None)
+
+
 def test_nothing_is_read_before_it_is_asked_for(tmp_path: Path) -> None:
     found = tl.compare.summarise_files([tmp_path / "late.mcap"])
     tl.write_recording(tl.simulate_run(tl.load_scenario("textbook")), tmp_path / "late.mcap")

@@ -36,7 +36,7 @@ from turtlelog.cli.output import (
     print_text,
 )
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import TurtlelogError
+from turtlelog.errors import TurtlelogError, release_frames
 from turtlelog.escapes import escape_controls
 from turtlelog.processes import map_in_processes
 
@@ -211,7 +211,7 @@ def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | 
         recording = tl.log.read_file_info(path, choice)
         return _build_answer(path, recording, summarise(path, recording, choice, is_asked=is_asked))
     except TurtlelogError as err:
-        return err
+        return release_frames(err)
 
 
 def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, format_short, join_words
-from turtlelog.errors import CompareError, TurtlelogError
+from turtlelog.errors import CompareError, TurtlelogError, release_frames
 from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.measure import (
     MeasureSettings,
@@ -321,7 +321,7 @@ def _measure_file(
     try:
         run = read_as_chosen(path, topics)
     except TurtlelogError as err:
-        return err
+        return release_frames(err)
     chosen = only(run) if callable(only) else only
     metrics = measure_run(run, settings, only=chosen)
     return summarise_measured(run, path, metrics, with_parameters=with_parameters)
