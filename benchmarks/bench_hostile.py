@@ -121,7 +121,7 @@ def measure(share: float = 1.0) -> Iterator[Row]:
     taken = [found for name in names for found in try_file(name)]
     for command in COMMANDS:
         of_command = [found for found in taken if found.command == command]
-        job = f"{command}, worst of {len(of_command)} hostile files"
+        job = f"hostile: {command}"
         slowest = max(found.cpu_s for found in of_command)
         largest = max(found.memory_mb for found in of_command)
         yield Row(job=job, value=slowest, aim=MOST_S, aim_of="value")

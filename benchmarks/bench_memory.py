@@ -102,7 +102,7 @@ def measure_bag(folder: Path, poses: int) -> Row:
     write_long_bag(long, poses)
     said = run_apart(METRICS, str(short), str(long))
     long.unlink()
-    job = f"metrics of {poses:,} poses of a bag, a pose"
+    job = f"metrics of {poses:,} poses, each"
     value = said["peak"] * 1e6 / poses
     return Row(job=job, value=value, unit="B", aim=POSE_BYTES, aim_of="value")
 
