@@ -158,15 +158,16 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["--dead-time", "1e9"], "--dead-time 1e9: must be a whole number"),
         (["--lag", "nan"], "--lag nan: must be a number from 0 to 1e+100"),
         (["--lag=-1e-5"], "--lag -1e-05: must be 0 or greater"),
+        (["--lag", "1e9"], "--lag 1000000000: must be at most 1.6e+07 s (1e+09 sampling periods)"),
         (["--ki=-1"], "--ki -1: must be 0 or greater"),
         (["--gain", "0"], "--gain 0: must be greater than 0"),
         (
             ["--dead-time-s", "17"],
-            "--dead-time-s: expected at most 1000 samples in all, found 1062.5",
+            "--dead-time-s 17: must be at most 16 s (1000 samples in all)",
         ),
         (
-            ["--dead-time-s", "1e9"],
-            "--dead-time-s: expected at most 1000 samples in all, found 6.25e+10",
+            ["--dead-time-s", "15", "--dead-time", "100"],
+            "--dead-time-s 15: must be at most 14.4 s (1000 samples in all)",
         ),
         (
             ["--overshoot", "100"],

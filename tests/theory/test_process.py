@@ -326,11 +326,14 @@ def test_p_alone_on_an_integrator_with_a_gain_is_p_of_the_product() -> None:
         ({"lag_s": -1.0}, "^lag_s: expected a number from 0 to 1e.100, found -1.0"),
         ({"dead_time_s": math.nan}, "^dead_time_s: expected a number from 0"),
         ({"low_pass_s": math.inf}, "^low_pass_s: expected a number from 0"),
-        ({"lag_s": 1.1e9}, "^lag_s: expected at most 1e.09 sampling periods, found 1.1e.09"),
-        ({"low_pass_s": 1.1e9}, "^low_pass_s: expected at most 1e.09 sampling periods"),
+        (
+            {"lag_s": 1.1e9},
+            "^lag_s: expected at most 1e.09 s .1e.09 sampling periods., found 1.1e.09 s",
+        ),
+        ({"low_pass_s": 1.1e9}, "^low_pass_s: expected at most 1e.09 s .1e.09 sampling periods."),
         (
             {"dead_time_s": 1000.1},
-            "^dead_time_s: expected at most 1000 samples in all, found 1000.1",
+            "^dead_time_s: expected at most 1000 s .1000 samples in all., found 1000.1 s",
         ),
     ],
 )

@@ -189,10 +189,12 @@ def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) 
 
 def _split_dead_time(process: Process, period_s: float, dead_time_ticks: int) -> tuple[int, float]:
     """Return the dead time as whole samples and the remaining fraction of a sample, below 1."""
-    samples = require_dead_time(dead_time_ticks) + process.dead_time_s / period_s
+    ticks = require_dead_time(dead_time_ticks)
+    samples = ticks + process.dead_time_s / period_s
     if not samples <= MAX_DEAD_TIME_TICKS + _WHOLE:
-        problem = f"expected at most {MAX_DEAD_TIME_TICKS} samples in all, found {samples:.6g}"
-        raise TheoryError(problem, quantity="dead_time_s")
+        longest_s = (MAX_DEAD_TIME_TICKS - ticks) * period_s
+        most = f"at most {longest_s:.6g} s ({MAX_DEAD_TIME_TICKS} samples in all)"
+        raise _refuse_time("dead_time_s", process.dead_time_s, most)
     whole = math.floor(samples + _WHOLE)
     part = samples - whole
     return whole, part if part > _WHOLE else 0.0
@@ -202,9 +204,15 @@ def _scale_time(name: str, time_s: float, period_s: float) -> float:
     """Return a time constant in samples; 0 if it is too short to change a sample."""
     samples = time_s / period_s
     if samples > _LONGEST_LAG:
-        problem = f"expected at most {_LONGEST_LAG:g} sampling periods, found {samples:.6g}"
-        raise TheoryError(problem, quantity=name)
+        most = f"at most {_LONGEST_LAG * period_s:.6g} s ({_LONGEST_LAG:g} sampling periods)"
+        raise _refuse_time(name, time_s, most)
     return samples if samples >= _SHORTEST_LAG else 0.0
+
+
+def _refuse_time(name: str, time_s: float, most: str) -> TheoryError:
+    """Return an error on a time that is too long for the sampling period."""
+    problem = f"expected {most}, found {time_s:.6g} s"
+    return TheoryError(problem, quantity=name, value=time_s, must=most)
 
 
 def _weigh(a: float, part: float) -> tuple[float, float]:
