@@ -27,8 +27,8 @@ from turtlelog.log import (
     write_recording,
 )
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.ros2.bag import open_bag
-from turtlelog.log.ros2.pose_types import JOINTS, TRANSFORMS
+from turtlelog.log.planar_poses import JOINTS, TRANSFORMS
+from turtlelog.log.ros2.bag_rows import open_bag
 from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import nest_parameters

@@ -32,6 +32,10 @@ from .importers import (
 from .mcap_writer import (
     write_columns as write_columns,
 )
+from .planar_poses import (
+    JOINTS as JOINTS,
+    POSE_TYPES as POSE_TYPES,
+)
 from .read_choice import (
     CHOSEN as CHOSEN,
     UNUSED as UNUSED,

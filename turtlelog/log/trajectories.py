@@ -15,15 +15,13 @@ from turtlelog.log import importers
 from turtlelog.log.any_file import LOG_SUFFIXES, read_as_chosen
 from turtlelog.log.engine.opening import is_bag_file
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.plain_tables import Cells, Values
-from turtlelog.log.importers.table_columns import assign_columns
-from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
+from turtlelog.log.importers.plain_tables import KITTI_COLUMNS, PlainTable, Values, read_plain_table
+from turtlelog.log.importers.table_columns import Cells, assign_columns
+from turtlelog.log.planar_poses import PoseShape, find_pose_shape
 from turtlelog.log.read_choice import CHOSEN, UNUSED, ReadChoice, split_topic
-from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_poses import find_poses
-from turtlelog.log.ros2.bag_robots import select_robot
-from turtlelog.log.ros2.bag_topics import NoPosesError
-from turtlelog.log.ros2.pose_types import PoseShape, find_pose_shape
+from turtlelog.log.ros2.bag_rows import Bag, open_bag
+from turtlelog.log.ros2.bag_topics import NoPosesError, select_robot
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
 from turtlelog.run.trajectory import (
     Trajectory,

@@ -1,4 +1,4 @@
-"""Import of CSV and Parquet tables by turtlelog; check of written files by reading them back."""
+"""CSV and Parquet tables by turtlelog: recognised by their header, imported, and read back."""
 
 import csv
 import io
@@ -17,9 +17,8 @@ from turtlelog.escapes import guard_cell
 from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.table_text import read_header, require_few_columns
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
-from turtlelog.log.spatial_poses import compute_heading
+from turtlelog.log.planar_poses import compute_heading
 from turtlelog.run import (
     TABLES,
     Clock,
@@ -39,6 +38,7 @@ _TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
 _ROWS_AT_ONCE: Final = 4096
+
 _ROUNDED_RAD: Final = 2e-15
 """Rounding error of a heading after sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
 
@@ -382,3 +382,43 @@ def _gather(table: Table, kind: type) -> dict[str, NDArray[Any]]:
         if name in names and first in table:
             values[name] = np.column_stack([table[first], table[second]])
     return values
+
+
+LONGEST_HEAD: Final = 64 * 1024
+"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
+of 60 letters, and the other columns, fit."""
+
+MOST_COLUMNS: Final = 10_000
+"""Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
+searched once for each quantity, which takes 1 s."""
+
+
+def decode_text(data: bytes) -> str:
+    """Return the text of a table or log; spreadsheet programs write a byte order mark first."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        found = f"0x{err.object[err.start]:02x}"
+        raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
+
+
+def read_header(path: Path) -> tuple[str, ...]:
+    """Return the column names without reading rows; for text files the cells of the first line.
+
+    Raises:
+        ValueError: If a file with the suffix of Parquet is not a Parquet file.
+    """
+    if path.suffix.lower() != ".parquet":
+        with open_file(path) as stream:
+            head = stream.readline(LONGEST_HEAD).decode("utf-8-sig", errors="replace")
+        return tuple(head.strip().split(","))
+    return tuple(ParquetFile(path).schema.names)
+
+
+def require_few_columns(columns: int) -> None:
+    """Refuse a table with too many columns."""
+    if columns > MOST_COLUMNS:
+        raise LogError(
+            f"the table has more than {MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
+            " time, x, y, heading and the commands"
+        )

@@ -21,7 +21,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.table_text import decode_text, read_header
+from turtlelog.log.importers.exported_tables import decode_text, read_header
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 from turtlelog.run.stop_reasons import FINISHED

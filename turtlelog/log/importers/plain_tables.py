@@ -1,56 +1,47 @@
-"""Import of plain tables: CSV, Parquet or TUM, with cells as numbers in standard units."""
+"""Import of plain tables: CSV, Parquet or TUM, as columns of cells and as a run."""
 
-import math
+import csv
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from datetime import UTC, datetime, timedelta
-from decimal import Decimal, InvalidOperation
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import format_utc, join_words
 from turtlelog.errors import LogError, RunError
+from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
-from turtlelog.log.file_access import name_file
-from turtlelog.log.importers.table_columns import QUANTITIES, Choice, assign_columns
-from turtlelog.log.importers.table_text import KITTI_COLUMNS, PlainTable, read_plain_table
-from turtlelog.log.read_choice import CHOSEN
-from turtlelog.log.ros2.bag_rows import separate_times, wrap_far_headings
-from turtlelog.log.spatial_poses import compute_heading, compute_tilt, describe_height, lift_poses
-from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
-
-Values = NDArray[np.float64]
-Times = NDArray[np.int64]
-
-_LONGEST_STEP_S: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown [s]: nobody
-records a drive every quarter of an hour."""
-
-_WRAPS_DEG: Final = (330.0, 361.0)
-"""Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
-deg of rotation between two rows. In radians, these steps would be at least 52 turns."""
-
-_EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
-"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
-
-_POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
-_LATEST_NS: Final = 2**62
-_MOST_DIGITS: Final = 20  # digits before the point; nanoseconds of 64 bits have no more
-_ENDS: Final = re.compile(r"[\])]$")
-_DATE: Final = re.compile(
-    r"\s*+(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d++))?"
-    r"\s*+(Z|[+-]\d\d:?\d\d)?\s*+\Z",
-    re.ASCII,
+from turtlelog.log.file_access import name_file, open_file
+from turtlelog.log.importers.exported_tables import (
+    LONGEST_HEAD,
+    MOST_COLUMNS,
+    decode_text,
+    require_few_columns,
 )
+from turtlelog.log.importers.table_columns import Cells, Choice, assign_columns
+from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
+from turtlelog.log.planar_poses import (
+    Values,
+    compute_heading,
+    compute_tilt,
+    describe_height,
+    lift_poses,
+    separate_times,
+    wrap_far_headings,
+)
+from turtlelog.log.read_choice import CHOSEN
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 _NEVER: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
     *("parameters", "stop_reason", "events"),
 )
+
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
 _NEEDED: Final = ("t", "x", "y", "heading")
 
@@ -58,6 +49,45 @@ _SHOWN_NAMES: Final = 12
 """Largest number of columns that an error lists."""
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
+
+_TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+"""Columns of a TUM trajectory, which has no header: time, position, quaternion."""
+
+KITTI_COLUMNS: Final = (
+    *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
+)
+"""Columns of a KITTI trajectory, which has neither header nor times.
+
+The columns contain the first three rows, one after another, of the matrix from the robot's frame to
+the world frame."""
+
+_NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
+
+_MOST_KNOWN: Final = 2**14
+"""Number of cell texts that are stored only once: all numbers of three digits with a decimal
+point."""
+
+_BLANK: Final = " "
+"""Delimiter that means any number of spaces and tabs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainTable:
+    """A table as in its file.
+
+    Attributes:
+        names: Column names in the header.
+        columns: Reader of the cells, from the first row on. Cells are texts, or numbers of Parquet.
+        word: Word for the number of a row: `line` or `row`.
+        has_header: Whether the file names its columns. Trajectories of TUM and KITTI have no names.
+        units: Known units of columns: times of Parquet are in ns, those of TUM in s.
+    """
+
+    names: tuple[str, ...]
+    columns: "_TextColumns | _StoredColumns"
+    word: str
+    has_header: bool = True
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Run:
@@ -83,158 +113,6 @@ def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = Non
             return _build_run(path, Cells(table, chosen))
         except RunError as err:
             raise LogError(str(err)) from err
-
-
-class Cells:
-    """The chosen columns of a table, as numbers in standard units.
-
-    Attributes:
-        table: Table as in its file.
-        chosen: Chosen columns by quantity.
-        time_ns: Times [ns], since 1970 or from another start, shape (n,).
-    """
-
-    def __init__(self, table: PlainTable, chosen: Mapping[str, Choice]) -> None:
-        self.table, self.chosen = table, chosen
-        self._guesses: dict[str, str] = {}
-        found = table.columns.read([choice.column for choice in chosen.values()])
-        self._cells = dict(zip(chosen, found, strict=True))
-        self.time_ns = self._read_times()
-
-    def read(self, field: str) -> Values | None:
-        """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
-        if field not in self.chosen:
-            return None
-        choice = self.chosen[field]
-        numbers = self._parse(choice)
-        return numbers * choice.units[choice.unit or self._assume_unit(choice, numbers)]
-
-    def require(self, field: str) -> Values:
-        """Return the numbers of an existing column."""
-        values = self.read(field)
-        assert values is not None
-        return values
-
-    def describe(self) -> str:
-        """Return a description of the columns: quantities, units, and unread columns."""
-        told = []
-        for field, choice in self.chosen.items():
-            unit = self._guesses.get(field, choice.unit)
-            # The unit is not repeated if the column's name ends with it.
-            is_said = QUANTITIES[field] == "number" or (
-                unit == choice.unit and _ENDS.search(choice.name)
-            )
-            told.append(f"{field} from {choice.name}" + ("" if is_said else f" [{unit}]"))
-        used = {choice.column for choice in self.chosen.values()}
-        rest = [name for place, name in enumerate(self.table.names) if place not in used]
-        text = ", ".join(told)
-        if rest:
-            text += f"; not read: {', '.join(rest)[:160]}"
-        if self._guesses:
-            field = [*self._guesses][-1]
-            text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
-        return text
-
-    def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
-        """Raise an error for an invalid cell."""
-        table, choice = self.table, self.chosen[field]
-        found = repr(str(self._cells[field][row])[:40])
-        place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
-        raise LogError(f"{place}: expected {expected}, found {found}")
-
-    def _parse(self, choice: Choice) -> Values:
-        cells = self._cells[choice.field]
-        if isinstance(cells, np.ndarray):
-            numbers = cells.astype(np.float64)
-        else:
-            numbers = np.empty(len(cells))
-            for row, cell in enumerate(cells):
-                try:
-                    numbers[row] = float(cell) if cell else math.nan
-                except ValueError:
-                    self.refuse(choice.field, row)
-        if np.isinf(numbers).any():
-            self.refuse(choice.field, int(np.isinf(numbers).argmax()), "a finite number")
-        return numbers
-
-    def _assume_unit(self, choice: Choice, numbers: Values) -> str:
-        """Return the assumed unit of a column without a given unit."""
-        usual = next(iter(choice.units))
-        if QUANTITIES[choice.field] == "number":
-            return usual
-        if choice.field == "heading" and _steps_by_turns(numbers):
-            self._guesses["heading"] = "deg, as it steps by a turn of these"
-            return "deg"
-        self._guesses[choice.field] = f"{usual}, assumed"
-        return usual
-
-    def _read_times(self) -> Times:
-        """Return times [ns], since 1970 or from another start."""
-        choice = self.chosen["t"]
-        cells = self._cells[choice.field]
-        if isinstance(cells[0], str) and _DATE.match(cells[0]):
-            self._guesses["t"] = "date"
-            found: Iterable[int | None] = map(_read_date, cells)
-        else:
-            power = _POWERS[choice.unit or self._guess_time_unit(choice)]
-            found = (read_time(cell, power) for cell in cells)
-        times = np.empty(len(cells), dtype=np.int64)
-        for row, time_ns in enumerate(found):
-            if time_ns is None:
-                self.refuse("t", row, "a time")
-            times[row] = time_ns
-        more = self.chosen.get("t_nanosec")
-        return times if more is None else times + self._parse(more).astype(np.int64)
-
-    def _guess_time_unit(self, choice: Choice) -> str:
-        numbers = self._parse(choice)
-        for least, unit in _EPOCHS:
-            if least <= numbers[0] < 10 * least:
-                self._guesses["t"] = f"{unit} since 1970"
-                return unit
-        step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
-        if step > _LONGEST_STEP_S:
-            raise LogError(
-                f"column {choice.name}: expected a time with its unit, found steps of {step:g},"
-                f" which are no seconds: --column t='{choice.name} [ns]' names the unit (s, ms, us,"
-                " ns)"
-            )
-        self._guesses["t"] = "s, assumed"
-        return "s"
-
-
-def _steps_by_turns(heading: Values) -> bool:
-    """Return whether the steps of headings show that they are not in radians."""
-    step = np.abs(np.diff(heading))
-    return bool(((step > _WRAPS_DEG[0]) & (step < _WRAPS_DEG[1])).any())
-
-
-def read_time(cell: Any, power: int) -> int | None:
-    """Return a time in a unit of 10**power ns as exact nanoseconds; None if it is not a number."""
-    try:
-        number = Decimal(str(cell))
-    except InvalidOperation:
-        return None
-    if not number.is_finite() or number.adjusted() > _MOST_DIGITS:
-        return None
-    time_ns = round(number.scaleb(power))
-    return time_ns if abs(time_ns) <= _LATEST_NS else None
-
-
-def _read_date(cell: str) -> int | None:
-    """Return an ISO 8601 time as nanoseconds since 1970; None for other texts.
-
-    The default time zone is UTC.
-    """
-    match = _DATE.match(cell)
-    if match is None:
-        return None
-    try:
-        at = datetime.fromisoformat(f"{match[1]}T{match[2]}{match[4] or '+00:00'}")
-    except ValueError:
-        return None
-    seconds = (at - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
-    return seconds * 1_000_000_000 + int((match[3] or "0")[:9].ljust(9, "0"))
 
 
 def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
@@ -275,14 +153,16 @@ def _build_run(path: Path, cells: Cells) -> Run:
     commands = _build_commands(time_ns, values)
     start_ns = int(min([time_ns[has_pose][0], *commands.time_ns[:1]]))
     poses = {name: column[has_pose] for name, column in values.items()}
+    whole = {name: column for name, column in poses.items() if not np.isnan(column).any()}
     absent = [*_NEVER, *(() if len(commands) else ("commands",))]
+    start = f"{start_ns / 1e9:.9f} s" if start_ns < 1e18 else format_utc(start_ns)
     pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses["heading"])
     plane = describe_height(poses.get("z"), poses.get("tilt"))
     notes = {
         CHOSEN: cells.describe(),
         "columns": cells.describe(),
-        **_describe_start(start_ns),
+        **({"original_timestamp": start} if start_ns else {}),
         **notes,
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
@@ -296,8 +176,8 @@ def _build_run(path: Path, cells: Cells) -> Run:
             time_ns=pose_time_ns,
             xy_m=np.column_stack([poses["x"], poses["y"]]),
             heading_rad=heading_rad,
-            measured_speed_m_s=_keep_whole(poses.get("speed")),
-            measured_turn_rate_rad_s=_keep_whole(poses.get("turn_rate")),
+            measured_speed_m_s=whole.get("speed"),
+            measured_turn_rate_rad_s=whole.get("turn_rate"),
             **lift_poses(poses.get("z"), poses.get("tilt")),
         ),
         commands=replace(commands, time_ns=commands.time_ns - start_ns),
@@ -321,8 +201,8 @@ def _read_rotation(cells: Cells) -> dict[str, Values]:
 
 
 def _order_rows(
-    time_ns: Times, values: Mapping[str, Values]
-) -> tuple[Times, dict[str, Values], dict[str, str]]:
+    time_ns: NDArray[np.int64], values: Mapping[str, Values]
+) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
     """Return the rows sorted by time without duplicates, and notes on the changes."""
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     if late:
@@ -340,7 +220,7 @@ def _order_rows(
     return time_ns, dict(values), notes
 
 
-def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColumns:
+def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:
     """Return a command for each row that contains one; missing columns count as 0."""
     zeros = np.zeros(len(time_ns))
     found = [values.get(name, zeros) for name in ("command_speed", "command_turn_rate")]
@@ -353,11 +233,6 @@ def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColu
         lateral_speed_m_s=zeros[has],
         turn_rate_rad_s=found[1][has],
     )
-
-
-def _keep_whole(values: Values | None) -> Values | None:
-    """Return a column if every row has a value."""
-    return None if values is None or np.isnan(values).any() else values
 
 
 def _describe_gaps(
@@ -376,7 +251,190 @@ def _describe_gaps(
     return notes
 
 
-def _describe_start(start_ns: int) -> dict[str, str]:
-    """Return a note on the start time if a table does not start at 0."""
-    text = f"{start_ns / 1e9:.9f} s" if start_ns < 1e18 else format_utc(start_ns)
-    return {"original_timestamp": text} if start_ns else {}
+def read_plain_table(path: Path) -> PlainTable:
+    """Return the table in a text file or a Parquet file.
+
+    Raises:
+        LogError: If the file is not a table, has neither a header nor a trajectory, or has no rows.
+    """
+    if path.suffix.lower() == ".parquet":
+        return _read_parquet(path)
+    with open_file(path) as stream:
+        data = stream.read()
+    return _parse_text(decode_text(data), len(data))
+
+
+def _parse_text(text: str, size: int) -> PlainTable:
+    comments, first, has_more = _find_first_row(text)
+    if not first:
+        raise LogError("expected a table, found no rows")
+    delimiter = _find_delimiter(first)
+    require_few_columns(_count_cells(first, delimiter))
+    header = _split_line(first, delimiter)
+    has_header = True
+    is_first = all(map(_is_number, header))
+    if is_first:
+        has_header, header = _find_names(comments, delimiter, len(header))
+    elif not has_more:
+        raise LogError(f"no rows below the header {', '.join(header)[:160]}")
+    return PlainTable(
+        names=tuple(header),
+        columns=_TextColumns(text, delimiter, len(header), size, is_first=is_first),
+        word="line",
+        has_header=has_header,
+        units={} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"},
+    )
+
+
+def _find_first_row(text: str) -> tuple[list[str], str, bool]:
+    """Return the last comments before the first row, that row, and whether there are more rows."""
+    rows = iterate_lines(text, comments=False)
+    _, first = next(rows, (0, ""))
+    begin = BLANKS_AND_COMMENTS.match(text).end()  # type: ignore[union-attr]  # of none, too
+    above = text[max(0, begin - LONGEST_HEAD) : begin].split("\n")
+    comments = [line.strip().lstrip("#").strip() for line in above]
+    return comments, first.strip(), next(rows, None) is not None
+
+
+def _count_cells(line: str, delimiter: str) -> int:
+    return len(line.split(None if delimiter == _BLANK else delimiter, MOST_COLUMNS))
+
+
+def _find_delimiter(line: str) -> str:
+    return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
+
+
+def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
+    """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
+    for comment in reversed(comments):
+        for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
+            if _count_cells(comment, candidate) > MOST_COLUMNS:
+                continue
+            names = _split_line(comment, candidate)
+            if len(names) == count and not any(map(_is_number, names)):
+                return True, names
+    for known in (_TUM_COLUMNS, KITTI_COLUMNS):
+        if count == len(known):
+            return False, [*known]
+    raise LogError(
+        "expected a header that names the columns, the 8 columns of a TUM trajectory"
+        f" ({' '.join(_TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
+    )
+
+
+class _TextColumns:
+    """The columns of a table of text, and the line of each row, known after the first reading."""
+
+    def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
+        """Use a text whose lines have `count` cells; the file has `size` bytes.
+
+        The first row contains either names or already values (`is_first`).
+        """
+        self._text, self._delimiter, self._count = text, delimiter, count
+        self._size, self._is_first = size, is_first
+        self.lines: Sequence[int] = ()
+
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of some columns."""
+        found: list[list[str]] = [[] for _ in places]
+        lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
+        pairs = [*zip(places, found, strict=True)]
+        rows = _split_lines(iterate_lines(self._text, comments=False), self._delimiter)
+        for line, row in rows if self._is_first else islice(rows, 1, None):
+            if len(row) != self._count:
+                raise LogError(f"line {line}: expected {self._count} cells, found {len(row)}")
+            if len(lines) == most:
+                raise LogError(describe_rows(f"more than {most:,}", most, self._size))
+            lines.append(line)
+            for place, cells in pairs:
+                cell = row[place].strip()
+                if self._delimiter != "," and "," in cell and _is_number(cell):
+                    cell = cell.replace(",", ".")
+                # Numbers with few digits repeat.
+                cells.append(known.get(cell, cell))
+                if len(known) < _MOST_KNOWN:
+                    known[cell] = cell
+        self.lines = lines
+        return [*found]
+
+
+def _split_lines(
+    kept: Iterable[tuple[int, str]], delimiter: str
+) -> Iterator[tuple[int, list[str]]]:
+    if delimiter == _BLANK:
+        for number, line in kept:
+            yield number, line.split()
+        return
+    numbers: list[int] = []
+
+    def feed() -> Iterator[str]:
+        for number, line in kept:
+            numbers.append(number)
+            yield line
+
+    reader = csv.reader(feed(), delimiter=delimiter, skipinitialspace=True, strict=True)
+    try:
+        for row in reader:
+            if len(numbers) != 1:
+                raise LogError("expected one row per line, found a quoted cell over several")
+            yield numbers.pop(), row
+    except csv.Error as err:
+        raise LogError(
+            f"line {numbers[0]}: expected cells, found {describe_csv_error(err)}"
+        ) from err
+
+
+def _split_line(line: str, delimiter: str) -> list[str]:
+    if delimiter != _BLANK:
+        ((_, row),) = _split_lines([(1, line)], delimiter)
+        return [cell.strip() for cell in row]
+    # A blank may separate a name from its unit: `yaw [deg]`.
+    return re.findall(r"\S+(?:[ \t]+(?:\[[^\]\s]*\]|\([^)\s]*\)))?", line)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell.strip()))
+
+
+def _read_parquet(path: Path) -> PlainTable:
+    file = ParquetFile(path)
+    file.require_rows()
+    if not file.row_count:
+        raise LogError("no rows")
+    require_few_columns(len(file.leaves))
+    columns = _StoredColumns(file)
+    return PlainTable(
+        names=tuple(columns.names),
+        columns=columns,
+        word="row",
+        units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
+    )
+
+
+class _StoredColumns:
+    """The columns of a Parquet file, with dots in names within structs, and the row numbers."""
+
+    def __init__(self, file: ParquetFile) -> None:
+        self._file, self.names = file, [leaf.path for leaf in file.leaves]
+        self.lines: Sequence[int] = range(1, file.row_count + 1)
+
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of some columns."""
+        return [self._read_one(self.names[place]) for place in places]
+
+    def _read_one(self, name: str) -> Sequence[Any]:
+        """Return the cells of a column: numbers, times in ns, or else texts; null becomes empty."""
+        table = self._file.read([name])
+        while any(str(kind).startswith("struct") for kind in table.schema.types):
+            table = table.flatten()
+        if table.num_columns != 1:
+            raise LogError(f"column {name}: expected one of that name, found {table.num_columns}")
+        column = table.column(0)
+        if not str(column.type).startswith(("dictionary", "string", "large_string")):
+            values = column.to_numpy()
+            if values.dtype.kind == "M":
+                found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
+                return found
+            if values.dtype.kind in "iuf":
+                return values  # type: ignore[no-any-return]
+        return ["" if cell is None else str(cell) for cell in list_cells(column)]

@@ -10,8 +10,9 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.planar_poses import FIX, JOINTS, POSITIONS, TRANSFORM_TYPES, find_pose_shape
 from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
-from turtlelog.log.ros2.bag import Bag
+from turtlelog.log.ros2.bag_rows import Bag
 from turtlelog.log.ros2.bag_topics import (
     NEEDS_WHEELS,
     NoPosesError,
@@ -30,13 +31,6 @@ from turtlelog.log.ros2.bag_transforms import (
     trace_frame,
 )
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
-from turtlelog.log.ros2.pose_types import (
-    FIX,
-    JOINTS,
-    POSITIONS,
-    TRANSFORM_TYPES,
-    find_pose_shape,
-)
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""

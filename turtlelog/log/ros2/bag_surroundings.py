@@ -12,8 +12,8 @@ from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_poses import read_tree
+from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names
 from turtlelog.log.ros2.bag_transforms import (
     Tree,
@@ -21,9 +21,9 @@ from turtlelog.log.ros2.bag_transforms import (
     is_robot_frame,
     locate_frame,
     name_frame,
+    place_points,
 )
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
-from turtlelog.log.spatial_poses import place_points
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 

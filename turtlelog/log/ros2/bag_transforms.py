@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS
 from turtlelog.log.ros2.bag_topics import list_numbers
-from turtlelog.log.ros2.pose_types import FRAME_TRANSFORM, TRANSFORMS
-from turtlelog.log.spatial_poses import compose, invert, turn_between
 
 Values = NDArray[np.float64]
-
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 
 _ROBOTS: Final = (
@@ -434,3 +432,58 @@ def build_link_columns(link: Link, topic: str) -> TopicColumns:
             **{name: np.ascontiguousarray(values) for name, values in numbers},
         },
     )
+
+
+def compose(
+    place_m: Values, turn: Values, next_m: Values, next_turn: Values
+) -> tuple[Values, Values]:
+    """Return a transform followed by another. Positions have shape (n, 3), rotations (n, 4)."""
+    return place_m + rotate(turn, next_m), multiply(_normalise(turn), _normalise(next_turn))
+
+
+def place_points(place_m: Values, turn: Values, points_m: Values) -> Values:
+    """Return points of a frame, given the place and rotation of the frame, shape (n, 3)."""
+    return np.asarray(place_m + rotate(np.tile(turn, (len(points_m), 1)), points_m))
+
+
+def rotate(turn: Values, vector: Values) -> Values:
+    """Return vectors rotated by quaternions of any length except 0."""
+    axis, w = np.split(_normalise(turn), [3], axis=1)
+    across = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * across + np.cross(axis, across))
+
+
+def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
+    """Return the inverse transform."""
+    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
+    return -rotate(back, place_m), back
+
+
+def multiply(left: Values, right: Values) -> Values:
+    """Return the rotation `right` followed by `left`, shape (n, 4)."""
+    (a, v), (b, w) = (np.split(turn, [3], axis=1) for turn in (left, right))
+    vector = v * b + w * a + np.cross(a, b)
+    return np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
+
+
+def _normalise(turn: Values) -> Values:
+    """Return quaternions of length 1, shape (n, 4)."""
+    length = np.linalg.norm(turn, axis=1, keepdims=True)
+    # Quaternions that were never set stay 0; the computation of headings reports them.
+    return np.asarray(turn / np.where(length == 0.0, 1.0, length))
+
+
+def turn_between(first: Values, last: Values, share: float) -> Values:
+    """Return a rotation on the shortest arc between two quaternions."""
+    first, last = _normalise(np.stack([first, last]))
+    cosine = float(first @ last)
+    last, cosine = (-last, -cosine) if cosine < 0.0 else (last, cosine)
+    angle = float(np.arccos(min(cosine, 1.0)))
+    if angle < _SMALL_RAD:
+        return np.asarray((1.0 - share) * first + share * last)
+    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
+    return np.asarray(weights[0] * first + weights[1] * last)
+
+
+_SMALL_RAD: Final = 1e-6
+"""Angle below which an arc equals a line to the last bit [rad]."""

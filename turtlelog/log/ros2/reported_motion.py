@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short
+from turtlelog.log.planar_poses import Values, describe_height, describe_level
+from turtlelog.log.ros2.bag_rows import OrderedRows
 
-Values = NDArray[np.float64]
 _TimesNs = NDArray[np.int64]
 
 PATH_NOTE: Final = "path_by_speed"
@@ -361,3 +362,62 @@ def _compare(twists: Values, rows: NDArray[np.int64], velocities: Values) -> flo
     sums = np.vstack([np.zeros((1, 2)), np.cumsum((twists[1:] + twists[:-1]) / 2.0, axis=0)])
     means = np.diff(sums[rows], axis=0) / np.diff(rows)[:, np.newaxis]
     return float(np.median(np.hypot(*(means - velocities).T)))
+
+
+_CROWDED_NS: Final = 10_000
+"""Usual time between poses below which the times are wrong [ns]: the fastest motion capture takes a
+pose every 100 us."""
+
+
+def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
+    """Return a note on poses that are too close in time for a sensor, if they are."""
+    steps_ns = np.diff(time_ns)
+    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
+        return {}
+    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
+    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
+    return {"crowded": text}
+
+
+def note_motion(
+    poses: OrderedRows,
+    columns: Mapping[str, Values],
+    xy_m: Values,
+    *,
+    commands: OrderedRows | None,
+    vertical: int,
+    others: str | None,
+) -> dict[str, str]:
+    """Return notes on poses off the plane, on leaps, and on reported speeds that contradict poses.
+
+    Args:
+        poses: The timed poses, with the columns of their messages.
+        columns: The columns that `judge_rates` keeps.
+        xy_m: Positions in the order of reception [m], shape (m, 2).
+        commands: The timed commands.
+        vertical: Number of poses left out because the forward axis points up or down.
+        others: The other topics of poses.
+    """
+    notes, z_m = {}, columns.get("z")
+    plane = describe_height(z_m, columns.get("tilt"))
+    if plane is not None or vertical:
+        which = "pose has" if vertical == 1 else "poses have"
+        lost = f"; left out: {vertical} {which} no heading, as the forward axis points up or down"
+        notes["plane"] = (plane or "the robot leaves the plane") + (lost if vertical else "")
+    if leaps := describe_leaps(xy_m) or describe_small_leaps(xy_m):
+        notes["leaps"] = leaps
+    if (
+        plane is not None
+    ):  # speeds are along the robot's axes, and differ from those seen from above
+        return notes
+    if level := describe_level(z_m):
+        notes["height"] = level
+    driven = None
+    if commands is not None:
+        speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
+        driven = commands.time_ns, np.hypot(speed, lateral)
+    reported = poses.columns if SPEED in columns else columns
+    if paths := describe_paths(measure_paths(poses.time_ns, reported, driven)):
+        is_of_poses = others is not None and "poses" in paths
+        notes[PATH_NOTE] = f"{paths}; others: {others}" if is_of_poses else paths
+    return notes

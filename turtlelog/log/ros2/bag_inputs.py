@@ -1,25 +1,45 @@
-"""The goal of a robot and the path to follow, as recorded in a bag."""
+"""The inputs of a robot in a bag: its commands, its goal and the path to follow."""
 
 import math
-from collections.abc import Sequence
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import PathError
+from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.read_choice import ReadChoice, parse_goal_option
-from turtlelog.log.ros2.bag import Bag
+from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
+from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
-from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics, list_first_names
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame
-from turtlelog.log.spatial_poses import rotate
-from turtlelog.run import Run
+from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
+from turtlelog.log.ros2.bag_topics import (
+    ACKERMANN_TYPES,
+    COMMAND_TYPES,
+    NEEDS_WHEELBASE,
+    PATH,
+    TWIST_TYPES,
+    Pick,
+    choose_command_topic,
+    drop_unread,
+    find_asked,
+    is_another_robots,
+    list_first_names,
+    rank_place,
+    take_last,
+)
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, rotate
+from turtlelog.run import CommandColumns, Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
-Values = NDArray[np.float64]
+_WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
+_LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
+_GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
 
 _AT_ROBOT_M: Final = 0.1
 """Largest distance of a path's end from the robot at which the path is the robot's trace [m].
@@ -36,6 +56,73 @@ takes 300 MB and 3 s. With one Nav2 plan per second, the number lasts a quarter 
 
 _MOST_LOOKED_AT: Final = 50
 """Number of messages of a path that are compared with the robot's position. The median decides."""
+
+
+def choose_commands(
+    topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
+) -> tuple[Pick | None, str]:
+    """Return the topic of the commands, or the reason why there is none, which may be empty.
+
+    Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
+    rate.
+    """
+    asked = choice.command_topic
+    if choice.wheelbase is not None:
+        parse_wheelbase(choice.wheelbase)
+        pick = choose_command_topic(topics, asked, pose_topic=pose_topic, types=ACKERMANN_TYPES)
+        if pick is not None:
+            return pick, ""
+        if asked is None and pose_topic == "":
+            raise LogError(f"wheelbase: expected commands of {' or '.join(ACKERMANN_TYPES)}")
+    types = COMMAND_TYPES if asked is not None else TWIST_TYPES
+    pick = choose_command_topic(topics, asked, pose_topic=pose_topic, types=types)
+    if pick is not None and pick.topic.type in ACKERMANN_TYPES:
+        raise LogError(f"command_topic {pick.describe()}: {NEEDS_WHEELBASE}")
+    if pick is not None:
+        return pick, ""
+    steered = choose_command_topic(topics, None, pose_topic=pose_topic, types=ACKERMANN_TYPES)
+    return None, "" if steered is None else f"commands on {steered.describe()}: {NEEDS_WHEELBASE}"
+
+
+def order_commands(
+    found: Held, topic: TopicInfo, choice: ReadChoice
+) -> tuple[OrderedRows | None, int]:
+    """Return finite commands and the number of dropped ones; None if no command is finite."""
+    ordered = order_topic(found, topic, partial(_extract_commands, wheelbase_m=choice.wheelbase))
+    rows, dropped = drop_not_finite(ordered, [*ordered.columns])
+    return (rows if len(rows.time_ns) else None), dropped
+
+
+def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
+    angle) / wheelbase. The turn rate is NaN from 90 deg on.
+    """
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = "drive." if kind.endswith("Stamped") else ""
+        speed_m_s = widen(fields[f"{drive}speed"])
+        steering_rad = widen(fields[f"{drive}steering_angle"])
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
+        steering_rad = np.where(is_aside, np.nan, steering_rad)
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
+    return read_twist(fields, "twist." if kind == "geometry_msgs/msg/TwistStamped" else "")
+
+
+def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
+    """Return commands as columns of a run, with times from its start."""
+    none = np.zeros(0)
+    columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
+    return CommandColumns(
+        time_ns=rows.time_ns - start_ns if rows else np.zeros(0, dtype=np.int64),
+        speed_m_s=columns["speed"],
+        lateral_speed_m_s=columns["lateral_speed"],
+        turn_rate_rad_s=columns["turn_rate"],
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,11 +146,10 @@ def add_references(
     run: Run, bag: Bag, source: PoseSource, track: RobotTrack, choice: ReadChoice
 ) -> Run:
     """Return a run with the goal and the path in its bag, or the requested ones."""
-    topics = bag.topics
-    given = choice.goal
-    goal_pick = None if given else choose_goal_topic(topics, pose_topic=source.home)
-    plans = choose_path_topics(topics, choice.path_topic, pose_topic=source.home)
-    goals = [] if goal_pick is None else bag.read_topic(goal_pick.topic.topic, is_flat=False)
+    topics, given = bag.topics, choice.goal
+    goal_topic = None if given else _choose_goal_topic(topics, pose_topic=source.home)
+    plans = _choose_path_topics(topics, choice.path_topic, pose_topic=source.home)
+    goals = [] if goal_topic is None else bag.read_topic(goal_topic.topic, is_flat=False)
     is_long = bool(plans) and choice.path_topic is None and plans[0].count > _MOST_PATHS
     paths = [] if not plans or is_long else bag.read_topic(plans[0].topic, is_flat=False)
     named = {name_frame(columns) for columns in (*goals, *paths)}
@@ -73,8 +159,8 @@ def add_references(
     if given is not None:
         xy_m, heading_rad = parse_goal_option(given)
         goal = _FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
-    if goal_pick is not None:
-        goal = _find_goal(goals, goal_pick.topic.topic, track)
+    if goal_topic is not None:
+        goal = _find_goal(goals, goal_topic.topic, track)
     notes, changes = dict[str, str](), dict[str, Any]()
     if goal is not None:
         notes["goal"] = goal.note
@@ -94,6 +180,47 @@ def add_references(
     known = {name for name, value in changes.items() if value is not None}
     absent = tuple(name for name in run.absent if name not in known)
     return replace(run, absent=absent, notes={**run.notes, **notes}, **changes)
+
+
+def _choose_path_topics(
+    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
+) -> list[TopicInfo]:
+    """Return the requested path topic, or all topics that may contain plans, in order.
+
+    A controller's short local plan (local_plan) and topics with the name of a trace are not
+    references.
+    """
+    held = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return [find_asked(held, asked, (PATH,), "path_topic")]
+
+    def rank(topic: TopicInfo) -> tuple[int, ...]:
+        near, depth = rank_place(topic.topic, pose_topic)
+        return near, int(not _WHOLE.fullmatch(take_last(topic.topic))), depth
+
+    present = drop_unread(held)
+    counts = Counter(topic.topic for topic in present)
+    fitting = [
+        topic
+        for topic in present
+        if topic.type == PATH
+        and counts[topic.topic] == 1
+        and not _LOCAL.search(topic.topic)
+        and not is_another_robots(topic.topic, pose_topic)
+    ]
+    return sorted(fitting, key=rank)
+
+
+def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> TopicInfo | None:
+    """Return the topic of goals, preferably next to the poses; None if there is none."""
+    fitting = (
+        topic
+        for topic in drop_unread(topic for topic in topics if topic.count)
+        if topic.type == "geometry_msgs/msg/PoseStamped"
+        and _GOAL.fullmatch(take_last(topic.topic))
+        and not is_another_robots(topic.topic, pose_topic)
+    )
+    return min(fitting, key=lambda topic: rank_place(topic.topic, pose_topic), default=None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +252,10 @@ def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) 
     fields = {name: column[row] for name, column in messages[number].fields.items()}
     place_m = np.array([[float(fields[f"pose.position.{axis}"]) for axis in "xyz"]])
     turn = np.array([[float(fields[f"pose.orientation.{axis}"]) for axis in "xyzw"]])
-    others = {_name_place(messages[number], row) for _, number, row in known}
+    names = [name for name in fields if "stamp" not in name]
+    others = {
+        tuple(str(messages[file].fields[name][one]) for name in names) for _, file, one in known
+    }
     said = f"from {topic}"
     if len(others) > 1:
         said = f"the last of {len(others)} from {topic}: --goal chooses another"
@@ -150,11 +280,6 @@ def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
         for number, columns in enumerate(messages)
         for row, time_ns in enumerate(columns.log_time_ns.tolist())
     )
-
-
-def _name_place(columns: TopicColumns, row: int) -> tuple[str, ...]:
-    names = [name for name in columns.fields if "stamp" not in name]
-    return tuple(str(columns.fields[name][row]) for name in names)
 
 
 def _bring_over(
@@ -192,7 +317,13 @@ def find_path(
     if not known:
         why = reasons.pop() if reasons else "no message of it has a length"
         return None, f"{topic}: left out: {why}"
-    if _is_trace(known, track):
+    # A trace ends at the robot's position at its time of publication.
+    shares = []
+    for time_ns, xy_m in known[:: -(-len(known) // _MOST_LOOKED_AT)]:
+        row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
+        distance_m = float(np.hypot(*(xy_m[-1] - track.xy_m[row])))
+        shares.append(distance_m / max(_AT_ROBOT_M, _AT_ROBOT_SHARE * _measure(xy_m)))
+    if float(np.median(shares)) <= 1.0:
         return None, f"{topic}: left out: it ends where the robot is, and is its trace"
     _, xy_m = next((one for one in known if one[0] >= since_ns), known[0])
     points = _thin(xy_m)
@@ -230,22 +361,11 @@ def _measure(xy_m: Values) -> float:
     return float(np.hypot(*np.diff(xy_m, axis=0).T).sum()) if len(xy_m) > 1 else 0.0
 
 
-def _is_trace(known: Sequence[tuple[int, Values]], track: RobotTrack) -> bool:
-    """Return whether paths end at the robot's position at their time of publication."""
-    step = -(-len(known) // _MOST_LOOKED_AT)
-    shares = []
-    for time_ns, xy_m in known[::step]:
-        row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
-        distance_m = float(np.hypot(*(xy_m[-1] - track.xy_m[row])))
-        shares.append(distance_m / max(_AT_ROBOT_M, _AT_ROBOT_SHARE * _measure(xy_m)))
-    return float(np.median(shares)) <= 1.0
-
-
 def _thin(xy_m: Values) -> list[list[float]]:
     """Return the points without repetitions, thinned to the largest number of a path."""
     differs = np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))
     points = xy_m[differs]
     if len(points) > MOST_POINTS:
-        rows = np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(np.int64)
-        points = points[rows]
-    return [[float(x), float(y)] for x, y in points.tolist()]
+        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(np.int64)]
+    found: list[list[float]] = points.tolist()
+    return found
