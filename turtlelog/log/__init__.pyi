@@ -2,6 +2,7 @@ from .any_file import (
     read_as_chosen as read_as_chosen,
     read_file_info as read_file_info,
     read_run as read_run,
+    read_trajectory as read_trajectory,
 )
 from .engine.topic_columns import (
     TopicColumns as TopicColumns,
@@ -66,7 +67,4 @@ from .ros2 import (
     Surroundings as Surroundings,
     read_bag as read_bag,
     read_surroundings as read_surroundings,
-)
-from .trajectories import (
-    read_trajectory as read_trajectory,
 )

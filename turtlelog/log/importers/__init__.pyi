@@ -6,5 +6,14 @@ from .paper_log import (
     import_log as import_log,
     is_papers as is_papers,
 )
-from .plain_tables import import_plain_table as import_plain_table
-from .table_columns import read_time as read_time
+from .plain_tables import (
+    KITTI_COLUMNS as KITTI_COLUMNS,
+    PlainTable as PlainTable,
+    import_plain_table as import_plain_table,
+    read_plain_table as read_plain_table,
+)
+from .table_columns import (
+    Cells as Cells,
+    assign_columns as assign_columns,
+    read_time as read_time,
+)

@@ -3,8 +3,14 @@ from .bag_files import (
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )
+from .bag_poses import (
+    read_bag_trajectory as read_bag_trajectory,
+)
 from .bag_reader import (
     read_bag as read_bag,
+)
+from .bag_rows import (
+    open_bag as open_bag,
 )
 from .bag_surroundings import (
     OccupancyMap as OccupancyMap,

@@ -1,17 +1,28 @@
-"""The source of the poses in a bag: a topic, or transforms of two frames."""
+"""The poses in a bag: their source, a topic or transforms of two frames, and as a trajectory."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.planar_poses import FIX, JOINTS, POSITIONS, TRANSFORM_TYPES, find_pose_shape
-from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
+from turtlelog.log.planar_poses import (
+    FIX,
+    JOINTS,
+    POSITIONS,
+    TRANSFORM_TYPES,
+    Fields,
+    PoseShape,
+    Values,
+    find_pose_shape,
+)
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2.bag_rows import Bag
 from turtlelog.log.ros2.bag_topics import (
     NEEDS_WHEELS,
@@ -21,6 +32,7 @@ from turtlelog.log.ros2.bag_topics import (
     choose_pose_topic,
     list_by_fields,
     list_first_names,
+    select_robot,
 )
 from turtlelog.log.ros2.bag_transforms import (
     TRANSFORM,
@@ -31,6 +43,8 @@ from turtlelog.log.ros2.bag_transforms import (
     trace_frame,
 )
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
+from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
+from turtlelog.run import Trajectory, build_trajectory, turn_headings
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
@@ -285,3 +299,71 @@ def _read_frame(found: Found, topic: str) -> str:
             if name in of_file[topic].fields:
                 return str(of_file[topic].fields[name][0]).lstrip("/")
     return ""
+
+
+def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:
+    """Return the poses of a bag, with heights and rotations if it has them; None without poses.
+
+    The result is also None if the poses are computed, or have a reader of their own.
+    """
+    with name_file(bag.path, expected="a bag"):
+        is_asked = choice.pose_topic is not None and choice.robot is None
+        topics = bag.topics if is_asked else select_robot(bag.topics, choice.robot)[0]
+        try:
+            source = find_poses(bag, topics, choice)
+        except NoPosesError:
+            return None  # a run may be made of commands alone
+        rows, is_spatial = list[tuple[Values, Values]](), True
+        files = (of_file.get(source.topic.topic) for of_file in source.found)
+        kept = [columns for columns in files if columns is not None and len(columns)]
+        for columns in kept:
+            shape = find_pose_shape(columns.fields)
+            if shape is None:
+                return None
+            is_spatial &= shape.heading is None and f"{shape.position}z" in columns.fields
+            rows.append(_read_spatial_poses(columns.fields, shape))
+        if not rows:
+            return None
+        time_ns, clock = _choose_times(kept, choice)
+        xyz_m, turns = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        turns[(turns**2).sum(axis=1) == 0.0] = np.nan
+        never = time_ns <= 0
+        if never.all() and len(never) > 1:
+            raise LogError(
+                f"topic {source.topic.topic}: expected times of poses, found 0 or before 1970 in"
+                f" all {len(never)}"
+            )
+        turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0 once
+        name = bag.path.name if bag.path.is_dir() else bag.path.stem
+        name += f":{source.topic.topic}" if names_topic else ""
+        notes = {CHOSEN: f"poses from {source.notes['pose_topic']}", "timed_by": clock}
+        found = build_trajectory(name, time_ns, xyz_m, turns, notes=notes)
+    return found if is_spatial else replace(found, space="plane")
+
+
+def _choose_times(
+    found: Sequence[TopicColumns], choice: ReadChoice
+) -> tuple[NDArray[np.int64], str]:
+    """Return the times of poses and the name of their clock."""
+    log_ns, stamp_ns = join_arrays([columns.log_time_ns for columns in found]), join_stamps(found)
+    if choice.time == "log" or stamp_ns is None:
+        return log_ns, "the recorder's clock"
+    order = np.argsort(log_ns, kind="stable")
+    clock = read_stamp_clock(Stamps(log_ns=log_ns[order], stamp_ns=stamp_ns[order]))
+    if not clock.reason:
+        return stamp_ns, "header stamps"
+    if choice.time == "stamp":
+        raise LogError(f"time: expected usable stamps of poses, but {clock.reason}: take log")
+    return log_ns, f"the recorder's clock ({clock.reason})"
+
+
+def _read_spatial_poses(fields: Fields, shape: PoseShape) -> tuple[Values, Values]:
+    """Return positions [m] and rotations as quaternions w, x, y, z."""
+    place = {axis: fields[f"{shape.position}{axis}"].astype(np.float64) for axis in "xy"}
+    height = fields.get(f"{shape.position}z", 0.0 * place["x"]).astype(np.float64)
+    xyz_m = np.column_stack([*place.values(), height])
+    if shape.heading is not None:
+        heading = fields[shape.heading].astype(np.float64)
+        return xyz_m, turn_headings(np.radians(heading) if shape.is_degrees else heading)
+    parts = [fields[f"{shape.orientation}{axis}"].astype(np.float64) for axis in "wxyz"]
+    return xyz_m, np.column_stack(parts)
