@@ -1,6 +1,7 @@
 """The poses in a bag: their source, a topic or transforms of two frames, and as a trajectory."""
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -49,8 +50,6 @@ from turtlelog.run import Trajectory, build_trajectory, turn_headings
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
 
-_FRAMES: Final = ("header.frame_id", "frame_id")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseSource:
@@ -93,15 +92,13 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
         try:
             return _trace_poses(bag, pick, topics, choice)
         except LogError:
-            fix = _pick_fix(topics) if choice.pose_topic is None else None
-            if fix is None:
+            fixes = [one for one in topics if one.type == FIX and one.count and not one.reason]
+            if choice.pose_topic is not None or len(fixes) != 1:
                 raise
-            pick = fix
+            pick = Pick(topic=fixes[0])
     if asked:
-        name = asked[0]
-        raise LogError(
-            f"{name}: expected poses from transforms, found {pick.describe()}, which are not"
-        )
+        found_instead = f"found {pick.describe()}, which are not"
+        raise LogError(f"{asked[0]}: expected poses from transforms, {found_instead}")
     return _read_poses(bag, pick, found)
 
 
@@ -111,11 +108,18 @@ def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
     if pick.topic.type == JOINTS:
         raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
     found = [*bag.read({name})] if found is None else found
+    messages = [file[name] for file in found if name in file]
     notes = note_pick("pose_topic", pick)
     if pick.topic.type != FIX:
-        frame = _read_frame(found, name)
+        frames = (
+            str(columns.fields[place][0]).lstrip("/")
+            for columns in messages
+            for place in ("header.frame_id", "frame_id")
+            if place in columns.fields and len(columns)
+        )
+        frame = next(frames, "")
         return PoseSource(topic=pick.topic, found=found, home=name, frame=frame, notes=notes)
-    columns, more = locate_fixes([file[name] for file in found if name in file])
+    columns, more = locate_fixes(messages)
     return PoseSource(
         topic=replace(pick.topic, count=len(columns)),
         found=[{name: columns}],
@@ -130,9 +134,8 @@ def _integrate_wheels(
 ) -> PoseSource:
     """Return the odometry of two wheels as messages of a separate topic."""
     if choice.wheel_joints is None or choice.wheels is None:
-        given, needed = "wheels", "wheel_joints"
-        given, needed = (needed, given) if choice.wheels is None else (given, needed)
-        raise LogError(f"{given}: needs {needed}, too: {NEEDS_WHEELS}")
+        needs = "wheels: needs wheel_joints" if choice.wheels else "wheel_joints: needs wheels"
+        raise LogError(f"{needs}, too: {NEEDS_WHEELS}")
     if frames:
         raise LogError(f"{frames[0]}: expected poses from transforms, found wheel_joints")
     joints, wheels_m = parse_joints(choice.wheel_joints), parse_wheels(choice.wheels)
@@ -146,12 +149,6 @@ def _integrate_wheels(
         frame="",
         notes={**note_pick("pose_topic", Pick(topic=topic)), "wheels": note},
     )
-
-
-def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
-    """Return the topic of a satellite receiver if there is exactly one."""
-    found = [topic for topic in topics if topic.type == FIX and topic.count and not topic.reason]
-    return Pick(topic=found[0]) if len(found) == 1 else None
 
 
 def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
@@ -189,8 +186,10 @@ def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
         return choose_pose_topic(topics, asked)
     except NoPosesError:
         for topic in list_by_fields(topics):
-            if _holds_poses(bag, topic.topic):
-                return Pick(topic=topic)
+            with suppress(LogError):  # another encoding, or texts and lists: no poses
+                files = [file for file in bag.read({topic.topic}) if topic.topic in file]
+                if any(find_pose_shape(file[topic.topic].fields) for file in files):
+                    return Pick(topic=topic)
         raise
 
 
@@ -234,14 +233,6 @@ def _read_moving(bag: Bag, topic: TopicInfo) -> tuple[Found, bool] | None:
         if all(name in fields for fields in held)
     ]
     return found, any((column != column[0]).any() for column in columns)
-
-
-def _holds_poses(bag: Bag, topic: str) -> bool:
-    try:
-        found = bag.read({topic})
-    except LogError:
-        return False  # another encoding, or texts and lists: no poses
-    return any(topic in file and find_pose_shape(file[topic].fields) for file in found)
 
 
 def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
@@ -290,15 +281,6 @@ def _trace_poses(
         tree=tree,
         notes=notes,
     )
-
-
-def _read_frame(found: Found, topic: str) -> str:
-    """Return the frame in the first message; empty if there is none."""
-    for of_file in found:
-        for name in _FRAMES if topic in of_file and len(of_file[topic]) else ():
-            if name in of_file[topic].fields:
-                return str(of_file[topic].fields[name][0]).lstrip("/")
-    return ""
 
 
 def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:

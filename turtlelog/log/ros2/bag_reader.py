@@ -18,6 +18,7 @@ from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
+    Values,
     extract_poses,
     lift_poses,
     separate_times,
@@ -35,19 +36,12 @@ from turtlelog.log.recording.topics import (
     SENSED,
     SHAPED,
 )
-from turtlelog.log.ros2.bag_inputs import (
-    RobotTrack,
-    add_references,
-    build_commands,
-    choose_commands,
-    order_commands,
-)
+from turtlelog.log.ros2 import bag_inputs
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_rows import (
     Bag,
     Held,
     OrderedRows,
-    Values,
     drop_not_finite,
     open_bag,
     order_topic,
@@ -103,7 +97,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         except NoPosesError as err:
             run, topic = _read_commands_alone(bag, distinct, choice, err)
             return _note_rest(run, bag, distinct, describe_robots(robots, topic, choice.robot))
-        commands, lack = choose_commands(distinct, choice, pose_topic=source.home)
+        commands, lack = bag_inputs.choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
@@ -111,7 +105,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         source = replace(source, found=[])
         run, track = _build_run(bag.path, found, source, commands, choice)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
-        run = add_references(run, bag, source, track, choice)
+        run = bag_inputs.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
             run = _add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     # In transforms, the name of a robot may occur in the frames alone.
@@ -174,13 +168,13 @@ _MORE: Final = {
 
 def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
-) -> tuple[Run, RobotTrack]:
+) -> tuple[Run, bag_inputs.RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
     poses, dropped, unturned, vertical = _order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
-        commands, lost = order_commands(found, command_pick.topic, choice)
-    track = RobotTrack(
+        commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
+    track = bag_inputs.RobotTrack(
         time_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
         frame=source.frame,
@@ -232,7 +226,7 @@ def _build_run(
         name=name,
         source=source_words,
         poses=_build_poses(time_ns, heading_rad, columns, sensed),
-        commands=build_commands(commands, start_ns),
+        commands=bag_inputs.build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
         absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
@@ -321,7 +315,7 @@ def _read_commands_alone(
     bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
 ) -> tuple[Run, str]:
     """Return the run of a bag that contains commands but no poses, and the topic's name."""
-    pick, lack = choose_commands(topics, choice, pose_topic="")
+    pick, lack = bag_inputs.choose_commands(topics, choice, pose_topic="")
     if pick is None:
         raise NoPosesError(f"no poses; {lack}") if lack else err
     if not choice.allow_no_poses:
@@ -335,7 +329,7 @@ def _read_commands_alone(
         if getattr(choice, name) is not None:
             raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
     found: Held = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
-    rows, dropped = order_commands(found, pick.topic, choice)
+    rows, dropped = bag_inputs.order_commands(found, pick.topic, choice)
     if rows is None:
         raise LogError(
             f"topic {pick.topic.topic}: expected numbers, found nan or infinity in all"
@@ -350,7 +344,7 @@ def _read_commands_alone(
         name=name,
         source=source,
         poses=PoseColumns(time_ns=no_time_ns, xy_m=np.zeros((0, 2)), heading_rad=none),
-        commands=build_commands(rows, start_ns),
+        commands=bag_inputs.build_commands(rows, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
         absent=("poses", "poses.speed_m_s", "poses.turn_rate_rad_s", *_NEVER_IN_BAGS),

@@ -412,8 +412,8 @@ def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
     place, names = next(((place, names) for place, names in chosen if len(names) > 1), ((), []))
     of_robot: dict[str, list[TopicInfo]] = {name: [] for name in names}
     for topic in held if names else ():  # in one pass: a bag may have 65,000 topics
-        words = tuple(topic.topic.split("/"))
-        before, inside = words[: len(place)], words[len(place) : -1]
+        parts = tuple(topic.topic.split("/"))
+        before, inside = parts[: len(place)], parts[len(place) : -1]
         if before == place and inside and inside[0] in of_robot:
             of_robot[inside[0]].append(topic)
     return tuple(BagRobot(name=name, topics=tuple(found)) for name, found in of_robot.items())
