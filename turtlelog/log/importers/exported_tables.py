@@ -307,7 +307,9 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
         name=facts.get("name", path.stem),
         source=facts.get("source", f"tables {path.name}"),
         poses=PoseColumns(**_gather(tables["poses"], PoseColumns)),
-        commands=_build_commands(tables.get("commands")),
+        commands=CommandColumns(**_gather(tables["commands"], CommandColumns))
+        if "commands" in tables
+        else CommandColumns.build_empty(),
         samples=samples,
         goal_xy_m=None if goal is None else (goal[0], goal[1]),
         goal_heading_rad=None if goal is None else goal[2],
@@ -336,18 +338,6 @@ def _parse_fact(facts: Mapping[str, str], name: str, kind: Any) -> Any:
     raise LogError(
         f"the metadata turtlelog.{name} are not as turtlelog writes them ({found}). Write the table"
         " again: turtlelog convert RECORDING -o TABLE.parquet"
-    )
-
-
-def _build_commands(table: Table | None) -> CommandColumns:
-    if table is not None:
-        return CommandColumns(**_gather(table, CommandColumns))
-    nothing = np.array([], dtype=np.float64)
-    return CommandColumns(
-        time_ns=np.array([], dtype=np.int64),
-        speed_m_s=nothing,
-        lateral_speed_m_s=nothing,
-        turn_rate_rad_s=nothing,
     )
 
 

@@ -103,12 +103,11 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
         if not text.strip():
             raise LogError("expected a log, found an empty file")
         is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip().startswith(("{", "[")))
-        log = parse_paper_json(text, path) if is_json else _parse_csv_log(text, path)
-        return build_paper_run(log, sort=sort)
+        log = _parse_json_log(text, path) if is_json else _parse_csv_log(text, path)
+        return _build_run(log, sort=sort)
 
 
 def _require_number(place: str, value: object) -> float:
-    """Return a finite number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         raise LogError(f"{place}: expected a number, found {_shorten(value)}")
     try:
@@ -118,13 +117,6 @@ def _require_number(place: str, value: object) -> float:
     if not math.isfinite(number):
         raise LogError(f"{place}: expected a finite number, found {_shorten(value)}")
     return number
-
-
-def _require_state(place: str, value: object) -> int:
-    """Return the index of the phase for a state."""
-    if not isinstance(value, str) or value not in _STATES:
-        raise LogError(f"{place}: expected one of {', '.join(_STATES)}, found {_shorten(value)}")
-    return _STATES[value]
 
 
 def _build_columns(
@@ -138,12 +130,16 @@ def _build_columns(
         place = places[name]
         values = [_require_number(f"{place}[{i}]", value) for i, value in enumerate(lists[name])]
         columns[name] = np.array(values, dtype=np.float64)
-    place = places["state"]
-    states = [_require_state(f"{place}[{i}]", value) for i, value in enumerate(lists["state"])]
+    states = []
+    for i, value in enumerate(lists["state"]):
+        if not isinstance(value, str) or value not in _STATES:
+            known, found = ", ".join(_STATES), _shorten(value)
+            raise LogError(f"{places['state']}[{i}]: expected one of {known}, found {found}")
+        states.append(_STATES[value])
     return columns, np.array(states, dtype=np.int64)
 
 
-def build_paper_run(log: _PaperLog, *, sort: bool) -> Run:
+def _build_run(log: _PaperLog, *, sort: bool) -> Run:
     """Return the run in a log.
 
     The log contains no stop reason, so a complete run gets `finished`.
@@ -276,11 +272,16 @@ _HEADINGS: Final = MappingProxyType(
 """Name of each list in the CSV layout."""
 
 
-def parse_paper_json(text: str, path: Path) -> _PaperLog:
-    """Return the log in a JSON text."""
+def _parse_json_log(text: str, path: Path) -> _PaperLog:
     tables = _require_table("the file", _parse_json(text))
     data = _require_table("data", tables.get("data"))
-    lists = {name: _require_list(name, data) for name in _PLACES}
+    lists: dict[str, list[object]] = {}
+    for name in _PLACES:
+        values = data.get(name)
+        if not isinstance(values, list):
+            found = type(values).__name__ if name in data else "no value"
+            raise LogError(f"data.{name}: expected a list, found {found}")
+        lists[name] = values
     for name, values in lists.items():
         if len(values) != len(lists["time"]):
             expected = f"{len(lists['time'])} values as in data.time"
@@ -334,14 +335,6 @@ def _require_table(place: str, value: object) -> Mapping[str, Any]:
     return value
 
 
-def _require_list(name: str, data: Mapping[str, Any]) -> list[object]:
-    values = data.get(name)
-    if not isinstance(values, list):
-        found = type(values).__name__ if name in data else "no value"
-        raise LogError(f"data.{name}: expected a list, found {found}")
-    return values
-
-
 def _read_parameters(metadata: Mapping[str, Any]) -> dict[str, float]:
     parameters: dict[str, float] = {}
     for key, (table, name) in _PARAMETERS.items():
@@ -362,7 +355,6 @@ def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
 
 
 def _parse_csv_log(text: str, path: Path) -> _PaperLog:
-    """Return the log in a CSV text."""
     rows = _iterate_rows(text)
     heading = next(rows, [])
     for name in _HEADINGS.values():
@@ -388,7 +380,10 @@ def _read_lists(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> dict[s
         if len(row) != len(heading):
             raise LogError(f"row {number}: expected {len(heading)} values, found {len(row)}")
         for place, is_state, values in places:
-            values.append(intern(row[place]) if is_state else _parse(row[place]))
+            try:
+                values.append(intern(row[place]) if is_state else float(row[place]))
+            except ValueError:  # a later check reports the place of the text
+                values.append(row[place])
     return lists
 
 
@@ -398,11 +393,3 @@ def _iterate_rows(text: str) -> Iterator[list[str]]:
         yield from filter(None, csv.reader(lines, strict=True))
     except csv.Error as err:
         raise LogError(f"expected CSV, found {describe_csv_error(err)}") from err
-
-
-def _parse(value: str) -> object:
-    """Return a number, or the text if it is not a number; a later check reports its place."""
-    try:
-        return float(value)
-    except ValueError:
-        return value

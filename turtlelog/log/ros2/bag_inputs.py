@@ -115,13 +115,13 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
 
 def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
     """Return commands as columns of a run, with times from its start."""
-    none = np.zeros(0)
-    columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
+    if rows is None:
+        return CommandColumns.build_empty()
     return CommandColumns(
-        time_ns=rows.time_ns - start_ns if rows else np.zeros(0, dtype=np.int64),
-        speed_m_s=columns["speed"],
-        lateral_speed_m_s=columns["lateral_speed"],
-        turn_rate_rad_s=columns["turn_rate"],
+        time_ns=rows.time_ns - start_ns,
+        speed_m_s=rows.columns["speed"],
+        lateral_speed_m_s=rows.columns["lateral_speed"],
+        turn_rate_rad_s=rows.columns["turn_rate"],
     )
 
 

@@ -339,11 +339,10 @@ def _read_commands_alone(
     rows = rows.take(times.poses.rows, times.poses.time_ns)
     start_ns = int(rows.time_ns[0])
     name, source = _name_bag(bag.path)
-    none, no_time_ns = np.zeros(0), np.zeros(0, dtype=np.int64)
     run = Run(
         name=name,
         source=source,
-        poses=PoseColumns(time_ns=no_time_ns, xy_m=np.zeros((0, 2)), heading_rad=none),
+        poses=PoseColumns.build_empty(),
         commands=bag_inputs.build_commands(rows, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,

@@ -243,8 +243,11 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
     spans = [(np.ptp(stamp_ns[stretch]), np.ptp(log_ns[stretch])) for stretch in stretches]
     stamps_ns, passed_ns = (int(sum(span)) for span in zip(*spans, strict=True))
     longest = max(stretches, key=len)
-    slope = _fit_slope(log_ns[longest], stamp_ns[longest])
-    late_ns = _measure_late(log_ns[longest], stamp_ns[longest], slope)
+    longest_log_ns, longest_ns = log_ns[longest], stamp_ns[longest]
+    slope = _fit_slope(longest_log_ns, longest_ns)
+    # The delay of each message relative to the fastest.
+    late_ns = (longest_log_ns - longest_log_ns[0]) - slope * (longest_ns - longest_ns[0])
+    late_ns -= late_ns.min()
     is_wall = int(stamp_ns[longest[0]]) >= FIRST_WALL_NS
     is_other = _is_other_pace(late_ns, abs(slope - 1.0) * stamps_ns, slope, is_wall=is_wall)
     if is_other:
@@ -313,23 +316,16 @@ def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:
     first = order[np.r_[True, np.diff(bins[order]) > 0]]
     hull: list[tuple[float, float]] = []
     for point in zip(passed[first].tolist(), late[first].tolist(), strict=True):
-        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], point):
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (point[1] - y0) > (y1 - y0) * (point[0] - x0):
+                break
             hull.pop()
         hull.append(point)
     mean = float(passed.mean())
     after = next((i for i, (x, _) in enumerate(hull) if x >= mean and i), len(hull) - 1)
-    (x0, y0), (x1, y1) = hull[after - 1], hull[after]
+    (x0, y0), (x1, y1) = hull[after - 1 : after + 1]
     return 1.0 + (y1 - y0) / (x1 - x0)
-
-
-def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _measure_late(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> Values:
-    """Return the delay of each message relative to the fastest [ns]."""
-    late = (log_ns - log_ns[0]) - slope * (stamp_ns - stamp_ns[0])
-    return np.asarray(late - late.min())
 
 
 def _map(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> TimesNs:
