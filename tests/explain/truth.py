@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.log.importers.paper_log import build_paper_run, parse_paper_json
+from turtlelog.log.paper_log import build_paper_run, parse_paper_json
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 PI = 3.14159265

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final, Unpack, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog import run as runs
+from turtlelog import log, run as runs
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log import importers, recording, ros2
+from turtlelog.log import recording, ros2
 from turtlelog.log.engine.opening import is_bag_file
 from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
@@ -31,7 +31,7 @@ from turtlelog.log.read_choice import (
 from turtlelog.log.recording.topics import COMMAND, POSE
 
 if TYPE_CHECKING:
-    from turtlelog.log.importers import Cells, PlainTable
+    from turtlelog.log import Cells, PlainTable
     from turtlelog.run import Run, Trajectory
 
 LOG_SUFFIXES: Final = frozenset({".json", ".csv", ".parquet", ".tsv", ".tum", ".txt"})
@@ -94,11 +94,11 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
 def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
     """Return the run in tables by turtlelog, or else in a log of the paper or a plain table."""
     if is_own:
-        return importers.import_tables(path)
+        return log.import_tables(path)
     # With the user's mapping of columns, a file is no log of the paper.
-    if path.suffix.lower() == ".json" or (not choice.columns and importers.is_papers(path)):
-        return importers.import_log(path)
-    return importers.import_plain_table(path, choice.columns)
+    if path.suffix.lower() == ".json" or (not choice.columns and log.is_papers(path)):
+        return log.import_log(path)
+    return log.import_plain_table(path, choice.columns)
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -206,7 +206,7 @@ def _recognise(path: Path) -> tuple[bool, bool]:
                 " makes one of a scenario"
             )
         # Table readers are loaded only for what may contain tables.
-        has_tables = (suffix in LOG_SUFFIXES or is_folder) and importers.holds_tables(path)
+        has_tables = (suffix in LOG_SUFFIXES or is_folder) and log.holds_tables(path)
     return has_tables, suffix in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
 
 
@@ -267,12 +267,12 @@ def read_trajectory(
     file, topic = split_topic(path)
     if topic is None and _is_plain_table(file, choice):
         with name_file(file, expected="a trajectory"):
-            table = importers.read_plain_table(file)
-            if table.names == importers.KITTI_COLUMNS and not table.has_header:
+            table = log.read_plain_table(file)
+            if table.names == log.KITTI_COLUMNS and not table.has_header:
                 return _build_kitti(file, table, times)
-            chosen = importers.assign_columns(table.names, choice.columns, table.units)
+            chosen = log.assign_columns(table.names, choice.columns, table.units)
             if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
-                return _build_from_table(file, importers.Cells(table, chosen))
+                return _build_from_table(file, log.Cells(table, chosen))
     bag = None
     if file.exists() and (file.is_dir() or is_bag_file(file)):
         with suppress(LogError):  # the reader of the run gives the error
@@ -300,7 +300,7 @@ def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
     if choice.columns:
         return True
     with name_file(path, expected="a trajectory"):
-        return not (importers.holds_tables(path) or importers.is_papers(path))
+        return not (log.holds_tables(path) or log.is_papers(path))
 
 
 def _build_from_table(path: Path, cells: "Cells") -> "Trajectory":
@@ -366,7 +366,7 @@ def _read_times(path: Path, count: int) -> NDArray[np.int64]:
                 f" {describe_count(len(kept), 'line')}"
             )
         for number, line in kept:
-            time_ns = importers.read_time(line.strip(), 9)
+            time_ns = log.read_time(line.strip(), 9)
             if time_ns is None:
                 raise LogError(f"line {number}: expected a time in s, found {line[:40]!r}")
             found.append(time_ns)

@@ -16,7 +16,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.planar_poses import Values
 
 if TYPE_CHECKING:
-    from turtlelog.log.importers.plain_tables import PlainTable
+    from turtlelog.log.plain_tables import PlainTable
 
 Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
 

@@ -16,14 +16,13 @@ from turtlelog.display import format_utc, join_words
 from turtlelog.errors import LogError, RunError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
-from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.exported_tables import (
+from turtlelog.log.exported_tables import (
     LONGEST_HEAD,
     MOST_COLUMNS,
     decode_text,
     require_few_columns,
 )
-from turtlelog.log.importers.table_columns import Cells, Choice, assign_columns
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 from turtlelog.log.planar_poses import (
     Values,
@@ -35,6 +34,7 @@ from turtlelog.log.planar_poses import (
     wrap_far_headings,
 )
 from turtlelog.log.read_choice import CHOSEN
+from turtlelog.log.table_columns import Cells, Choice, assign_columns
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 _NEVER: Final = (
