@@ -75,14 +75,10 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     # A recording by turtlelog contains more than poses and commands: asking for these loses
     # nothing.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
-    asked = [None if name is None else match_topic(name, {usual}) for name, usual in pairs]
-    is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
-    robot = None if choice.robot == _OWN_ROBOT else choice.robot
-    others = (
-        *(choice.path_topic, choice.pose_frame, choice.world_frame, robot),
-        *(choice.wheel_joints, choice.wheels),
-    )
-    is_usual = is_usual and all(one is None for one in others)
+    is_usual = all(name is None or match_topic(name, {usual}) == usual for name, usual in pairs)
+    frames = choice.pose_frame, choice.world_frame
+    others = choice.path_topic, *frames, choice.wheel_joints, choice.wheels
+    is_usual &= choice.robot in {None, _OWN_ROBOT} and all(one is None for one in others)
     # A file that should be a recording and is not MCAP gets an error that says so.
     if is_usual or not (path.is_dir() or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
@@ -119,30 +115,21 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
     """Return the run in a file, as `read_run` does, or of a preset. Notes describe lost data."""
-    if not make_path(path).exists() and (run := _simulate_preset(str(path))) is not None:
-        return run
+    if not make_path(path).exists():
+        from turtlelog.scenario import PRESETS, get_preset  # no file needs it
+
+        if (name := str(path)) in PRESETS:
+            from turtlelog.simulate import simulate_run
+
+            run = simulate_run(get_preset(name))
+            return replace(run, notes={**run.notes, "preset": "a preset, simulated first"})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", recording.PartialRecordingWarning)
         return read_run(path, **_list_options(choice))
 
 
-def _simulate_preset(name: str) -> "Run | None":
-    """Return the simulated run of a preset, with a note; None for any other name."""
-    from turtlelog.scenario import PRESETS, get_preset  # no file needs it
-
-    if name not in PRESETS:
-        return None
-    from turtlelog.simulate import simulate_run
-
-    run = simulate_run(get_preset(name))
-    return replace(run, notes={**run.notes, "preset": "a preset, simulated first"})
-
-
 def _list_options(choice: ReadChoice) -> ReadOptions:
-    return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
-
-
-_OPTIONS: Final = tuple(ReadOptions.__annotations__)
+    return cast("ReadOptions", {one: getattr(choice, one) for one in ReadOptions.__annotations__})
 
 
 def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> RecordingInfo:

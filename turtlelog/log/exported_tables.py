@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import LogError, RunError
+from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
 from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
@@ -99,10 +99,7 @@ def import_tables(path: str | Path) -> Run:
         if "poses" not in tables:
             found = ", ".join(tables) or "none"
             raise LogError(f"expected the poses of a run, found its {found} alone")
-        try:
-            return _build_run(tables, facts, path)
-        except RunError as err:
-            raise LogError(str(err)) from err
+        return _build_run(tables, facts, path)
 
 
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:

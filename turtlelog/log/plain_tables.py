@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import format_utc, join_words
-from turtlelog.errors import LogError, RunError
+from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.log.exported_tables import (
@@ -109,10 +109,7 @@ def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = Non
         table = read_plain_table(path)
         chosen = assign_columns(table.names, columns or {}, table.units)
         _require_columns(table, chosen)
-        try:
-            return _build_run(path, Cells(table, chosen))
-        except RunError as err:
-            raise LogError(str(err)) from err
+        return _build_run(path, Cells(table, chosen))
 
 
 def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:

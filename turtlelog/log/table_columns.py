@@ -22,16 +22,10 @@ Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
 
 QUANTITIES: Final[Mapping[str, Quantity]] = MappingProxyType(
     {
-        "t": "time",
-        "t_nanosec": "time",
-        "x": "length",
-        "y": "length",
-        "z": "length",
+        **dict.fromkeys(("t", "t_nanosec"), "time"),
+        **dict.fromkeys("xyz", "length"),
         "heading": "angle",
-        "qx": "number",
-        "qy": "number",
-        "qz": "number",
-        "qw": "number",
+        **dict.fromkeys(("qx", "qy", "qz", "qw"), "number"),
         "speed": "speed",
         "turn_rate": "turn_rate",
         "command_speed": "speed",
@@ -173,7 +167,16 @@ def _fill_unit(choice: Choice, units: Mapping[str, str]) -> Choice:
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
     """Return the column named by the user, with the user's unit or the unit in its name."""
-    for name, unit in _list_readings(field, text):
+    # `psi [deg]` is a name, or `psi` in deg.
+    readings: list[tuple[str, str | None]] = [(text.strip(), None)]
+    bracketed = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
+    if bracketed is not None:
+        given = _read_unit(field, bracketed[2])
+        if given is None:
+            known, found = ", ".join(UNITS[QUANTITIES[field]]), bracketed[2]
+            raise LogError(f"--column {field}={text}: expected a unit of {known}, found {found}")
+        readings.append((bracketed[1], given))
+    for name, unit in readings:
         matches = [place for place, known in enumerate(names) if known.strip() == name]
         if len(matches) > 1:
             raise LogError(f"column {name}: expected one of that name, found {len(matches)}")
@@ -182,19 +185,6 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
             return Choice(field=field, column=matches[0], name=name, unit=unit)
     found = ", ".join(names)[:160]
     raise LogError(f"--column {field}={text}: expected a column of the table, found {found}")
-
-
-def _list_readings(field: str, text: str) -> list[tuple[str, str | None]]:
-    """Return the possible names and units in a text: `psi [deg]` is a name, or `psi` in deg."""
-    readings: list[tuple[str, str | None]] = [(text.strip(), None)]
-    match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
-    if match is not None:
-        unit = _read_unit(field, match[2])
-        if unit is None:
-            known = ", ".join(UNITS[QUANTITIES[field]])
-            raise LogError(f"--column {field}={text}: expected a unit of {known}, found {match[2]}")
-        readings.append((match[1], unit))
-    return readings
 
 
 def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:

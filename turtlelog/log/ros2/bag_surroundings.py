@@ -12,6 +12,7 @@ from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.planar_poses import Values
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names
@@ -23,12 +24,9 @@ from turtlelog.log.ros2.bag_transforms import (
     name_frame,
     place_points,
 )
-from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
+from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
-
-Values = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
@@ -119,7 +117,7 @@ class Surroundings:
         notes: Sources and parts left out, in sentences.
     """
 
-    time_ns: Times
+    time_ns: TimesNs
     scans_xy_m: tuple[Values, ...]
     walls_xy_m: Values
     maps: tuple[OccupancyMap, ...] = ()
@@ -203,12 +201,16 @@ def _name_others(
 
 def _place_scans(
     messages: Sequence[TopicColumns], run: Run, start_ns: int, tree: Tree, notes: list[str]
-) -> tuple[Times, tuple[Values, ...]]:
+) -> tuple[TimesNs, tuple[Values, ...]]:
     """Return times of scans [ns], and their points in the frame of the poses [m]."""
     scans = [(columns, row) for columns in messages for row in range(len(columns))]
     time_ns = np.concatenate([_time_scans(columns, run) for columns in messages]) - start_ns
     order = np.argsort(time_ns, kind="stable")
-    known = order[_has_pose(run, time_ns[order])]
+    # Each scan needs a pose shortly before and shortly after it.
+    beyond = [_LONGEST_GAP_NS + 1]
+    gaps_ns = np.concatenate([beyond, np.diff(run.poses.time_ns), beyond])
+    after = np.searchsorted(run.poses.time_ns, time_ns[order])
+    known = order[gaps_ns[after] <= _LONGEST_GAP_NS]
     if not len(known):
         notes.append(f"No scan of {messages[0].topic} was taken while the poses are known.")
         return np.zeros(0, dtype=np.int64), ()
@@ -223,7 +225,7 @@ def _place_scans(
     return time_ns[kept], tuple(placed)
 
 
-def _time_scans(columns: TopicColumns, run: Run) -> Times:
+def _time_scans(columns: TopicColumns, run: Run) -> TimesNs:
     """Return the times of scans on the clock of the run's poses [ns]."""
     log_ns, stamp_ns = columns.log_time_ns, read_stamps(columns)
     if run.clock is None or run.clock.used == "log" or stamp_ns is None:
@@ -232,17 +234,6 @@ def _time_scans(columns: TopicColumns, run: Run) -> Times:
     if found.is_other_pace and run.clock.offset_s is not None:
         return np.asarray(stamp_ns + round(run.clock.offset_s * 1e9))
     return log_ns if found.reason else found.time_ns
-
-
-def _has_pose(run: Run, time_ns: Times) -> NDArray[np.bool_]:
-    """Return whether there is a pose shortly before and shortly after each time."""
-    poses_ns = run.poses.time_ns
-    after = np.searchsorted(poses_ns, time_ns)
-    inside = (after > 0) & (after < len(poses_ns))
-    after = np.clip(after, 1, max(len(poses_ns) - 1, 1))
-    if len(poses_ns) < 2:
-        return np.zeros(len(time_ns), dtype=bool)
-    return np.asarray(inside & (poses_ns[after] - poses_ns[after - 1] <= _LONGEST_GAP_NS))
 
 
 def _to_robot(

@@ -212,7 +212,15 @@ def choose_frames(
     if robot is not None:
         top = world or _find_world(tree, robot)
         return FrameChoice(world=top, robot=robot, others=_list_other_parents(tree, robot, top))
-    found = _list_robots(tree, world) or _list_lone(tree, world)
+    # Without such names, a moving link that no frame above it moves, and that is no joint.
+    found = _list_robots(tree, world) or [
+        (parent, child)
+        for (parent, child), link in tree.items()
+        if link.moves
+        and world in {None, parent}
+        and not _list_moving(tree, parent)
+        and not is_robot_frame(parent)
+    ]
     if name is not None:
         # The frame of a named robot: turtle1, robot1/base_link.
         starts = (f"{name}/", f"{name}_")
@@ -271,18 +279,6 @@ def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
         elif any(_is_world(name) for name in above):
             pairs.append((_find_world(tree, robot), robot))
     return pairs
-
-
-def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
-    """Return moving links that are not joints: no frame above them moves or belongs to a robot."""
-    return [
-        (parent, child)
-        for (parent, child), link in tree.items()
-        if link.moves
-        and world in {None, parent}
-        and not _list_moving(tree, parent)
-        and not is_robot_frame(parent)
-    ]
 
 
 def _list_moving(tree: Tree, frame: str) -> list[Link]:
@@ -438,7 +434,11 @@ def compose(
     place_m: Values, turn: Values, next_m: Values, next_turn: Values
 ) -> tuple[Values, Values]:
     """Return a transform followed by another. Positions have shape (n, 3), rotations (n, 4)."""
-    return place_m + rotate(turn, next_m), multiply(_normalise(turn), _normalise(next_turn))
+    parts = (np.split(_normalise(one), [3], axis=1) for one in (turn, next_turn))
+    (a, v), (b, w) = parts
+    vector = v * b + w * a + np.cross(a, b)
+    both = np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
+    return place_m + rotate(turn, next_m), both
 
 
 def place_points(place_m: Values, turn: Values, points_m: Values) -> Values:
@@ -457,13 +457,6 @@ def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
     """Return the inverse transform."""
     back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
     return -rotate(back, place_m), back
-
-
-def multiply(left: Values, right: Values) -> Values:
-    """Return the rotation `right` followed by `left`, shape (n, 4)."""
-    (a, v), (b, w) = (np.split(turn, [3], axis=1) for turn in (left, right))
-    vector = v * b + w * a + np.cross(a, b)
-    return np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
 
 
 def _normalise(turn: Values) -> Values:
