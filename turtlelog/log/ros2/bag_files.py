@@ -113,14 +113,7 @@ def parse_bag_metadata(text: str) -> BagMetadata:
             files.append(_read_file_name(number, value))
         else:
             values |= _read_below(number, under, value)
-    _require_entries(values, files)
-    mode = values.get("compression_mode", "").lower()
-    return BagMetadata(
-        storage=values["storage_identifier"],
-        compression="" if mode == "none" else mode,
-        files=tuple(files),
-        duration_ns=_parse_duration(values.get(_DURATION, "")),
-    )
+    return _build_metadata(values, files)
 
 
 def _read_flow_list(number: int, value: str) -> list[str]:
@@ -158,20 +151,21 @@ def _read_below(number: int, under: str, value: str) -> dict[str, str]:
     return {_DURATION: _unquote(number, _DURATION, entry["value"] or "")}
 
 
-def _require_entries(values: Mapping[str, str], files: Sequence[str]) -> None:
+def _build_metadata(values: Mapping[str, str], files: Sequence[str]) -> BagMetadata:
     if not files:
         found = values.get(_FILES, "")[:60].replace("[]", "")
         raise LogError(f"{_FILES}: expected a list of files, found {found or 'no file'}")
     if "storage_identifier" not in values:
         raise LogError("storage_identifier: missing; it must be mcap or sqlite3")
-
-
-def _parse_duration(text: str) -> int | None:
-    if not text:
-        return None
-    if not re.fullmatch(r"[0-9]{1,19}", text) or int(text) >= 2**63:
-        raise LogError(f"{_DURATION}: expected whole nanoseconds below 2^63, found {text[:60]}")
-    return int(text)
+    mode, span = values.get("compression_mode", "").lower(), values.get(_DURATION, "")
+    if span and (not re.fullmatch(r"[0-9]{1,19}", span) or int(span) >= 2**63):
+        raise LogError(f"{_DURATION}: expected whole nanoseconds below 2^63, found {span[:60]}")
+    return BagMetadata(
+        storage=values["storage_identifier"],
+        compression="" if mode == "none" else mode,
+        files=tuple(files),
+        duration_ns=int(span) if span else None,
+    )
 
 
 def _iterate_entries(text: str) -> Iterator[tuple[int, str, str]]:

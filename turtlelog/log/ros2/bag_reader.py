@@ -225,7 +225,18 @@ def _build_run(
     run = Run(
         name=name,
         source=source_words,
-        poses=_build_poses(time_ns, heading_rad, columns, sensed),
+        poses=PoseColumns(
+            time_ns=time_ns,
+            xy_m=np.column_stack([columns["x"], columns["y"]]),
+            heading_rad=heading_rad,
+            speed_m_s=columns.get("speed"),
+            turn_rate_rad_s=columns.get("turn_rate"),
+            measured_speed_m_s=columns.get("measured_speed"),
+            measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
+            sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
+            sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+            **lift_poses(columns.get("z"), columns.get("tilt")),
+        ),
         commands=bag_inputs.build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
@@ -233,27 +244,6 @@ def _build_run(
         notes=notes,
     )
     return run, track
-
-
-def _build_poses(
-    time_ns: NDArray[np.int64],
-    heading_rad: Values,
-    columns: Mapping[str, Values],
-    sensed: Values | None,
-) -> PoseColumns:
-    """Return the poses of a run; `sensed` has x, y and heading in columns."""
-    return PoseColumns(
-        time_ns=time_ns,
-        xy_m=np.column_stack([columns["x"], columns["y"]]),
-        heading_rad=heading_rad,
-        speed_m_s=columns.get("speed"),
-        turn_rate_rad_s=columns.get("turn_rate"),
-        measured_speed_m_s=columns.get("measured_speed"),
-        measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-        sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
-        sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
-        **lift_poses(columns.get("z"), columns.get("tilt")),
-    )
 
 
 def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
