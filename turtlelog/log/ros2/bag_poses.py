@@ -24,25 +24,8 @@ from turtlelog.log.planar_poses import (
     find_pose_shape,
 )
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
+from turtlelog.log.ros2 import bag_topics, bag_transforms
 from turtlelog.log.ros2.bag_rows import Bag
-from turtlelog.log.ros2.bag_topics import (
-    NEEDS_WHEELS,
-    NoPosesError,
-    Pick,
-    choose_joint_topic,
-    choose_pose_topic,
-    list_by_fields,
-    list_first_names,
-    select_robot,
-)
-from turtlelog.log.ros2.bag_transforms import (
-    TRANSFORM,
-    Tree,
-    build_link_columns,
-    choose_frames,
-    collect_links,
-    trace_frame,
-)
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
 from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
 from turtlelog.run import Trajectory, build_trajectory, turn_headings
@@ -68,7 +51,7 @@ class PoseSource:
     found: Found
     home: str
     frame: str
-    tree: Tree = field(default_factory=dict)
+    tree: bag_transforms.Tree = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -95,18 +78,18 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
             fixes = [one for one in topics if one.type == FIX and one.count and not one.reason]
             if choice.pose_topic is not None or len(fixes) != 1:
                 raise
-            pick = Pick(topic=fixes[0])
+            pick = bag_topics.Pick(topic=fixes[0])
     if asked:
         found_instead = f"found {pick.describe()}, which are not"
         raise LogError(f"{asked[0]}: expected poses from transforms, {found_instead}")
     return _read_poses(bag, pick, found)
 
 
-def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
+def _read_poses(bag: Bag, pick: bag_topics.Pick, found: Found | None) -> PoseSource:
     """Return the messages of a topic of poses; `found` contains them if they were read before."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
-        raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
+        raise LogError(f"pose_topic {pick.describe()}: {bag_topics.NEEDS_WHEELS}")
     found = [*bag.read({name})] if found is None else found
     messages = [file[name] for file in found if name in file]
     notes = note_pick("pose_topic", pick)
@@ -135,11 +118,11 @@ def _integrate_wheels(
     """Return the odometry of two wheels as messages of a separate topic."""
     if choice.wheel_joints is None or choice.wheels is None:
         needs = "wheels: needs wheel_joints" if choice.wheels else "wheel_joints: needs wheels"
-        raise LogError(f"{needs}, too: {NEEDS_WHEELS}")
+        raise LogError(f"{needs}, too: {bag_topics.NEEDS_WHEELS}")
     if frames:
         raise LogError(f"{frames[0]}: expected poses from transforms, found wheel_joints")
     joints, wheels_m = parse_joints(choice.wheel_joints), parse_wheels(choice.wheels)
-    topic = choose_joint_topic(topics, choice.pose_topic)
+    topic = bag_topics.choose_joint_topic(topics, choice.pose_topic)
     messages = bag.read_topic(topic.topic, is_flat=False)
     columns, note = integrate_wheels(messages, joints, wheels_m)
     return PoseSource(
@@ -147,18 +130,18 @@ def _integrate_wheels(
         found=[{topic.topic: columns}],
         home=topic.topic,
         frame="",
-        notes={**note_pick("pose_topic", Pick(topic=topic)), "wheels": note},
+        notes={**note_pick("pose_topic", bag_topics.Pick(topic=topic)), "wheels": note},
     )
 
 
-def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
+def note_pick(name: str, pick: bag_topics.Pick, more: str = "") -> dict[str, str]:
     """Return notes on a chosen topic and its alternatives."""
-    others = {f"other_{name}s": list_first_names(pick.others)} if pick.others else {}
+    others = {f"other_{name}s": bag_topics.list_first_names(pick.others)} if pick.others else {}
     still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
     return {name: pick.describe() + more, **others, **still}
 
 
-def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
+def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> bag_transforms.Tree:
     """Return all transforms of a bag, or those of the robot's own topics (/robot1/tf), if any."""
     held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
@@ -172,7 +155,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     for is_static in (True, False):
         own = [name for name in names if _is_static(name) == is_static]
         found = (file[name] for name in own for file in files if name in file)
-        links.update(collect_links(found, is_static=is_static))
+        links.update(bag_transforms.collect_links(found, is_static=is_static))
     return links
 
 
@@ -180,16 +163,16 @@ def _is_static(topic: str) -> bool:
     return topic.rpartition("/")[2] == "tf_static"
 
 
-def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
+def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> bag_topics.Pick:
     """Return the topic of poses, by its type or else by its fields, which must be read."""
     try:
-        return choose_pose_topic(topics, asked)
-    except NoPosesError:
-        for topic in list_by_fields(topics):
+        return bag_topics.choose_pose_topic(topics, asked)
+    except bag_topics.NoPosesError:
+        for topic in bag_topics.list_by_fields(topics):
             with suppress(LogError):  # another encoding, or texts and lists: no poses
                 files = [file for file in bag.read({topic.topic}) if topic.topic in file]
                 if any(find_pose_shape(file[topic.topic].fields) for file in files):
-                    return Pick(topic=topic)
+                    return bag_topics.Pick(topic=topic)
         raise
 
 
@@ -198,7 +181,9 @@ _FEWEST_STILL: Final = 20
 robot."""
 
 
-def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[Pick, Found | None]:
+def _pick_moving(
+    bag: Bag, topics: Collection[TopicInfo], pick: bag_topics.Pick
+) -> tuple[bag_topics.Pick, Found | None]:
     """Return a moving topic instead of one that never moves, with its messages if they were read.
 
     Some robots publish an odometry of zeros next to a computed odometry.
@@ -216,7 +201,7 @@ def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[P
             continue  # it was not requested
         if read is not None and read[1]:
             others = (pick.topic.topic, *(name for name in pick.others if name != other.topic))
-            return Pick(topic=other, others=others, still=pick.topic.topic), read[0]
+            return bag_topics.Pick(topic=other, others=others, still=pick.topic.topic), read[0]
     return pick, first[0]
 
 
@@ -235,30 +220,32 @@ def _read_moving(bag: Bag, topic: TopicInfo) -> tuple[Found, bool] | None:
     return found, any((column != column[0]).any() for column in columns)
 
 
-def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
+def _pick_transforms(topics: Collection[TopicInfo]) -> bag_topics.Pick:
     fitting = [topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
         raise LogError("no transforms (/tf)")
-    return Pick(topic=min(moving, key=lambda topic: (topic.topic.count("/"), topic.topic)))
+    return bag_topics.Pick(
+        topic=min(moving, key=lambda topic: (topic.topic.count("/"), topic.topic))
+    )
 
 
 def _trace_poses(
-    bag: Bag, pick: Pick, topics: Collection[TopicInfo], choice: ReadChoice
+    bag: Bag, pick: bag_topics.Pick, topics: Collection[TopicInfo], choice: ReadChoice
 ) -> PoseSource:
     """Return poses of one frame in another frame as messages of a separate topic."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
     frames = {"robot": choice.pose_frame, "world": choice.world_frame}
-    chosen = choose_frames(tree, **frames, name=choice.robot)
-    link, held = trace_frame(tree, chosen)
+    chosen = bag_transforms.choose_frames(tree, **frames, name=choice.robot)
+    link, held = bag_transforms.trace_frame(tree, chosen)
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:
         unheld |= link.time_ns < one.time_ns[0]
-    columns = build_link_columns(link, topic).select(~unheld)
+    columns = bag_transforms.build_link_columns(link, topic).select(~unheld)
     notes = note_pick("pose_topic", pick, f": {chosen.world} -> {chosen.robot}")
     if chosen.others:
-        notes["other_frames"] = list_first_names(chosen.others)
+        notes["other_frames"] = bag_topics.list_first_names(chosen.others)
     if held:
         names = ", ".join(one.describe() for one in held)
         notes["held_transforms"] = f"{names}: the newest that was recorded counts"
@@ -274,7 +261,7 @@ def _trace_poses(
     if not prefix and any(one.topic.startswith(f"/{name}/") for one in topics):
         prefix = name  # as /turtle1/cmd_vel belongs to turtle1
     return PoseSource(
-        topic=TopicInfo(topic=topic, type=TRANSFORM, count=len(columns)),
+        topic=TopicInfo(topic=topic, type=bag_transforms.TRANSFORM, count=len(columns)),
         found=[{topic: columns}],
         home=f"/{prefix}/tf" if prefix else topic,
         frame=chosen.world,
@@ -290,10 +277,10 @@ def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> T
     """
     with name_file(bag.path, expected="a bag"):
         is_asked = choice.pose_topic is not None and choice.robot is None
-        topics = bag.topics if is_asked else select_robot(bag.topics, choice.robot)[0]
+        topics = bag.topics if is_asked else bag_topics.select_robot(bag.topics, choice.robot)[0]
         try:
             source = find_poses(bag, topics, choice)
-        except NoPosesError:
+        except bag_topics.NoPosesError:
             return None  # a run may be made of commands alone
         rows, is_spatial = list[tuple[Values, Values]](), True
         files = (of_file.get(source.topic.topic) for of_file in source.found)
