@@ -247,10 +247,10 @@ def _release(cell: str) -> str:
 
 def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
     file = ParquetFile(path)
-    metadata = {key.decode(): text.decode() for key, text in (file.schema.metadata or {}).items()}
-    prefix = "turtlelog."
     facts = {
-        key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
+        key.removeprefix(b"turtlelog.").decode(): text.decode()
+        for key, text in (file.schema.metadata or {}).items()
+        if key.startswith(b"turtlelog.")
     }
     known = _list_known(_find_table(file.schema.names), file.schema.names)
     file.require_rows()

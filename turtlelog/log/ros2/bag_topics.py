@@ -174,14 +174,13 @@ def choose_command_topic(
         return Pick(topic=find_asked(held, asked, COMMAND_TYPES, "command_topic"))
     present, home = drop_unread(held), _take_home(pose_topic)
     known = _drop_two_types([topic for topic in present if topic.type in types], present)
+    beside = [topic.topic for topic in known if home and _take_home(topic.topic) == home]
+    measured = {name for name in beside if _VELOCITIES.fullmatch(take_last(name))}
     fitting = [
         topic
         for topic in known
-        if topic.topic not in _NO_COMMANDS
+        if topic.topic not in _NO_COMMANDS | measured
         and not is_measured(topic.topic)
-        and not (
-            home == _take_home(topic.topic) != "" and _VELOCITIES.fullmatch(take_last(topic.topic))
-        )
         and not is_another_robots(topic.topic, pose_topic)
     ]
     if not fitting:
