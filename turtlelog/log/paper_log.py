@@ -5,7 +5,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from sys import intern
 from types import MappingProxyType
@@ -55,29 +54,6 @@ _NEVER_LOGGED: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _PaperLog:
-    """A log as in its file. Each value is checked alone.
-
-    Attributes:
-        name: Name of the run.
-        source: Layout and name of the file.
-        columns: Lists named in `_NUMBERS`, all of one length.
-        states: Phase after each callback, as many as rows.
-        parameters: Known values of the scenario, by dotted key.
-        absent: Fields of this layout that the file does not have.
-        notes: Notes, as in `Run`.
-    """
-
-    name: str
-    source: str
-    columns: Mapping[str, NDArray[np.float64]]
-    states: NDArray[np.int64]
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    absent: tuple[str, ...] = ()
-    notes: Mapping[str, str] = field(default_factory=dict)
-
-
 def is_papers(path: Path) -> bool:
     """Return whether a CSV file has the columns of the paper's logs."""
     return path.suffix.lower() == ".csv" and not _MARKS.isdisjoint(read_header(path))
@@ -103,8 +79,7 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
         if not text.strip():
             raise LogError("expected a log, found an empty file")
         is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip().startswith(("{", "[")))
-        log = _parse_json_log(text, path) if is_json else _parse_csv_log(text, path)
-        return _build_run(log, sort=sort)
+        return (_parse_json_log if is_json else _parse_csv_log)(text, path, sort=sort)
 
 
 def _require_number(place: str, value: object) -> float:
@@ -139,23 +114,29 @@ def _build_columns(
     return columns, np.array(states, dtype=np.int64)
 
 
-def _build_run(log: _PaperLog, *, sort: bool) -> Run:
-    """Return the run in a log.
+def _build_run(
+    columns: dict[str, NDArray[np.float64]],
+    states: NDArray[np.int64],
+    *,
+    sort: bool,
+    parameters: Mapping[str, float],
+    absent: tuple[str, ...],
+    **facts: Any,
+) -> Run:
+    """Return the run in a log; its name, source and notes are `facts`.
 
     The log contains no stop reason, so a complete run gets `finished`.
     """
-    columns, states = dict(log.columns), log.states
-    notes = {**log.notes, "pose_times": _POSE_TIMES}
+    notes = {**facts.pop("notes", {}), "pose_times": _POSE_TIMES}
     if sort:
         columns, states, counts = _sort_rows(columns, states)
         notes |= counts
     _require_rising(columns["time"], is_sorted=sort)
     time_ns = np.rint((columns["time"] - columns["time"][0]) * 1e9).astype(np.int64)
-    goal_xy_m = _find_goal(log.parameters, columns)
+    goal_xy_m = _find_goal(parameters, columns)
     is_finished = states[-1] == _PHASES[DONE]
     return Run(
-        name=log.name,
-        source=log.source,
+        **facts,
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=np.column_stack([columns["pos_x"], columns["pos_y"]]),
@@ -170,9 +151,9 @@ def _build_run(log: _PaperLog, *, sort: bool) -> Run:
         samples=_build_samples(time_ns, columns, states),
         goal_xy_m=goal_xy_m,
         declaration=DECLARATION,
-        parameters=log.parameters,
+        parameters=parameters,
         stop_reason=FINISHED if is_finished else None,
-        absent=(*_NEVER_LOGGED, *log.absent, *(() if goal_xy_m else ("goal_xy_m",))),
+        absent=(*_NEVER_LOGGED, *absent, *(() if goal_xy_m else ("goal_xy_m",))),
         notes=notes,
     )
 
@@ -272,7 +253,7 @@ _HEADINGS: Final = MappingProxyType(
 """Name of each list in the CSV layout."""
 
 
-def _parse_json_log(text: str, path: Path) -> _PaperLog:
+def _parse_json_log(text: str, path: Path, *, sort: bool) -> Run:
     tables = _require_table("the file", _parse_json(text))
     data = _require_table("data", tables.get("data"))
     lists: dict[str, list[object]] = {}
@@ -290,11 +271,12 @@ def _parse_json_log(text: str, path: Path) -> _PaperLog:
     metadata = _require_table("metadata", tables.get("metadata"))
     parameters = _read_parameters(metadata)
     timestamp = _read_text(metadata, "timestamp")
-    return _PaperLog(
+    return _build_run(
+        columns,
+        states,
+        sort=sort,
         name=_read_text(metadata, "experiment_name") or path.stem,
         source=f"paper-json: {path.name}",
-        columns=columns,
-        states=states,
         parameters=parameters,
         absent=tuple(f"parameters.{key}" for key in _PARAMETERS if key not in parameters),
         notes={} if timestamp is None else {"original_timestamp": timestamp},
@@ -354,7 +336,7 @@ def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
     return value
 
 
-def _parse_csv_log(text: str, path: Path) -> _PaperLog:
+def _parse_csv_log(text: str, path: Path, *, sort: bool) -> Run:
     rows = _iterate_rows(text)
     heading = next(rows, [])
     for name in _HEADINGS.values():
@@ -362,11 +344,13 @@ def _parse_csv_log(text: str, path: Path) -> _PaperLog:
             found = f"{heading.count(name)} in {','.join(heading)[:80]!r}"
             raise LogError(f"line 1: expected a column {name}, found {found}")
     columns, states = _build_columns(_read_lists(heading, rows), _HEADINGS)
-    return _PaperLog(
+    return _build_run(
+        columns,
+        states,
+        sort=sort,
         name=path.stem,
         source=f"paper-csv: {path.name}",
-        columns=columns,
-        states=states,
+        parameters={},
         absent=("parameters",),
     )
 

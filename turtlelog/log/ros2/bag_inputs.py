@@ -155,18 +155,13 @@ def add_references(
     named = {name_frame(columns) for columns in (*goals, *paths)}
     if track.frame and not track.tree and named - {track.frame, ""}:
         track = replace(track, tree=read_tree(bag, topics, source.home))
-    goal = None
+    notes, changes, since_ns = dict[str, str](), dict[str, Any](), 0
     if given is not None:
         xy_m, heading_rad = parse_goal_option(given)
-        goal = _FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as given")
+        changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
     if goal_topic is not None:
-        goal = _find_goal(goals, goal_topic.topic, track)
-    notes, changes = dict[str, str](), dict[str, Any]()
-    if goal is not None:
-        notes["goal"] = goal.note
-        changes |= {"goal_xy_m": goal.xy_m, "goal_heading_rad": goal.heading_rad}
+        changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
     if paths:
-        since_ns = 0 if goal is None else goal.time_ns
         points, notes["path"] = find_path(paths, plans[0].topic, track, since_ns=since_ns)
         others = list_first_names([topic.topic for topic in plans[1:]])
         notes |= {"other_path_topics": others} if others else {}
@@ -223,24 +218,11 @@ def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Topic
     return min(fitting, key=lambda topic: rank_place(topic.topic, pose_topic), default=None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FoundGoal:
-    """A goal with a note.
-
-    Attributes:
-        xy_m: Position in the frame of the poses [m]; None if unknown.
-        heading_rad: Heading [rad]; None if the goal has no heading.
-        note: One sentence.
-        time_ns: Time when the goal was set, on the recorder's clock [ns].
-    """
-
-    xy_m: tuple[float, float] | None
-    heading_rad: float | None = None
-    note: str
-    time_ns: int = 0
+_Goal = tuple[dict[str, Any], str, int]
+"""Fields of the run, a note in one sentence, and the time on the recorder's clock [ns]."""
 
 
-def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _FoundGoal:
+def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
     """Return the last goal that was set while the robot was recorded.
 
     A goal in another frame is converted to the frame of the poses by the transforms at the time of
@@ -260,17 +242,17 @@ def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) 
     if len(others) > 1:
         said = f"the last of {len(others)} from {topic}: --goal chooses another"
     if not np.isfinite(place_m).all():
-        return _FoundGoal(xy_m=None, note=f"{topic}: left out: its position is no number")
+        return {}, f"{topic}: left out: its position is no number", 0
     # The default of the message; programs without a goal heading leave it.
     has_heading = bool(np.isfinite(turn).all() and turn[0, :3].any())
     moved = _bring_over(track, str(fields["header.frame_id"]), place_m, turn, time_ns)
     if isinstance(moved, str):
-        return _FoundGoal(xy_m=None, note=f"{topic}: left out: {moved}")
+        return {}, f"{topic}: left out: {moved}", 0
     place_m, ahead, how = moved
     heading_rad = math.atan2(ahead[0, 1], ahead[0, 0]) if has_heading else None
     said += how if has_heading else f"{how}, no heading"
     xy_m = float(place_m[0, 0]), float(place_m[0, 1])
-    return _FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note=said, time_ns=time_ns)
+    return {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, said, time_ns
 
 
 def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
