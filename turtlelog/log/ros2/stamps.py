@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.planar_poses import ROWS_AT_ONCE, Values
 
 TimesNs = NDArray[np.int64]
 Rows = NDArray[np.int64]
-Values = NDArray[np.float64]
 
 _FIELDS: Final = tuple(
     (f"{place}.sec", f"{place}.{rest}")
@@ -183,9 +183,6 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     return ""
 
 
-_ROWS_AT_ONCE: Final = 65_536
-
-
 def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
     """Return which stamps differ from the stamps of the messages on either side."""
     late_ns = log_ns - stamp_ns
@@ -193,8 +190,8 @@ def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
         return np.zeros(len(late_ns), dtype=bool)
     usual_ns = np.empty(len(late_ns))
     windows = sliding_window_view(late_ns, 2 * _NEAR_ROWS + 1)
-    for first in range(0, len(windows), _ROWS_AT_ONCE):  # the median copies its input 7 times
-        part = windows[first : first + _ROWS_AT_ONCE]
+    for first in range(0, len(windows), ROWS_AT_ONCE):  # the median copies its input 7 times
+        part = windows[first : first + ROWS_AT_ONCE]
         usual_ns[first + _NEAR_ROWS :][: len(part)] = np.median(part, axis=1)
     # At both ends the median continues at its own rate, whatever the first and last stamps are.
     ends = late_ns[: 2 * _NEAR_ROWS + 1], late_ns[-2 * _NEAR_ROWS - 1 :]
