@@ -79,7 +79,7 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
         if not text.strip():
             raise LogError("expected a log, found an empty file")
         is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip().startswith(("{", "[")))
-        return (_parse_json_log if is_json else _parse_csv_log)(text, path, sort=sort)
+        return (parse_paper_json if is_json else _parse_paper_csv)(text, path, sort=sort)
 
 
 def _require_number(place: str, value: object) -> float:
@@ -253,7 +253,8 @@ _HEADINGS: Final = MappingProxyType(
 """Name of each list in the CSV layout."""
 
 
-def _parse_json_log(text: str, path: Path, *, sort: bool) -> Run:
+def parse_paper_json(text: str, path: Path, *, sort: bool) -> Run:
+    """Return the run in a JSON text, as `import_log` does; the path names it."""
     tables = _require_table("the file", _parse_json(text))
     data = _require_table("data", tables.get("data"))
     lists: dict[str, list[object]] = {}
@@ -336,7 +337,7 @@ def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
     return value
 
 
-def _parse_csv_log(text: str, path: Path, *, sort: bool) -> Run:
+def _parse_paper_csv(text: str, path: Path, *, sort: bool) -> Run:
     rows = _iterate_rows(text)
     heading = next(rows, [])
     for name in _HEADINGS.values():

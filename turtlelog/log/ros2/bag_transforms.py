@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS
+from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS, Values
 from turtlelog.log.ros2.bag_topics import list_numbers
 
-Values = NDArray[np.float64]
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 
 _ROBOTS: Final = (
