@@ -25,6 +25,9 @@ from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 from turtlelog.run.stop_reasons import FINISHED
 
+_Columns = dict[str, NDArray[np.float64]]
+_Whole = NDArray[np.int64]
+
 _PHASES: Final = {name: number for number, name in enumerate(DECLARATION.phase_names)}
 
 _STATES: Final = MappingProxyType(
@@ -96,7 +99,7 @@ def _require_number(place: str, value: object) -> float:
 
 def _build_columns(
     lists: Mapping[str, Sequence[object]], places: Mapping[str, str]
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64]]:
+) -> tuple[_Columns, _Whole]:
     """Return the numeric columns and the states; `places` are the names of lists in messages."""
     if not lists["time"]:
         raise LogError(f"{places['time']}: no rows")
@@ -115,19 +118,13 @@ def _build_columns(
 
 
 def _build_run(
-    columns: dict[str, NDArray[np.float64]],
-    states: NDArray[np.int64],
-    *,
-    sort: bool,
-    parameters: Mapping[str, float],
-    absent: tuple[str, ...],
-    **facts: Any,
+    columns: _Columns, states: _Whole, *, sort: bool, parameters: Mapping[str, float], **facts: Any
 ) -> Run:
-    """Return the run in a log; its name, source and notes are `facts`.
+    """Return the run in a log; its name, source, absent fields and notes are `facts`.
 
     The log contains no stop reason, so a complete run gets `finished`.
     """
-    notes = {**facts.pop("notes", {}), "pose_times": _POSE_TIMES}
+    notes, absent = {**facts.pop("notes", {}), "pose_times": _POSE_TIMES}, facts.pop("absent")
     if sort:
         columns, states, counts = _sort_rows(columns, states)
         notes |= counts
@@ -158,11 +155,7 @@ def _build_run(
     )
 
 
-def _build_samples(
-    time_ns: NDArray[np.int64],
-    columns: Mapping[str, NDArray[np.float64]],
-    states: NDArray[np.int64],
-) -> SampleColumns:
+def _build_samples(time_ns: _Whole, columns: _Columns, states: _Whole) -> SampleColumns:
     rows = np.arange(len(time_ns))
     return SampleColumns(
         time_ns=time_ns,
@@ -180,9 +173,7 @@ def _build_samples(
     )
 
 
-def _find_goal(
-    parameters: Mapping[str, float], columns: Mapping[str, NDArray[np.float64]]
-) -> tuple[float, float] | None:
+def _find_goal(parameters: Mapping[str, float], columns: _Columns) -> tuple[float, float] | None:
     """Return the given goal, or else position plus error if the sum is equal in every row."""
     if "goal.x_m" in parameters and "goal.y_m" in parameters:
         return parameters["goal.x_m"], parameters["goal.y_m"]
@@ -192,9 +183,7 @@ def _find_goal(
     return (float(goal[0, 0]), float(goal[0, 1])) if (goal == goal[0]).all() else None
 
 
-def _sort_rows(
-    columns: dict[str, NDArray[np.float64]], states: NDArray[np.int64]
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], dict[str, str]]:
+def _sort_rows(columns: _Columns, states: _Whole) -> tuple[_Columns, _Whole, dict[str, str]]:
     """Drop duplicate rows, sort the others by time, and count both changes."""
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
@@ -34,6 +33,7 @@ from turtlelog.log.ros2.bag_topics import (
     take_last,
 )
 from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, rotate
+from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
@@ -136,7 +136,7 @@ class RobotTrack:
         tree: Transforms between frames; empty without transforms.
     """
 
-    time_ns: NDArray[np.int64]
+    time_ns: TimesNs
     xy_m: Values
     frame: str
     tree: Tree

@@ -55,6 +55,7 @@ from turtlelog.log.ros2.bag_topics import (
     select_robot,
 )
 from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
+from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 
@@ -277,7 +278,7 @@ def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, 
     return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
 
 
-def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:
+def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> Values | None:
     """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
 
     The result is None if there are no sensed poses, or their times do not identify the poses, as
@@ -414,9 +415,7 @@ def _join(found: list[TopicColumns]) -> tuple[NDArray[np.int64], dict[str, Any]]
     }
 
 
-def _require_fit(
-    run: Run, written: int, time_ns: NDArray[np.int64], columns: Mapping[str, Any]
-) -> None:
+def _require_fit(run: Run, written: int, time_ns: TimesNs, columns: Mapping[str, Any]) -> None:
     """Refuse samples whose pose numbers are not rows of the run's poses.
 
     The file has `written` poses; `time_ns` is when each sample was answered, on the run's clock.
@@ -436,7 +435,7 @@ def _require_fit(
 
 
 def _read_names(
-    phases: list[TopicColumns], time_ns: NDArray[np.int64], phase: NDArray[np.int64]
+    phases: list[TopicColumns], time_ns: TimesNs, phase: NDArray[np.int64]
 ) -> dict[int, str] | None:
     """Return the phase names by number; None if the phase messages contradict the samples."""
     named: dict[int, str] = {}

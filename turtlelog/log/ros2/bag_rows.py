@@ -114,11 +114,11 @@ class OrderedRows:
         stamp_ns: Stamp of each row [ns], shape (n,); None if the type has no stamps.
     """
 
-    time_ns: NDArray[np.int64]
+    time_ns: TimesNs
     columns: Mapping[str, Values]
     late: int
     duplicates: int
-    stamp_ns: NDArray[np.int64] | None = None
+    stamp_ns: TimesNs | None = None
 
     @property
     def stamps(self) -> Stamps:
@@ -126,7 +126,7 @@ class OrderedRows:
         return Stamps(log_ns=self.time_ns, stamp_ns=self.stamp_ns)
 
     def take(
-        self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: NDArray[np.int64] | None = None
+        self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: TimesNs | None = None
     ) -> "OrderedRows":
         """Return some of the rows in any order, with given new times, if any."""
         if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
@@ -212,9 +212,7 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     return rows.take(kept), int((~kept).sum())
 
 
-def _find_duplicates(
-    time_ns: NDArray[np.int64], contents: Sequence[NDArray[Any]]
-) -> NDArray[np.bool_]:
+def _find_duplicates(time_ns: TimesNs, contents: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
     """Return which rows repeat an earlier row. Only rows of equal time are compared."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)

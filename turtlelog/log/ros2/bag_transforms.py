@@ -9,12 +9,12 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS, Values
 from turtlelog.log.ros2.bag_topics import list_numbers
+from turtlelog.log.ros2.stamps import TimesNs
 
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 
@@ -52,8 +52,8 @@ class Link:
 
     parent: str
     child: str
-    time_ns: NDArray[np.int64]
-    stamp_ns: NDArray[np.int64]
+    time_ns: TimesNs
+    stamp_ns: TimesNs
     place_m: Values
     turn: Values
     is_static: bool = False
@@ -64,7 +64,7 @@ class Link:
         values = np.hstack([self.place_m, self.turn])
         return not self.is_static and bool((values != values[0]).any())
 
-    def hold(self, time_ns: NDArray[np.int64]) -> tuple[Values, Values]:
+    def hold(self, time_ns: TimesNs) -> tuple[Values, Values]:
         """Return the last recorded position and rotation at given times; NaN before the first."""
         if self.is_static or not self.moves:
             shape = (len(time_ns), 1)
@@ -357,7 +357,7 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 
 
 def locate_frame(
-    tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64], stamp_ns: int | None = None
+    tree: Tree, world: str, frame: str, time_ns: TimesNs, stamp_ns: int | None = None
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
@@ -395,7 +395,7 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
 
 
 def _compose_way(
-    steps: Sequence[_Step], time_ns: NDArray[np.int64], stamp_ns: int | None = None
+    steps: Sequence[_Step], time_ns: TimesNs, stamp_ns: int | None = None
 ) -> tuple[Values, Values]:
     """Return place and turn at the end of a way, each link as held or interpolated."""
     none = np.zeros((len(time_ns), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(time_ns), 1))
