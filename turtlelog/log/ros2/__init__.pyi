@@ -3,6 +3,9 @@ from .bag_files import (
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )
+from .bag_inputs import (
+    choose_command_topic as choose_command_topic,
+)
 from .bag_poses import (
     read_bag_trajectory as read_bag_trajectory,
 )
@@ -24,7 +27,6 @@ from .bag_topics import (
     NEEDS_WHEELS as NEEDS_WHEELS,
     BagRobot as BagRobot,
     NoPosesError as NoPosesError,
-    choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
     find_robots as find_robots,
     select_robot as select_robot,

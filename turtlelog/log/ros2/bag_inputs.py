@@ -3,7 +3,7 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -15,27 +15,30 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
 from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
+from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
+from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
-from turtlelog.log.ros2.bag_topics import (
-    ACKERMANN_TYPES,
-    COMMAND_TYPES,
-    NEEDS_WHEELBASE,
-    PATH,
-    TWIST_TYPES,
-    Pick,
-    choose_command_topic,
-    drop_unread,
-    find_asked,
-    is_another_robots,
-    list_first_names,
-    rank_place,
-    take_last,
-)
 from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, rotate
 from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
+
+_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
+"""Topics of a turtlelog recording that have the type of commands but contain none."""
+
+_VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
+"""Names of velocities that are measured if a pose has the same namespace: velocity_local and
+velocity_body of /mavros/local_position/pose, twist of a motion capture's body."""
+
+_COMMAND_NAMES: Final = (
+    re.compile(r"cmd_vel"),
+    re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
+    # The smoother's output comes from the planner and passes through the collision monitor.
+    re.compile(r"cmd_vel_smoothed"),
+    re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
+)
+"""Patterns for names of command topics; the topic that a base usually listens to is first."""
 
 _WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
 _LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
@@ -60,28 +63,74 @@ _MOST_LOOKED_AT: Final = 50
 
 def choose_commands(
     topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
-) -> tuple[Pick | None, str]:
+) -> tuple[bag_topics.Pick | None, str]:
     """Return the topic of the commands, or the reason why there is none, which may be empty.
 
     Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
     rate.
     """
-    asked = choice.command_topic
+    asked, steering = choice.command_topic, bag_topics.ACKERMANN_TYPES
+    choose = partial(choose_command_topic, topics, pose_topic=pose_topic)
     if choice.wheelbase is not None:
         parse_wheelbase(choice.wheelbase)
-        pick = choose_command_topic(topics, asked, pose_topic=pose_topic, types=ACKERMANN_TYPES)
-        if pick is not None:
+        if (pick := choose(asked, types=steering)) is not None:
             return pick, ""
         if asked is None and pose_topic == "":
-            raise LogError(f"wheelbase: expected commands of {' or '.join(ACKERMANN_TYPES)}")
-    types = COMMAND_TYPES if asked is not None else TWIST_TYPES
-    pick = choose_command_topic(topics, asked, pose_topic=pose_topic, types=types)
-    if pick is not None and pick.topic.type in ACKERMANN_TYPES:
-        raise LogError(f"command_topic {pick.describe()}: {NEEDS_WHEELBASE}")
-    if pick is not None:
+            raise LogError(f"wheelbase: expected commands of {' or '.join(steering)}")
+    types = bag_topics.COMMAND_TYPES if asked is not None else bag_topics.TWIST_TYPES
+    pick = choose(asked, types=types)
+    if pick is not None and pick.topic.type in steering:
+        raise LogError(f"command_topic {pick.describe()}: {bag_topics.NEEDS_WHEELBASE}")
+    if pick is not None or (steered := choose(None, types=steering)) is None:
         return pick, ""
-    steered = choose_command_topic(topics, None, pose_topic=pose_topic, types=ACKERMANN_TYPES)
-    return None, "" if steered is None else f"commands on {steered.describe()}: {NEEDS_WHEELBASE}"
+    return None, f"commands on {steered.describe()}: {bag_topics.NEEDS_WHEELBASE}"
+
+
+def choose_command_topic(
+    topics: Iterable[TopicInfo],
+    asked: str | None,
+    *,
+    pose_topic: str,
+    types: Collection[str] = bag_topics.COMMAND_TYPES,
+) -> bag_topics.Pick | None:
+    """Return the requested topic, or else the most likely one; None if there is none.
+
+    The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
+    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
+    chosen. Without poses, `pose_topic` is empty.
+
+    Raises:
+        LogError: If several topics are equally likely.
+    """
+    held = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return bag_topics.Pick(
+            topic=bag_topics.find_asked(held, asked, bag_topics.COMMAND_TYPES, "command_topic")
+        )
+    present, home = bag_topics.drop_unread(held), bag_topics.take_home(pose_topic)
+    known = bag_topics.drop_two_types([topic for topic in present if topic.type in types], present)
+    beside = [topic.topic for topic in known if home and bag_topics.take_home(topic.topic) == home]
+    measured = {name for name in beside if _VELOCITIES.fullmatch(bag_topics.take_last(name))}
+    fitting = [
+        topic
+        for topic in known
+        if topic.topic not in _NO_COMMANDS | measured
+        and not bag_topics.is_measured(topic.topic)
+        and not bag_topics.is_another_robots(topic.topic, pose_topic)
+    ]
+    if not fitting:
+        return None
+
+    def rank(topic: TopicInfo) -> tuple[int, ...]:
+        near, depth = bag_topics.rank_place(topic.topic, pose_topic)
+        name = bag_topics.rank_name(topic.topic, _COMMAND_NAMES)
+        # The robot's own commands have priority, and topics named as commands over all others.
+        return int(name == len(_COMMAND_NAMES)), near, name, depth
+
+    chosen = bag_topics.require_one(bag_topics.list_first(fitting, rank), "command_topic")
+    return bag_topics.Pick(
+        topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen)
+    )
 
 
 def order_commands(
@@ -99,7 +148,7 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
     Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
     angle) / wheelbase. The turn rate is NaN from 90 deg on.
     """
-    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+    if kind in bag_topics.ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""
         speed_m_s = widen(fields[f"{drive}speed"])
         steering_rad = widen(fields[f"{drive}steering_angle"])
@@ -163,7 +212,7 @@ def add_references(
         changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
     if paths:
         points, notes["path"] = find_path(paths, plans[0].topic, track, since_ns=since_ns)
-        others = list_first_names([topic.topic for topic in plans[1:]])
+        others = bag_topics.list_first_names([topic.topic for topic in plans[1:]])
         notes |= {"other_path_topics": others} if others else {}
         if points is not None:
             notes["path_topic"] = f"{plans[0].topic} ({plans[0].type})"
@@ -187,21 +236,21 @@ def _choose_path_topics(
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return [find_asked(held, asked, (PATH,), "path_topic")]
+        return [bag_topics.find_asked(held, asked, (bag_topics.PATH,), "path_topic")]
 
     def rank(topic: TopicInfo) -> tuple[int, ...]:
-        near, depth = rank_place(topic.topic, pose_topic)
-        return near, int(not _WHOLE.fullmatch(take_last(topic.topic))), depth
+        near, depth = bag_topics.rank_place(topic.topic, pose_topic)
+        return near, int(not _WHOLE.fullmatch(bag_topics.take_last(topic.topic))), depth
 
-    present = drop_unread(held)
+    present = bag_topics.drop_unread(held)
     counts = Counter(topic.topic for topic in present)
     fitting = [
         topic
         for topic in present
-        if topic.type == PATH
+        if topic.type == bag_topics.PATH
         and counts[topic.topic] == 1
         and not _LOCAL.search(topic.topic)
-        and not is_another_robots(topic.topic, pose_topic)
+        and not bag_topics.is_another_robots(topic.topic, pose_topic)
     ]
     return sorted(fitting, key=rank)
 
@@ -210,12 +259,14 @@ def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Topic
     """Return the topic of goals, preferably next to the poses; None if there is none."""
     fitting = (
         topic
-        for topic in drop_unread(topic for topic in topics if topic.count)
+        for topic in bag_topics.drop_unread(topic for topic in topics if topic.count)
         if topic.type == "geometry_msgs/msg/PoseStamped"
-        and _GOAL.fullmatch(take_last(topic.topic))
-        and not is_another_robots(topic.topic, pose_topic)
+        and _GOAL.fullmatch(bag_topics.take_last(topic.topic))
+        and not bag_topics.is_another_robots(topic.topic, pose_topic)
     )
-    return min(fitting, key=lambda topic: rank_place(topic.topic, pose_topic), default=None)
+    return min(
+        fitting, key=lambda topic: bag_topics.rank_place(topic.topic, pose_topic), default=None
+    )
 
 
 _Goal = tuple[dict[str, Any], str, int]

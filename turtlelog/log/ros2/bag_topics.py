@@ -10,18 +10,21 @@ from turtlelog.errors import LogError
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
 from turtlelog.log.read_choice import match_topic
-from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
+from turtlelog.log.recording.topics import POSE64
 
 PATH: Final = "nav_msgs/msg/Path"
+
 _POSES_IN_SHORT: Final = (
     "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
 )
 
 TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
 ACKERMANN_TYPES: Final = (
     "ackermann_msgs/msg/AckermannDrive",
     "ackermann_msgs/msg/AckermannDriveStamped",
 )
+
 COMMAND_TYPES: Final = (*TWIST_TYPES, *ACKERMANN_TYPES)
 NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
 NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
@@ -30,9 +33,6 @@ _MOST_UNREAD: Final = 3
 """Largest number of unread topics that one line lists with their reasons."""
 
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
-
-_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
-"""Topics of a turtlelog recording that have the type of commands but contain none."""
 
 _NO_ROBOT: Final = re.compile(
     r"(?:^|[/_])(?:goals?|goal_?pose|targets?|waypoints?|initial_?pose|set_?pose|clicked|via"
@@ -45,19 +45,6 @@ _MEASURED: Final = re.compile(
     r"(?:^|[/_])(?:odom|odometry|measured|actual|feedback|estimated?|current|state|imu)(?=$|[/_\d])"
 )
 """Words in names of measured velocities."""
-
-_VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
-"""Names of velocities that are measured if a pose has the same namespace: velocity_local and
-velocity_body of /mavros/local_position/pose, twist of a motion capture's body."""
-
-_COMMAND_NAMES: Final = (
-    re.compile(r"cmd_vel"),
-    re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
-    # The smoother's output comes from the planner and passes through the collision monitor.
-    re.compile(r"cmd_vel_smoothed"),
-    re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
-)
-"""Patterns for names of command topics; the topic that a base usually listens to is first."""
 
 _POSE_NAMES: Final = (
     re.compile(r"odom|odometry|pose"),
@@ -117,26 +104,26 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     usual = [
         topic for topic in present if topic.type in POSE_TYPES and not is_another_thing(topic.topic)
     ]
-    fitting = _drop_two_types(usual, present)
+    fitting = drop_two_types(usual, present)
     if not fitting:
         raise _deny_poses(held, present)
-    homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
+    homes = {take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
 
     def rank(topic: TopicInfo) -> tuple[int, ...]:
         return (
             int(topic.count < 2),  # a single message shows no motion
             int(topic.topic == POSE64.name),
             POSE_TYPES[topic.type][0],
-            _rank_name(topic.topic, _POSE_NAMES),
-            int(_take_home(topic.topic) not in homes),
+            rank_name(topic.topic, _POSE_NAMES),
+            int(take_home(topic.topic) not in homes),
             topic.topic.count("/"),
         )
 
-    best = _list_first(fitting, rank)
+    best = list_first(fitting, rank)
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # If robots differ only by number, the first is chosen.
         best = [min(best, key=lambda topic: list_numbers(topic.topic))]
-    chosen = _require_one(best, "pose_topic")
+    chosen = require_one(best, "pose_topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
@@ -150,50 +137,7 @@ def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicI
     if not fitting:
         raise LogError(f"wheel_joints: expected a topic of {JOINTS}, found {_describe(held)}")
     named = [topic for topic in fitting if take_last(topic.topic) == "joint_states"]
-    return _require_one(named or fitting, "pose_topic")
-
-
-def choose_command_topic(
-    topics: Iterable[TopicInfo],
-    asked: str | None,
-    *,
-    pose_topic: str,
-    types: Collection[str] = COMMAND_TYPES,
-) -> Pick | None:
-    """Return the requested topic, or else the most likely one; None if there is none.
-
-    The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
-    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
-    chosen. Without poses, `pose_topic` is empty.
-
-    Raises:
-        LogError: If several topics are equally likely.
-    """
-    held = [topic for topic in topics if topic.count]
-    if asked is not None:
-        return Pick(topic=find_asked(held, asked, COMMAND_TYPES, "command_topic"))
-    present, home = drop_unread(held), _take_home(pose_topic)
-    known = _drop_two_types([topic for topic in present if topic.type in types], present)
-    beside = [topic.topic for topic in known if home and _take_home(topic.topic) == home]
-    measured = {name for name in beside if _VELOCITIES.fullmatch(take_last(name))}
-    fitting = [
-        topic
-        for topic in known
-        if topic.topic not in _NO_COMMANDS | measured
-        and not is_measured(topic.topic)
-        and not is_another_robots(topic.topic, pose_topic)
-    ]
-    if not fitting:
-        return None
-
-    def rank(topic: TopicInfo) -> tuple[int, ...]:
-        near, depth = rank_place(topic.topic, pose_topic)
-        name = _rank_name(topic.topic, _COMMAND_NAMES)
-        # The robot's own commands have priority, and topics named as commands over all others.
-        return int(name == len(_COMMAND_NAMES)), near, name, depth
-
-    chosen = _require_one(_list_first(fitting, rank), "command_topic")
-    return Pick(topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen))
+    return require_one(named or fitting, "pose_topic")
 
 
 def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
@@ -256,7 +200,7 @@ _POSE_LIKE: Final = re.compile(r"(?i)pose|odom|locali[sz]ation")
 _NUMBER: Final = re.compile(r"\d+")
 
 
-def _list_first(
+def list_first(
     topics: Sequence[TopicInfo], rank: Callable[[TopicInfo], tuple[int, ...]]
 ) -> list[TopicInfo]:
     """Return the topics with the best rank."""
@@ -279,7 +223,7 @@ def rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
     return -2 * shared - int(own == home and bool(own)), len(own)
 
 
-def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
+def rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
     """Return the index of the first pattern that matches the end of a name."""
     ends = take_last(topic), "/".join(topic.split("/")[-2:])
     fitting = (number for number, name in enumerate(names) if any(map(name.fullmatch, ends)))
@@ -300,7 +244,7 @@ def is_another_robots(topic: str, pose_topic: str) -> bool:
     )
 
 
-def _drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
+def drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
     """Return topics without those that have messages of two types. Refuse if no topic remains."""
     counts = Counter(topic.topic for topic in present)
     left = [topic for topic in fitting if counts[topic.topic] == 1]
@@ -332,7 +276,8 @@ def find_asked(
     return found
 
 
-def _require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
+def require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
+    """Return the only topic; several are refused, and the option `name` chooses."""
     if len(chosen) > 1:
         names = ", ".join(topic.topic for topic in chosen)
         option = f"--{name.replace('_', '-')}"
@@ -340,7 +285,8 @@ def _require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
     return chosen[0]
 
 
-def _take_home(topic: str) -> str:
+def take_home(topic: str) -> str:
+    """Return a topic's name without its last word."""
     return topic.rpartition("/")[0]
 
 
