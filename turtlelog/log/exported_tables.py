@@ -162,8 +162,13 @@ def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
 
 
 def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
-    for column in [*dict.fromkeys([*expected, *found])]:
-        if not _is_same(expected.get(column), found.get(column)):
+    for column in dict.fromkeys([*expected, *found]):
+        written, read = expected.get(column), found.get(column)
+        if written is None or read is None or not len(written):
+            is_same = not any(one is not None and len(one) for one in (written, read))
+        else:
+            is_same = np.array_equal(written, read, equal_nan=written.dtype.kind == "f")
+        if not is_same:
             raise _describe_other(path, f"{column} of {name}")
 
 
@@ -171,12 +176,6 @@ def _describe_other(path: Path, column: str) -> LogError:
     return LogError(
         f"{path}: expected to read back what was written, found other values in {column}"
     )
-
-
-def _is_same(written: NDArray[Any] | None, read: NDArray[Any] | None) -> bool:
-    if written is None or read is None or not len(written):
-        return not len([] if written is None else written) and not len([] if read is None else read)
-    return np.array_equal(written, read, equal_nan=written.dtype.kind == "f")
 
 
 def _read_csv(path: Path) -> Table:

@@ -173,13 +173,11 @@ def _read(
     if scan is not None and scan.count > _MOST_MESSAGES:
         notes.append(f"{scan.topic} has {scan.count} scans, more than {_MOST_MESSAGES}: left out.")
     elif scan is not None:
-        times, points = _place_scans(
-            bag.read_topic(scan.topic, is_flat=False), run, start_ns, tree, notes
-        )
+        messages = bag.read_topic(scan.topic, is_flat=False)
+        times, points = _place_scans(messages, run, start_ns, tree, notes)
         notes += _name_others(bag.topics, SCAN, [scan])
-    placed = [
-        _place_map(bag.read_topic(grid.topic, is_flat=False), run, tree, notes) for grid in grids
-    ]
+    read = (bag.read_topic(grid.topic, is_flat=False) for grid in grids)
+    placed = [_place_map(messages, run, tree, notes) for messages in read]
     notes += _name_others(bag.topics, GRID, grids)
     return Surroundings(
         time_ns=times,
@@ -221,7 +219,7 @@ def _place_scans(
     placed = [
         _to_world(_to_robot(scans[row], tree, carriers), run, int(time_ns[row])) for row in kept
     ]
-    notes += _describe(messages, carriers, len(scans), len(kept), len(known))
+    notes += _describe(messages[0].topic, carriers, len(scans), len(kept), len(known))
     return time_ns[kept], tuple(placed)
 
 
@@ -287,13 +285,8 @@ def _thin(points: Sequence[Values]) -> Values:
 
 
 def _describe(
-    messages: Sequence[TopicColumns],
-    carriers: dict[str, str | None],
-    count: int,
-    kept: int,
-    known: int,
+    topic: str, carriers: dict[str, str | None], count: int, kept: int, known: int
 ) -> Iterator[str]:
-    topic = messages[0].topic
     thinned = "" if kept == known else f", {kept} of them shown"
     yield f"Scans of {topic}: {describe_count(count, 'scan')}{thinned}."
     if known < count:

@@ -83,10 +83,13 @@ def measure_paths(
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
     # Poses with one common time give no rate: their times are wrong, not their path.
     lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
-    driven_m = _integrate(step_ns, columns) if lasts else None
-    jumps_m = np.zeros(0)
-    if driven_m is not None:
-        driven_m = driven_m[is_known]
+    driven_m, jumps_m = None, np.zeros(0)
+    if lasts and (speed := columns.get(SPEED)) is not None:
+        lateral = columns.get(LATERAL)
+        if lateral is None or not np.isfinite(lateral).all():
+            lateral = np.zeros_like(speed)
+        magnitude = np.hypot(speed, lateral)
+        driven_m = ((magnitude[1:] + magnitude[:-1]) / 2.0 * step_ns / 1e9)[is_known]
         beyond_m = way_m - driven_m
         jumps_m = beyond_m[beyond_m > _JUMP_M]
     is_few = len(jumps_m) <= _MOST_JUMPS * len(way_m)
@@ -102,18 +105,6 @@ def measure_paths(
         in_jumps=float(jumps_m.sum()) if is_few else 0.0,
         by_commands=by_commands,
     )
-
-
-def _integrate(step_ns: TimesNs, columns: Mapping[str, Values]) -> Values | None:
-    """Return the reported distances from pose to pose [m]; None if no speed is reported."""
-    speed = columns.get(SPEED)
-    if speed is None:
-        return None
-    lateral = columns.get(LATERAL)
-    if lateral is None or not np.isfinite(lateral).all():
-        lateral = np.zeros_like(speed)
-    magnitude = np.hypot(speed, lateral)
-    return np.asarray((magnitude[1:] + magnitude[:-1]) / 2.0 * step_ns / 1e9)
 
 
 def describe_paths(paths: Paths) -> str | None:
