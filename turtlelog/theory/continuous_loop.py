@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
-from turtlelog.theory.inputs import (
+from turtlelog.theory.process import (
     require_array,
     require_even_times,
     require_gain,

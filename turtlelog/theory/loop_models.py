@@ -185,17 +185,11 @@ def model_loop(
         sources={**told, **timing.sources},
         left_out=left_out,
     )
-    return _refuse_numbers(found)
-
-
-def _refuse_numbers(model: LoopModel) -> LoopModel:
-    """Return the model, or if its numbers are out of theory's range, a model with the reason."""
     try:
-        gains, settings = model.require()
-        is_pid_stable(gains, **settings)
-    except TheoryError as err:
-        return LoopModel(loop=model.loop, reason=str(err), left_out=model.left_out)
-    return model
+        is_pid_stable(gains, period_s=timing.period_s, process=process)
+    except TheoryError as err:  # its numbers are out of theory's range
+        return LoopModel(loop=loop, reason=str(err), left_out=left_out)
+    return found
 
 
 def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:

@@ -1,4 +1,4 @@
-"""The sampled PID loop with a process and zero-order hold: poles, stability, limits, margins.
+"""The sampled PID loop with a process and zero-order hold: poles, stability, step response.
 
 The controller, as the law `sequential-pid` computes it, with e = r - y:
 
@@ -27,6 +27,7 @@ poles take a third of a second; the eigenvalues of a companion matrix would take
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -34,16 +35,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
 from turtlelog.theory import pid_stability
-from turtlelog.theory.inputs import require_period, require_times
-from turtlelog.theory.pid_response import measure_pid_step
 from turtlelog.theory.pid_stability import LoopShape, Margins, PidGains
-from turtlelog.theory.process import INTEGRATOR, Process, build_open_loop, sample_process
+from turtlelog.theory.process import (
+    INTEGRATOR,
+    Process,
+    build_open_loop,
+    require_count,
+    require_level,
+    require_period,
+    require_times,
+    sample_process,
+)
 from turtlelog.theory.sampled_loop import (
+    LARGEST_DEVIATION,
     analyse_sampled_loop,
     compute_sampled_locus,
     compute_sampled_poles,
     compute_stability_gain,
+    measure_step,
 )
+
+_LONGEST: Final = 500_000
+"""Longest response for overshoot and settling time [samples]: about 0.2 s of computing, and 2.2 h
+at turtlesim's tick of 16 ms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -132,9 +146,11 @@ def analyse_pid_loop(
         known = analyse_sampled_loop(kp, period_s=period_s, dead_time_ticks=whole)
         overshoot_percent, settling_time_s = known.overshoot_percent, known.settling_time_s
     elif stable:
-        overshoot_percent, settling_time_s = measure_pid_step(
-            gains, poles, period_s=period_s, dead_time_ticks=dead_time_ticks, process=process
-        )
+        dead_time = sample_process(process, period_s, dead_time_ticks).whole
+        settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
+        respond = partial(compute_pid_step_response, gains, period_s=period_s, **settings)
+        overshoot_percent, ticks = measure_step(poles[0], dead_time, respond, _LONGEST)
+        settling_time_s = None if ticks is None else ticks * float(period_s)
     return PidLoop(
         gains=gains,
         period_s=float(period_s),
@@ -168,7 +184,8 @@ def compute_pid_poles(
     """
     shape, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is None:
-        return _find_poles(shape)
+        found = _solve_quadratic(shape) if shape.degree == 2 else _iterate(shape)
+        return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
     return compute_sampled_poles(gains.kp * process.gain, period_s=period_s, dead_time_ticks=whole)
 
 
@@ -274,6 +291,86 @@ def compute_open_loop(
     return pid_stability.evaluate_open_loop(shape, angle)
 
 
+def compute_pid_step_response(
+    gains: PidGains,
+    count: int,
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    push: float = 0.0,
+    process: Process = INTEGRATOR,
+) -> NDArray[np.float64]:
+    """Return a PID loop's response to a unit reference step at sample 0, without limits.
+
+    The response begins at rest, with y[0] to y[d] = 0. An unstable response is limited. The first
+    sample further than 1e9 from the reference, and all later samples, are set to a distance of 1e9
+    on the same side.
+
+    Args:
+        gains: Gains of the controller.
+        count: Number of samples, 1 to 1e8; a million takes about half a second.
+        period_s: Sampling period T [s].
+        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000.
+        push: Disturbance added to the plant's rate from sample 0 on, in steps per second.
+        process: Plant that the command drives. Default: an integrator.
+
+    Returns:
+        Response in steps at the times 0, T, 2 T ..., shape (count,).
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    period_s = require_period(period_s)
+    sampled = sample_process(process, period_s, dead_time_ticks)
+    response = np.empty(require_count(count))
+    push = require_level("push", push)
+    keep, slope = gains.weigh_derivative(period_s)
+    kp, per_error = gains.kp, gains.ki * period_s
+    lag_gap, filter_gap = sampled.lag_gap, sampled.filter_gap
+    newest, older, oldest = sampled.list_weights()
+    commands = [0.0] * (sampled.whole + 2)
+    y = last = integral = derivative = filtered = rate = 0.0
+    for k in range(len(response)):
+        response[k] = y
+        error = 1.0 - y
+        if abs(error) > LARGEST_DEVIATION:
+            response[k:] = 1.0 - math.copysign(LARGEST_DEVIATION, error)
+            break
+        derivative = keep * derivative - slope * (y - last)
+        command = kp * error + integral + derivative
+        if filter_gap is not None:
+            command = filtered = filtered + filter_gap * (command - filtered)
+        commands.append(command)
+        integral += per_error * error
+        last = y
+        drive = newest * commands[k + 2] + older * commands[k + 1] + oldest * commands[k]
+        rate = drive if lag_gap is None else rate + lag_gap * (drive - rate)
+        y += period_s * (rate + push)
+    return response
+
+
+def compute_steady_error(gains: PidGains, push: float, *, process: Process = INTEGRATOR) -> float:
+    """Return r - y after a constant disturbance in a stable loop: -push / (K Kp), 0 with Ki.
+
+    At rest the plant's input is 0, so K times the command is -push. Without an integral, Kp e must
+    produce this command. With an integral, the integral produces the command, and is at rest only
+    if e = 0. A derivative is 0 at rest.
+
+    Args:
+        gains: Gains of the controller.
+        push: Disturbance added to the plant's rate, in the signal's unit per second.
+        process: Plant that the command drives; only the gain of the plant is used.
+
+    Returns:
+        Error in the signal's unit.
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    push = require_level("push", push)
+    return 0.0 if gains.ki > 0.0 else -push / (gains.kp * process.gain)
+
+
 def _prepare(
     gains: PidGains, period_s: float, dead_time_ticks: int, process: Process
 ) -> tuple[LoopShape, int | None]:
@@ -298,12 +395,6 @@ _SMALLEST_STEP: Final = 1e-15
 
 _ON_AXIS: Final = 1e-12
 """Imaginary part of a root, as a share of its magnitude, that counts as rounding."""
-
-
-def _find_poles(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the poles of a loop, largest magnitude first."""
-    found = _solve_quadratic(shape) if shape.degree == 2 else _iterate(shape)
-    return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
 
 
 def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
@@ -345,11 +436,7 @@ def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
         roots = roots - step
         if (np.abs(step) <= _SMALLEST_STEP * np.abs(roots)).all():
             break
-    return _mirror(roots)
-
-
-def _mirror(roots: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the roots of a real polynomial as exact conjugate pairs or exact real numbers."""
+    # The roots of a real polynomial are exact conjugate pairs or exact real numbers.
     is_real = np.abs(roots.imag) < _ON_AXIS * np.abs(roots)
     upper = roots[~is_real & (roots.imag > 0.0)]
     if 2 * len(upper) + is_real.sum() != len(roots):  # two that meet, on one side of the axis
