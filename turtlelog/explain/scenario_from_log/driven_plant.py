@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from turtlelog.explain.scenario_from_log.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.scenario_from_log.resimulation import number_poses
-from turtlelog.explain.scenario_from_log.trace import Trace, Values, list_trace_breaks
+from turtlelog.explain.scenario_from_log.trace import WHITE, Trace, Values, list_trace_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.measure.motion import COARSE, FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
@@ -26,10 +26,6 @@ from turtlelog.simulate import iterate_ticks
 
 _UNKNOWN_TICKS: Final = 20
 """Number of ticks after missing rows in which unknown commands may still act."""
-
-WHITE: Final = 0.5
-"""Largest deviation of noise's whiteness from 1. A wrong setting leaves a curve with a whiteness
-below 0.1."""
 
 FLOOR: Final = 1e-7
 """Residual up to which all settings count as equal [m, rad]: the rounding of a 32-bit pose at a few

@@ -4,7 +4,7 @@ A re-simulation of the recorded scenario either reproduces every sample or is re
 """
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Final
 
@@ -20,7 +20,6 @@ from turtlelog.run.angles import subtract_headings
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import (
     PlainLoop,
-    SampleRow,
     Tick,
     declare_scenario,
     iterate_ticks,
@@ -156,7 +155,11 @@ def count_equal(
         for sample in tick.computed:
             if equal == len(rows):
                 return equal + 1, gauge.needed
-            again = (*poses[sample.pose_sequence], *_describe(sample, phases))[:width]
+            again = (
+                *poses[sample.pose_sequence],
+                *(sample.speed_m_s, sample.turn_rate_rad_s, phases[sample.phase]),
+                *(sample.pose_sequence, sample.time_ns),
+            )[:width]
             row = rows[equal]
             if row not in {None, again} and not (to_rounding and _agrees(again, row)):
                 return equal, gauge.needed
@@ -166,28 +169,26 @@ def count_equal(
 
 
 def _agrees(again: Row, recorded: Row) -> bool:
-    x, y, heading, *commands = (
-        abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)
-    )
-    is_close = max(x, y, heading) < CLOSE and max(commands) < CLOSE_COMMAND
+    apart = [abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)]
+    is_close = max(apart[:3]) < CLOSE and max(apart[3:]) < CLOSE_COMMAND
     return is_close and again[5:] == recorded[5:]
-
-
-def _describe(sample: SampleRow, phases: tuple[str, ...]) -> Row:
-    return (
-        sample.speed_m_s,
-        sample.turn_rate_rad_s,
-        phases[sample.phase],
-        sample.pose_sequence,
-        sample.time_ns,
-    )
 
 
 def compare_samples(trace: Trace, again: Run) -> Resimulation:
     """Return a comparison of a simulated run with the log."""
-    pairs = [*_pair_phases(trace, again)]
-    left = np.concatenate([rows for rows, _ in pairs])
-    right = np.concatenate([rows for _, rows in pairs])
+    pairs: list[tuple[Any, Any]] = []
+    if trace.number[-1] + 1 > len(trace):
+        rows = np.flatnonzero(trace.number < len(again.samples))
+        pairs.append((rows, trace.number[rows]))
+    else:
+        logged, simulated = (
+            np.array(run.phase_names)[run.samples.phase] for run in (trace.run, again)
+        )
+        for phase in trace.run.phase_names:
+            both = np.flatnonzero(logged == phase), np.flatnonzero(simulated == phase)
+            count = min(map(len, both))
+            pairs.append((both[0][:count], both[1][:count]))
+    left, right = (np.concatenate(rows) for rows in zip(*pairs, strict=True))
     read = again.samples.pose_sequence[right]
     xy = np.abs(trace.xy_m[left] - again.poses.xy_m[read])
     turned = np.abs(subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read]))
@@ -202,19 +203,6 @@ def compare_samples(trace: Trace, again: Run) -> Resimulation:
         max_command_error=command_error,
         is_exact=is_whole and error == PoseError() and command_error == 0.0,
     )
-
-
-def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
-    if trace.number[-1] + 1 > len(trace):
-        left = np.flatnonzero(trace.number < len(again.samples))
-        yield left, trace.number[left]
-        return
-    logged = np.array(trace.run.phase_names)[trace.run.samples.phase]
-    simulated = np.array(again.phase_names)[again.samples.phase]
-    for phase in trace.run.phase_names:
-        left, right = np.flatnonzero(logged == phase), np.flatnonzero(simulated == phase)
-        count = min(len(left), len(right))
-        yield left[:count], right[:count]
 
 
 def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
@@ -341,7 +329,9 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     try:
         count, _ = count_equal(scenario, rows, to_rounding=True)
         if count < len(rows):
-            return RecordedScenario(reach=_describe_reach(trace, count))
+            way = describe_departure(trace, count)
+            reach = f"the recorded scenario {way}: nothing is claimed of the law"
+            return RecordedScenario(reach=reach)
         if count > len(rows):
             end_s = find_end_s(trace, scenario, len(rows))
             scenario = replace(scenario, max_duration_s=end_s)
@@ -361,10 +351,8 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     )
 
 
-def _describe_reach(trace: Trace, equal: int) -> str:
+def describe_departure(trace: Trace, equal: int) -> str:
+    """Return how many samples a re-simulation reproduces, fewer than all, and where it departs."""
     row = int(np.searchsorted(trace.number, equal))
     at_s = float(trace.time_ns[row] - trace.run.start_ns) / 1e9
-    return (
-        f"the recorded scenario reproduces the first {row:,} samples and departs at {at_s:.3f} s:"
-        " nothing is claimed of the law"
-    )
+    return f"reproduces the first {row:,} samples and departs at {at_s:.3f} s"

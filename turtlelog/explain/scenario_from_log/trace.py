@@ -146,8 +146,14 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         names = np.array(run.phase_names)[samples.phase]
         rotating = count_leading(names == phases[0])
         translating = count_leading(names[rotating:] == phases[1])
-    has_ticks, tick_ns = _has_ticks(run), find_plant(run).period_ns
-    poses = run.poses
+    poses, tick_ns = run.poses, find_plant(run).period_ns
+    # A log has a pose per tick, like a recording, or only a pose per sample. The applied velocity
+    # is published by the plant; a controller does not know it.
+    has_ticks = not np.array_equal(read, np.arange(len(poses)))
+    if not has_ticks and poses.speed_m_s is not None:
+        has_ticks = bool((np.diff(poses.time_ns) == tick_ns).all())
+    answered_ns = np.diff(poses.time_ns[read])
+    usual_ns = float(np.median(answered_ns)) if len(answered_ns) else 0.0
     return Trace(
         run=run,
         number=samples.sequence if has_ticks else np.arange(len(samples)),
@@ -162,8 +168,8 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         rotating=rotating,
         translating=translating,
         goal_xy_m=_find_goal(run),
-        period_ticks=_find_period(run),
-        has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % tick_ns).any(),
+        period_ticks=max(round(usual_ns / tick_ns), 1),
+        has_exact_clock=not (np.r_[samples.time_ns, poses.time_ns] % tick_ns).any(),
         has_ticks=has_ticks,
     )
 
@@ -188,6 +194,11 @@ def estimate_trace_noise(values: Values, order: int = 2) -> float:
     return float(np.median(bends)) / (0.6745 * math.sqrt(math.comb(2 * order, order)))
 
 
+WHITE: Final = 0.5
+"""Largest deviation of noise's whiteness from 1. A wrong setting leaves a curve with a whiteness
+below 0.1."""
+
+
 def count_leading(holds: NDArray[np.bool_]) -> int:
     """Return how many values are true before the first false value."""
     return len(holds) if holds.all() else int(holds.argmin())
@@ -205,24 +216,6 @@ def _find_goal(run: Run) -> tuple[float, float] | None:
     first_x_m, first_y_m = run.poses.xy_m[samples.pose_sequence[0]].tolist()
     bearing_rad = math.atan2(y_m - first_y_m, x_m - first_x_m)
     return (x_m, y_m) if abs(bearing_rad - samples.bearing_rad[0]) < 1e-6 else None
-
-
-def _has_ticks(run: Run) -> bool:
-    """Return whether a log has a pose per tick, like a recording, or only a pose per sample."""
-    if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
-        return True
-    # The plant publishes the applied velocity; a controller does not know it.
-    is_plants = run.poses.speed_m_s is not None
-    return is_plants and bool((np.diff(run.poses.time_ns) == find_plant(run).period_ns).all())
-
-
-def _find_period(run: Run) -> int:
-    """Return the usual spacing of the answered poses [ticks]."""
-    read = run.samples.pose_sequence
-    if len(read) < 2:
-        return 1
-    step_ns = float(np.median(np.diff(run.poses.time_ns[read])))
-    return max(round(step_ns / find_plant(run).period_ns), 1)
 
 
 _NOISE_STEPS: Final = 8.0
