@@ -3,14 +3,16 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from html import escape
 from typing import Final
 
-from turtlelog.display import join_words
-from turtlelog.explain.attribution import (
+from turtlelog.display import format_html, format_notebook, join_words
+from turtlelog.explain.answers import (
     SAME,
+    THIS_SEED,
+    THIS_SEED_MEANS,
     Attribution,
     Contribution,
-    SeedRange,
     StartRange,
     Together,
     ValueSet,
@@ -51,19 +53,17 @@ def write_headline(found: Attribution) -> str:
     known = [one for one in (found.as_logged, found.resimulated) if one is not None]
     sizes = [*dict.fromkeys(_format_value(found, one) for one in known)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
-    main = _write_main(found) if choose_named(found) else _write_no_cause(found)
-    return f"{found.metric} is {sizes[0]}{again}: {main}"
-
-
-def _write_no_cause(found: Attribution) -> str:
-    """Return that no effect changes the value, or none by more than the resolution or chance."""
-    if not found.acting:
-        return "no effect changes it"
-    if _is_negligible(found):
+    if choose_named(found):
+        main = _write_main(found)
+    elif not found.acting:
+        main = "no effect changes it"
+    elif _is_negligible(found):
         added = _sum_effects(found)
         does = "add" if added >= 0.0 else "lower it by"
-        return f"effects {does} only {_format_value(found, abs(added))}"
-    return "no effect is distinguishable from chance"
+        main = f"effects {does} only {_format_value(found, abs(added))}"
+    else:
+        main = "no effect is distinguishable from chance"
+    return f"{found.metric} is {sizes[0]}{again}: {main}"
 
 
 def _write_value(found: Attribution) -> str:
@@ -94,8 +94,11 @@ def write_cause_head(found: Attribution) -> str:
     left = max(found.resolution.size, NAMED * abs(found.divided))
     is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
     does = "cause" if is_whole else "change"
-    head = f"{count} {_name_kinds(found, named)} {does}"
-    head += "s it" if len(named) == 1 else " it"
+    many, effects = "s" * (len(named) > 1), [one for one in named if one.cause in found.effects]
+    kinds = "effects and design parameters" if effects else f"design parameter{many}"
+    if len(effects) == len(named):
+        kinds = f"effect{many} of the implementation"
+    head = f"{count} {kinds} {does}{'s' * (len(named) == 1)} it"
     if found.seeds is not None:
         return f"{head} in the mean over seeds"
     # Other start headings divide the value otherwise.
@@ -135,14 +138,6 @@ def _write_main(found: Attribution) -> str:
     return label + ", ".join(write_part(found, one) for one in main) + mean
 
 
-def _name_kinds(found: Attribution, named: list[Contribution]) -> str:
-    many = "s" * (len(named) > 1)
-    effects = [one for one in named if one.cause in found.effects]
-    if len(effects) == len(named):
-        return f"effect{many} of the implementation"
-    return "effects and design parameters" if effects else f"design parameter{many}"
-
-
 def choose_named(found: Attribution) -> list[Contribution]:
     """Return the contributions that explain the value, the largest first; empty if too small."""
     if not found.acting or found.withheld or _is_negligible(found):
@@ -176,7 +171,12 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         last = [_write_together(found), _write_starts(found)]
         last = last[::-1] if _is_wide(found) else last
         sentences = [_write_seeds(found), _write_rest(found), *last]
-        sentences += [_write_unclear(found), _write_this_seed(found)]
+        sentences += [_write_unclear(found)]
+        if found.this_seed is not None and found.seeds is not None and found.seeds.varies:
+            size = _format_value(found, abs(found.this_seed))
+            where = "above" if found.this_seed >= 0.0 else "below"
+            mean = "the mean over the seeds"
+            sentences += [f"With this run's seed, the value is {size} {where} {mean}."]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         be = "is" if len(found.left) == 1 else "are"
@@ -325,7 +325,13 @@ def _write_seeds(found: Attribution) -> str:
     if seeds is None:
         return ""
     if not seeds.varies:
-        return _write_equal_seeds(found, seeds)
+        idle = _list_idle(found)
+        if seeds.used < seeds.count:
+            return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
+        if not idle:
+            return f"All {seeds.count} seeds give the same value."
+        them = f"The {idle[0]} does" if len(idle) == 1 else f"{_capitalise(join_words(idle))} do"
+        return f"{them} not change this metric."
     of = f"{seeds.count} seeds"
     if seeds.used < seeds.count:
         of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
@@ -339,18 +345,6 @@ def _write_seeds(found: Attribution) -> str:
         f"The value depends on the random seed. Over {of} its mean is {mean} (one standard error),"
         f" and the central 95 % {within}. Contributions are means over the seeds."
     )
-
-
-def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
-    """Return a sentence that no seed changes the value, with the random effects that do not act."""
-    idle = _list_idle(found)
-    if seeds.used < seeds.count:
-        return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
-    if not idle:
-        return f"All {seeds.count} seeds give the same value."
-    if len(idle) == 1:
-        return f"The {idle[0]} does not change this metric."
-    return f"{_capitalise(join_words(idle))} do not change this metric."
 
 
 def _list_idle(found: Attribution) -> list[str]:
@@ -368,15 +362,6 @@ def _write_unclear(found: Attribution) -> str:
         for one in unclear
     ]
     return f"The contribution of {join_words(parts)} may be chance."
-
-
-def _write_this_seed(found: Attribution) -> str:
-    value = found.this_seed
-    if value is None or found.seeds is None or not found.seeds.varies:
-        return ""
-    size = _format_value(found, abs(value))
-    where = "above" if value >= 0.0 else "below"
-    return f"With this run's seed, the value is {size} {where} the mean over the seeds."
 
 
 def _write_starts(found: Attribution) -> str:
@@ -414,35 +399,26 @@ def _format_span(found: Attribution, low: float, high: float) -> str:
 
 def _write_others(found: Attribution) -> list[str]:
     """Return the causes that change the value alone, except those that lower a large value."""
-    told = [one for one in found.others if _is_told(found, one)]
-    lowering = [one for one in told if _lowers(found, one)]
-    others = [_write_alone(found, one) for one in told if one not in lowering]
-    return [_write_lowering(found, lowering), *others] if lowering else others
-
-
-def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
-    names = join_words([one.cause for one in lowering])
+    told, lowering = [], []
     mean = "" if found.seeds is None else " in the mean"
+    for one in found.others:
+        change = math.inf if one.alone is None else abs(one.alone - found.divided)
+        least = max(found.resolution.size, NAMED * abs(found.divided))
+        if change <= least or not is_clear(change, one.standard_error):
+            continue
+        is_design = one.cause not in found.effects and one.alone is not None and not one.ending
+        if is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found):
+            lowering.append(one)
+        else:
+            told.append(_write_alone(found, one))
+    if not lowering:
+        return told
+    names = join_words([one.cause for one in lowering])
+    each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
     if len(lowering) == 1:
         value = _format_value(found, lowering[0].alone)
-        return f"Not a cause: {names}. Without it the value is larger{mean}: {value}."
-    each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
-    return f"Not a cause: {names}. The value is larger{mean} {join_words(each)}."
-
-
-def _is_told(found: Attribution, one: Contribution) -> bool:
-    """Return whether a cause alone changes the value by more than the resolution and chance."""
-    if one.alone is None:
-        return True
-    change = abs(one.alone - found.divided)
-    is_large = change > found.resolution.size and change > NAMED * abs(found.divided)
-    return is_large and is_clear(change, one.standard_error)
-
-
-def _lowers(found: Attribution, one: Contribution) -> bool:
-    """Return whether the value is larger without a design parameter than without the effects."""
-    is_design = one.cause not in found.effects and one.alone is not None and not one.ending
-    return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
+        return [f"Not a cause: {names}. Without it the value is larger{mean}: {value}.", *told]
+    return [f"Not a cause: {names}. The value is larger{mean} {join_words(each)}.", *told]
 
 
 def _write_alone(found: Attribution, one: Contribution) -> str:
@@ -466,3 +442,21 @@ def _format_value(
 
 def _capitalise(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
+
+
+def tabulate_attribution(found: Attribution) -> str:
+    """Return an attribution as a table with its sentences, for a notebook."""
+    unit, changing = found.unit, found.changing
+    heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
+    rows: list[list[object]] = [
+        [one.cause, one.contribution, one.alone, one.ending or one.meaning] for one in changing
+    ]
+    if found.seeds is not None:
+        heads.insert(2, f"s.e. [{unit}]")
+        for row, one in zip(rows, changing, strict=True):
+            row.insert(2, one.standard_error)
+        if found.contributions and found.seeds.varies:
+            row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
+            rows.insert(sum(one.contribution is not None for one in changing), row)
+    rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
+    return format_notebook(write_headline(found), format_html(rows, heads=heads), *rest)

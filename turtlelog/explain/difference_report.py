@@ -3,14 +3,23 @@
 import math
 from collections.abc import Sequence
 from functools import partial
+from html import escape
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.display import describe_count, format_pair, join_words
+from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
 from turtlelog.explain.answer_words import NAMED, choose_joint, write_joint, write_missing
-from turtlelog.explain.attribution import SAME, ValueSet, is_clear
-from turtlelog.explain.explained_difference import ROBOT, SEED, Change, ExplainedDifference, Side
-from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.explain.answers import (
+    ROBOT,
+    SAME,
+    SEED,
+    Change,
+    ExplainedDifference,
+    Side,
+    ValueSet,
+    is_clear,
+)
+from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
@@ -436,3 +445,16 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
         f" {found.seeds} draws of the identified parameters and the noise.",
         *said,
     ]
+
+
+def tabulate_difference(found: ExplainedDifference) -> str:
+    """Return an explained difference as a table with its sentences, for a notebook."""
+    heads = ["settings", f"contribution [{found.unit}]", "first run", "second run"]
+    rows: list[list[object]] = []
+    for one in found.contributions:
+        pairs = (zip(one.keys, values, strict=False) for values in (one.first, one.second))
+        texts = (", ".join(f"{key} = {value}" for key, value in pair) for pair in pairs)
+        rows.append([one.name, one.contribution, *texts])
+    table = format_html(rows, heads=heads) if rows else ""
+    rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
+    return format_notebook(found.sentences[0], table, *rest)

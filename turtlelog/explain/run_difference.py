@@ -5,36 +5,32 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribute import attribute_scenario, divide_game
-from turtlelog.explain.attribution import (
+from turtlelog.explain.answers import (
     SAME,
-    Attribution,
-    Resolution,
-    choose_metric,
-    find_resolution,
-)
-from turtlelog.explain.causes import draws_random, find_changes, set_values
-from turtlelog.explain.contributions import (
-    ORDERS,
-    find_steady_span,
-    ranges_over,
-    sample_game,
-    spread_starts,
-    subtract_values,
-    turn_start,
-)
-from turtlelog.explain.explained_difference import (
     SEED,
+    Attribution,
     Change,
-    DifferenceRange,
+    Departure,
     EffectShift,
     ExplainedDifference,
+    Part,
+    Resolution,
     Side,
-    find_departure,
 )
-from turtlelog.explain.game import SEEDS, ChangeGame, Play, Work, iterate_outcomes
+from turtlelog.explain.attribute import attribute_scenario
+from turtlelog.explain.causes import (
+    choose_metric,
+    draws_random,
+    find_changes,
+    find_resolution,
+    set_values,
+)
+from turtlelog.explain.contributions import ORDERS, divide_game, sample_game, vary_both_starts
+from turtlelog.explain.game import SEEDS, ChangeGame, Work
 from turtlelog.explain.robot_difference import explain_robots
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import (
@@ -45,10 +41,12 @@ from turtlelog.explain.scenario_from_log.resimulation import (
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
+from turtlelog.replay import differences
+from turtlelog.replay.loop_replay import compare_ends
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
-from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate import declare_scenario
 
 MOST_EXACT: Final = 10
 """Largest number of groups of settings whose 1024 combinations are all simulated: 20 s for the
@@ -124,7 +122,9 @@ def explain_difference(
     unit = list_metrics(second.declaration)[metric].unit
     if first.is_lawless or second.is_lawless:
         return explain_robots(first, second, metric, unit, work)
-    if not trust_law and (untrusted := _list_untrusted(first, second)):
+    laws = [run.parameters.get("law.kind") for run in (first, second) if run.scenario_is_complete]
+    untrusted = [*dict.fromkeys(str(law) for law in laws if law and law not in LAWS)]
+    if untrusted and not trust_law:
         return _name_untrusted(first, second, metric, unit, untrusted)
     for run in (first, second):
         require_trust(run, trust_law=trust_law)
@@ -133,12 +133,19 @@ def explain_difference(
     if first.name == second.name:
         sides = [replace(s, name=n) for s, n in zip(sides, _NAMES, strict=True)]
     scenarios = [scenario for _, scenario in found]
+    value = max(abs(side.as_logged or 0.0) for side in sides)
+    resolutions = [
+        find_resolution(scenario, declare_scenario(scenario), metric, value)
+        for scenario in scenarios
+        if scenario is not None
+    ]
+    none = Resolution(size=0.0, reason="no scenario is known")
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=_find_resolution(metric, sides, scenarios),
+        resolution=max(resolutions, key=lambda one: one.size, default=none),
     )
     one, other = scenarios
     if one is None or other is None:
@@ -165,18 +172,16 @@ def _answer_without_scenario(
         robots = explain_robots(first, second, found.metric, found.unit, work)
         if robots.contributions:
             return robots
+    names: dict[str, list[str]] = {}
+    for side in (found.first, found.second):
+        if side.basis is None:
+            names.setdefault(side.note, []).append(side.name)
     return replace(
         found,
-        withheld=_describe_unknown([found.first, found.second]),
+        withheld="; ".join(f"{join_words(who)}: {note}" for note, who in names.items()),
         has_same_settings=is_same,
         departure=find_departure(first, second) if is_same else None,
     )
-
-
-def _list_untrusted(*runs: Run) -> list[str]:
-    """Return the laws in the recorded scenarios that are not built in."""
-    laws = [str(run.parameters.get("law.kind", "")) for run in runs if run.scenario_is_complete]
-    return [*dict.fromkeys(law for law in laws if law and law not in LAWS)]
 
 
 def _name_untrusted(
@@ -219,29 +224,6 @@ def _begin_side(run: Run, metric: str) -> Side:
         reason=logged.reason,
         simulated_by=run.simulated_by,
     )
-
-
-def _find_resolution(
-    metric: str, sides: Sequence[Side], scenarios: Sequence[Scenario | None]
-) -> Resolution:
-    """Return the larger resolution of two runs; 0 if no scenario is known."""
-    value = max(abs(side.as_logged or 0.0) for side in sides)
-    found = [
-        find_resolution(scenario, declare_scenario(scenario), metric, value)
-        for scenario in scenarios
-        if scenario is not None
-    ]
-    none = Resolution(size=0.0, reason="no scenario is known")
-    return max(found, key=lambda one: one.size, default=none)
-
-
-def _describe_unknown(sides: Sequence[Side]) -> str:
-    """Return the runs without a known scenario, with the reasons."""
-    names: dict[str, list[str]] = {}
-    for side in sides:
-        if side.basis is None:
-            names.setdefault(side.note, []).append(side.name)
-    return "; ".join(f"{join_words(who)}: {note}" for note, who in names.items())
 
 
 def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
@@ -365,7 +347,7 @@ def _divide(
     )
     if depth.shows_starts and not game.is_random:
         size = found.resolution.size
-        starts = _vary_starts(scenarios, found.metric, found.difference or 0.0, size)
+        starts = vary_both_starts(scenarios, found.metric, found.difference or 0.0, size)
         found = replace(found, starts=starts)
     if depth.shows_effects:
         found = replace(found, effects=_shift_effects(scenarios, found.metric, work))
@@ -428,38 +410,6 @@ def _compare_with_logs(found: ExplainedDifference) -> str:
     return "logs and re-simulations differ by more than a tenth of the difference"
 
 
-def _vary_starts(
-    scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
-) -> DifferenceRange | None:
-    """Return the range of the difference over starts within one sample's turn of the faster run."""
-    spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
-    offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
-    if not offsets_rad:
-        return None
-    plays = [
-        [Play(turn_start(scenario, by), is_finer=False, may_fail=True) for by in offsets_rad]
-        for scenario in scenarios
-    ]
-    values = [[one.value for one in iterate_outcomes(metric, side, jobs=1)] for side in plays]
-    apart = subtract_values(values[1], values[0])
-    spans = [span for one in (apart, *values) if (span := _find_span(one)) is not None]
-    if len(spans) < 3:
-        return None
-    return DifferenceRange(
-        count=len(offsets_rad),
-        within_rad=offsets_rad[-1],
-        difference=spans[0],
-        first=spans[1],
-        second=spans[2],
-        is_wide=ranges_over(apart, find_steady_span(apart, difference, resolution)),
-    )
-
-
-def _find_span(values: Sequence[float | None]) -> tuple[float, float] | None:
-    known = [value for value in values if value is not None]
-    return (min(known), max(known)) if known else None
-
-
 def _shift_effects(
     scenarios: Sequence[Scenario], metric: str, work: Work | None
 ) -> tuple[EffectShift, ...]:
@@ -474,3 +424,45 @@ def _shift_effects(
     ]
     acting = [one for one in shifts if one.first or one.second]
     return tuple(sorted(acting, key=lambda one: -abs(one.shift)))
+
+
+_PARTS: Final[Mapping[str, Part]] = {
+    **dict.fromkeys(("stop", "samples", "poses", "commands"), "end"),
+    **dict.fromkeys(("sample_time", "pose_read", "command_time"), "timing"),
+    **dict.fromkeys(differences.SENSED, "sensor"),
+    **dict.fromkeys(("x", "y", "heading", "applied_speed", "applied_turn_rate"), "robot"),
+}
+"""Parts by the signal that differs; every other signal belongs to the controller."""
+
+
+def find_departure(first: Run, second: Run) -> Departure | None:
+    """Return the first difference of two runs; None if all their common data are equal.
+
+    Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
+    samples read are compared.
+    """
+    by_tick = differences.has_ticks(first) and differences.has_ticks(second)
+    pair = differences.pair_by_tick if by_tick else differences.pair_by_sample
+    # Rows are matched by sample number. At equal times, causes come before their consequences.
+    is_whole = not differences.count_missing_samples(second.samples)
+    pairings = [one for one in pair(first, second) if len(one.time_ns)] if is_whole else []
+    found = [differences.compare_pairing(one, tolerance=0.0).first_difference for one in pairings]
+    for name, count in differences.count_recorded_rows(first, second, by_tick=by_tick).items():
+        apart = differences.find_count_difference(first, name, count)
+        end_ns = min(first.end_ns, second.end_ns)
+        found.append(apart and replace(apart, time_ns=end_ns))
+    earliest = differences.find_earliest([*found, compare_ends(first, second.stop_reason)])
+    if earliest is None:
+        return None
+    part = _PARTS.get(earliest.signal, "controller")
+    if part == "robot" and earliest.time_ns <= first.poses.time_ns[0]:
+        part = "start"
+    return Departure(
+        part=part,
+        signal=earliest.signal,
+        unit=next((one.unit for one in pairings if one.signal == earliest.signal), ""),
+        time_s=float(earliest.time_ns - first.start_ns) / 1e9,
+        first=earliest.recorded,
+        second=earliest.replayed,
+        samples=int(np.searchsorted(first.samples.time_ns, earliest.time_ns)),
+    )

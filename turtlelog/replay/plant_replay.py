@@ -134,8 +134,8 @@ def replay_plant(run: Run) -> PlantReplay:
         old = tuple(drive(rows, keeps_32_bits=True) for rows in bounds)
         if all(stretch.within_rounding for stretch in old):
             stretches, heading_bits, first = old, 32, None
-    errors = (astuple(stretch.max_abs_error) for stretch in stretches)
-    x_m, y_m, heading_rad = map(max, zip(*errors, strict=True))
+    errors = [astuple(stretch.max_abs_error) for stretch in stretches]
+    x_m, y_m, heading_rad = np.max(errors, axis=0).tolist()
     return PlantReplay(
         name=run.name,
         samples=len(motion.time_ns),
@@ -159,7 +159,7 @@ def _replay_stretch(
 ) -> PlantStretch:
     """Replay a segment. In some ticks the recorded velocity replaces a command."""
     first, after = rows.start, rows.stop
-    x_m, y_m, heading_rad = *motion.xy_m[first].tolist(), float(motion.heading_rad[first])
+    (x_m, y_m), heading_rad = motion.xy_m[first].tolist(), float(motion.heading_rad[first])
     turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=heading_rad, keeps_32_bits=keeps_32_bits)
     states = array("d", turtle.state[:3])
     driven_m = 0.0

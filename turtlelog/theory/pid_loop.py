@@ -424,7 +424,7 @@ def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
     are single, 10 to 40 iterations are enough; roots close together need more.
     """
     angles = 2.0 * math.pi * (np.arange(shape.degree) + 0.37) / shape.degree
-    roots = 0.98 * np.exp(1j * angles)
+    roots: NDArray[np.complex128] = 0.98 * np.exp(1j * angles)
     distances = np.empty((shape.degree, shape.degree), dtype=np.complex128)
     for _ in range(_MOST_ROUNDS):
         np.subtract(roots[:, None], roots, out=distances)

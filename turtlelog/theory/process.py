@@ -232,7 +232,7 @@ def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
     numerator = np.zeros(1)  # in rising powers of z, from powers of z - 1
     for power, value in enumerate(shape.numerator):
         numerator = polynomial.polyadd(numerator, value * polynomial.polypow((-1.0, 1.0), power))
-    weights = (shape.behind, 1.0 - shape.ahead - shape.behind, shape.ahead)
+    weights = [shape.behind, 1.0 - shape.ahead - shape.behind, shape.ahead]
     delay = shape.delay + 1  # the weights of the process, times z
     if not shape.behind:
         weights, delay = weights[1:], shape.delay
@@ -243,7 +243,8 @@ def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
         *((gap - 1.0, 1.0) for gap in shape.gaps),
     ]
     (above if delay < 0 else below).append((0.0,) * abs(delay) + (1.0,))
-    products = (reduce(polynomial.polymul, factors, np.ones(1)) for factors in (above, below))
+    multiply: Any = polynomial.polymul
+    products = [reduce(multiply, factors, np.ones(1)) for factors in (above, below)]
     sides = [np.trim_zeros(product[::-1], "f") for product in products]
     return load_library("control").tf(*sides, period_s)
 

@@ -386,7 +386,7 @@ def _find_upper(
 
     shape = (len(loop_gains), len(order))
     share = _bisect(rise, np.zeros(shape), np.ones(shape))
-    poles = find_radius(share)[0] * np.exp(1j * (begin + width * share))
+    poles: NDArray[np.complex128] = find_radius(share)[0] * np.exp(1j * (begin + width * share))
     is_fast = np.array(loop_gains)[:, np.newaxis] > 2.0 * _compute_meeting_gain(d)
     polished = poles
     for _ in range(3):  # Newton's steps for log z, in which the equation is nearly linear
