@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
-from turtlelog.explain.answers import SAME, Attribution, Contribution
+from turtlelog.explain.answers import SAME, Attribution
 from turtlelog.explain.causes import (
     SAMPLING,
     choose_metric,
@@ -110,8 +110,15 @@ def attribute_run(
     found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason or None)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
     if is_identified:
-        others = tuple(_withhold_alone(other, identified.findings) for other in found.others)
-        found = replace(found, others=others)
+        others = []
+        for other in found.others:
+            # A property has no value if the value depends on a gain that the log hides.
+            gains = [
+                key for key in _list_gains(other.cause) if identified.findings[key].value is None
+            ]
+            ending = f"the log does not show {' and '.join(gains)}"
+            others.append(replace(other, alone=None, ending=ending) if gains else other)
+        found = replace(found, others=tuple(others))
     obstacle = found.withheld or _compare_with_log(found, knows_seed=identified.is_recorded)
     if obstacle:
         return replace(found, withheld=obstacle, contributions=())
@@ -225,13 +232,6 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     if added <= same:
         limit = f"{100.0 * SAME:g} % of the value, and the effects add less"
     return f"log and re-simulation differ by more than {limit}"
-
-
-def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding]) -> Contribution:
-    """Return a property without its value if the value depends on a gain that the log hides."""
-    unknown = [key for key in _list_gains(contribution.cause) if findings[key].value is None]
-    ending = f"the log does not show {' and '.join(unknown)}"
-    return replace(contribution, alone=None, ending=ending) if unknown else contribution
 
 
 def _list_gains(cause: str) -> tuple[str, ...]:

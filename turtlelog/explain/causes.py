@@ -241,7 +241,12 @@ def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
 
 def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
     """Return the names of the groups of tables and keys; any other key is a group of its own."""
-    names = {key: name for name, found in _list_effect_keys() for key in found}
+    names: dict[str, str] = {}
+    for effect in EFFECTS:  # keys without a cause of their own belong to the first cause
+        first_cause = effect.causes[0].name if effect.causes else effect.name
+        for table, kind in effect.tables.items():
+            names |= {f"{table}.{field.name}": first_cause for field in fields(kind)}
+        names |= {key: one.name for one in effect.causes for key in one.neutral}
     names |= {table: table for table in _WHOLE}
     if second.plant.kind != first.plant.kind:
         names["plant"] = "plant"
@@ -257,19 +262,6 @@ def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
     if len(gains) > 1 and all(len({side.get(key) for key in gains}) == 1 for side in sides):
         names |= dict.fromkeys(gains, GAINS)
     return names
-
-
-def _list_effect_keys() -> Iterable[tuple[str, tuple[str, ...]]]:
-    """Yield the causes of the loop with their keys; other keys belong to the first cause."""
-    for effect in EFFECTS:
-        keys = tuple(
-            f"{table}.{field.name}"
-            for table, kind in effect.tables.items()
-            for field in fields(kind)
-        )
-        names = [one.name for one in effect.causes] or [effect.name]
-        yield names[0], keys
-        yield from ((one.name, tuple(one.neutral)) for one in effect.causes)
 
 
 def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
@@ -375,7 +367,12 @@ def _find_tolerated(
     """Return the errors that the tolerances of the sequential law allow."""
     heading_rad = scenario.law.parameters.heading_tolerance_rad
     position_m = scenario.law.parameters.position_tolerance_m
-    distance_m, turn_rad = _find_steps(scenario)
+    start, goal = scenario.start, scenario.goal
+    x_m, y_m = goal.x_m - start.x_m, goal.y_m - start.y_m
+    turn_rad = math.atan2(y_m, x_m) - start.heading_rad
+    if scenario.law.parameters.wrap_error:
+        turn_rad = wrap_angle(turn_rad)
+    distance_m, turn_rad = (max(abs(s), math.ulp(1.0)) for s in (math.hypot(x_m, y_m), turn_rad))
     if unit == "m":
         reach = "heading tolerance times distance plus position tolerance"
         return Resolution(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
@@ -385,13 +382,3 @@ def _find_tolerated(
     turns = loop is not None and loop.signal == "heading"
     tolerance, step = (heading_rad, turn_rad) if turns else (position_m, distance_m)
     return Resolution(size=100.0 * tolerance / step, reason="the tolerance over the step")
-
-
-def _find_steps(scenario: Scenario) -> tuple[float, float]:
-    """Return the distance to the goal [m] and the turn towards the goal [rad]; never 0."""
-    start, goal = scenario.start, scenario.goal
-    x_m, y_m = goal.x_m - start.x_m, goal.y_m - start.y_m
-    turn_rad = math.atan2(y_m, x_m) - start.heading_rad
-    if scenario.law.parameters.wrap_error:
-        turn_rad = wrap_angle(turn_rad)
-    return max(math.hypot(x_m, y_m), math.ulp(1.0)), max(abs(turn_rad), math.ulp(1.0))

@@ -187,12 +187,14 @@ class ScenarioGame(Game):
         metric: str,
         work: Work | None = None,
         *,
-        causes: Mapping[str, Cause] | None = None,
+        changes: Mapping[str, Cause] | None = None,
     ) -> None:
-        """Store the scenario with all causes. Default of the causes: those of `find_causes`."""
+        """Store the scenario with all causes, or else with changes from another scenario."""
         self._scenario, self._metric = scenario, metric
-        causes = find_causes(scenario) if causes is None else causes
-        super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
+        self._undo = take_out if changes is None else undo_changes
+        causes = find_causes(scenario) if changes is None else changes
+        present = [name for name, one in causes.items() if changes or is_present(scenario, one)]
+        super().__init__(causes, present, work, is_random=draws_random(scenario))
         self._without: dict[Coalition, Scenario] = {}
 
     def describe_ending(self, name: str) -> str:
@@ -212,14 +214,8 @@ class ScenarioGame(Game):
     def _take_out(self, out: Coalition) -> Scenario:
         if out not in self._without:
             causes = [found for name, found in self.causes.items() if name in out]
-            self._without[out] = self._build_without(causes)
+            self._without[out] = self._undo(self._scenario, causes)
         return self._without[out]
-
-    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
-        return tuple(name for name, cause in causes.items() if is_present(self._scenario, cause))
-
-    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
-        return take_out(self._scenario, causes)
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
         """Return the seeds for a simulation; only None if the remaining scenario is not random."""
@@ -321,7 +317,7 @@ class ChangeGame(ScenarioGame):
         work: Work | None = None,
     ) -> None:
         """Store the scenario with all changes."""
-        super().__init__(second, metric, work, causes=changes)
+        super().__init__(second, metric, work, changes=changes)
         self.is_random = draws_random(second) or draws_random(first)
         self._impossible: dict[Coalition, str] = {}
 
@@ -348,12 +344,6 @@ class ChangeGame(ScenarioGame):
             except ScenarioError as err:
                 self._impossible[out] = f"these settings contradict each other ({err})"
         return self._impossible[out]
-
-    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
-        return tuple(causes)
-
-    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
-        return undo_changes(self._scenario, causes)
 
 
 _MOST_NAMED: Final = 3

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
+from turtlelog.explain import robot_log
 from turtlelog.explain.answers import (
     ROBOT,
     SAME,
@@ -22,23 +23,7 @@ from turtlelog.explain.answers import (
 )
 from turtlelog.explain.contributions import ORDERS, divide_game, sample_game
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
-from turtlelog.explain.robot_log import (
-    COMMANDS,
-    MOTIONS,
-    NOISE,
-    PATH,
-    TIMES,
-    RobotLog,
-    differs_surely,
-    draw_model,
-    find_parts,
-    get_axis,
-    list_axes,
-    list_part_fields,
-    list_part_values,
-    read_robot_log,
-    share_unseen_bounds,
-)
+from turtlelog.explain.robot_log import COMMANDS, RobotLog
 from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
 from turtlelog.identify.robot_model import AxisModel
@@ -97,9 +82,9 @@ def explain_robots(
     if lacking:
         reason = f"{join_words(lacking)}: no commands are recorded, so no robot can be identified"
         return replace(found, withheld=reason)
-    logs = share_unseen_bounds([read_robot_log(run) for run in runs])
-    axes = list_axes(metric)
-    models = [{axis: get_axis(log.model, axis) for axis in axes} for log in logs]
+    logs = robot_log.share_unseen_bounds([robot_log.read_robot_log(run) for run in runs])
+    axes = robot_log.list_axes(metric)
+    models = [{axis: robot_log.get_axis(log.model, axis) for axis in axes} for log in logs]
     # Axes that are commanded in only one of the logs.
     first_idle, second_idle = (
         tuple(axis for axis in axes if own[axis].is_idle and other[axis].is_known)
@@ -118,7 +103,7 @@ def explain_robots(
     ]
     if obstacles:
         return replace(found, withheld="; ".join(obstacles))
-    parts = find_parts(logs[0], logs[1], axes)
+    parts = robot_log.find_parts(logs[0], logs[1], axes)
     return _divide(found, logs, parts, work)
 
 
@@ -164,10 +149,12 @@ def _divide(
     ends = [[one.value for one in side if one.value is not None] for side in played]
     changes = []
     for part in parts.values():
-        first, second = (tuple(list_part_values(log, part.neutral).values()) for log in logs)
+        first, second = (
+            tuple(robot_log.list_part_values(log, part.neutral).values()) for log in logs
+        )
         keys = tuple(part.neutral)
         changes.append(Change(name=part.name, keys=keys, first=first, second=second))
-    surely = tuple(one for one in changes if differs_surely(one.name, one.keys, logs))
+    surely = tuple(one for one in changes if robot_log.differs_surely(one.name, one.keys, logs))
     found = replace(found, changes=surely, seeds=len(SEEDS))
     if divided.withheld:
         return replace(found, withheld=divided.withheld)
@@ -280,8 +267,8 @@ class RobotGame(Game):
 
     def drive(self, out: Coalition, seed: int | None = None) -> Run:
         """Return the recording of the commands, with the poses of the robot without some parts."""
-        base, places = self._get(COMMANDS, out).run, self._get(PATH, out).run
-        noise = self._get(NOISE, out).noise
+        base, places = self._get(COMMANDS, out).run, self._get(robot_log.PATH, out).run
+        noise = self._get(robot_log.NOISE, out).noise
         rng = np.random.default_rng(0 if seed is None else seed)
         time_ns = self._find_times(out)
         root_s = np.sqrt(np.diff(time_ns) / 1e9)
@@ -294,7 +281,7 @@ class RobotGame(Game):
         poses = _integrate(speed, turn_rate, places)
         sizes = noise.position_m, noise.position_m, noise.heading_rad
         poses += rng.standard_normal(poses.shape) * sizes
-        timed = self._get(TIMES, out).run.poses
+        timed = self._get(robot_log.TIMES, out).run.poses
         rates = zip(("measured_speed_m_s", "measured_turn_rate_rad_s"), AXES, strict=True)
         return replace(
             base,
@@ -323,7 +310,7 @@ class RobotGame(Game):
         The first commands of both are at one time. Beyond the end of the other recording, its times
         repeat. Half a period at either end is ignored.
         """
-        base, timed = self._get(COMMANDS, out).run, self._get(TIMES, out).run
+        base, timed = self._get(COMMANDS, out).run, self._get(robot_log.TIMES, out).run
         time_ns = timed.poses.time_ns
         if timed is base or len(time_ns) < 2:
             return base.poses.time_ns
@@ -338,9 +325,9 @@ class RobotGame(Game):
 
     def _predict(self, axis: Axis, out: Coalition, seed: int | None) -> tuple[Values, Values]:
         """Return the distance or turn, and the rate, at each pose of the recording."""
-        parts = frozenset(name for name in out if name.endswith(MOTIONS[axis]))
+        parts = frozenset(name for name in out if name.endswith(robot_log.MOTIONS[axis]))
         log = self._get(COMMANDS, out)
-        key = axis, parts, COMMANDS in out, TIMES in out, seed
+        key = axis, parts, COMMANDS in out, robot_log.TIMES in out, seed
         if key not in self._ways:
             time_s = self._find_times(out) / 1e9
             model = self._exchange(axis, parts, seed)
@@ -356,20 +343,25 @@ class RobotGame(Game):
     def _exchange(self, axis: Axis, parts: Coalition, seed: int | None) -> AxisModel:
         """Return an axis of the second robot with some parts from the first."""
         if seed not in self._models:
-            models = [{name: get_axis(log.model, name) for name in AXES} for log in self._logs]
+            models = [
+                {name: robot_log.get_axis(log.model, name) for name in AXES} for log in self._logs
+            ]
             if seed is not None:  # drawn from the intervals
                 number = SEEDS.index(seed)
                 rng = np.random.default_rng(number % _MIRRORED)
                 sign = 1.0 if number < _MIRRORED else -1.0
                 models = [
-                    {name: draw_model(a, rng, sign) for name, a in one.items()} for one in models
+                    {name: robot_log.draw_model(a, rng, sign) for name, a in one.items()}
+                    for one in models
                 ]
             self._models[seed] = models
         first, second = (one[axis] for one in self._models[seed])
         if not second.is_known or not first.is_known:
             return second if second.is_known else first
-        motion = f" {MOTIONS[axis]}"
-        fields = [name for part in parts for name in list_part_fields(part.removesuffix(motion))]
+        motion = f" {robot_log.MOTIONS[axis]}"
+        fields = [
+            name for part in parts for name in robot_log.list_part_fields(part.removesuffix(motion))
+        ]
         return replace(second, **{name: getattr(first, name) for name in fields})
 
 

@@ -11,7 +11,6 @@ from itertools import product
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.explain.scenario_from_log.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.scenario_from_log.resimulation import number_poses
@@ -184,23 +183,24 @@ def _drive(trace: Trace, guess: Any, samples: int, *, reads_alike: bool) -> Valu
     for tick in iterate_ticks(scenario):
         poses.append((tick.row.x_m, tick.row.y_m, tick.row.heading_rad))
         read += [sample.pose_sequence for sample in tick.computed]
-    if len(read) != samples or (reads_alike and not _reads_as_logged(trace, np.array(read))):
+    if len(read) != samples:
         return None
+    if reads_alike and trace.has_ticks and trace.has_exact_clock:
+        known = trace.number < samples
+        if (np.array(read)[trace.number[known]] != number_poses(trace)[known]).any():
+            return None
     driven = np.array(poses)[read]
     driven[:, :2] = first_xy_m + smaller * (driven[:, :2] - start_xy_m)
     return driven
 
 
-def _reads_as_logged(trace: Trace, read: NDArray[np.int64]) -> bool:
-    """Return whether the samples read the same poses as in the log, if those are known."""
-    if not (trace.has_ticks and trace.has_exact_clock):
-        return True
-    known = trace.number < len(read)
-    return np.array_equal(read[trace.number[known]], number_poses(trace)[known])
-
-
 def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | None:
-    stretches = _list_stretches(trace, count)
+    # After a gap, rows begin where all commands are known.
+    bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
+    missing, skip = {row for row, _ in trace.missing}, _UNKNOWN_TICKS // trace.period_ticks
+    starts = [row + skip if row in missing else row for row in bounds[:-1]]
+    parts = zip(starts, bounds[1:], strict=True)
+    stretches = [slice(first, last) for first, last in parts if last - first > 2]
     if not stretches:
         return None
     kept = np.zeros(count, dtype=bool)
@@ -246,16 +246,6 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
         left=after,
         slopes=slopes,
     )
-
-
-def _list_stretches(trace: Trace, count: int) -> list[slice]:
-    """Return the rows between breaks. After a gap, rows begin where all commands are known."""
-    bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
-    missing = {row for row, _ in trace.missing}
-    skip = _UNKNOWN_TICKS // trace.period_ticks
-    starts = [row + skip if row in missing else row for row in bounds[:-1]]
-    found = zip(starts, bounds[1:], strict=True)
-    return [slice(first, last) for first, last in found if last - first > 2]
 
 
 def _fit_offsets(
@@ -343,20 +333,15 @@ def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
     middle = _solve([0.0, 0.0, 0.0, -1.0], within, sides)
     if middle is None:
         return None
-    ends = []
-    for axis, sign in product(range(3), (1.0, -1.0)):
+    low, high = np.empty(3), np.empty(3)
+    for axis, (ends, sign) in product(range(3), ((low, 1.0), (high, -1.0))):
         cost = [sign * (axis == column) for column in range(3)] + [0.0]
-        ends.append(_solve(cost, within, sides))
-    start = np.array(drive.start)
-    low, high = (
-        [
-            start[axis] + ((ends[2 * axis + end] or middle)[axis] + way * _SOLVED) * unit
-            for axis in range(3)
-        ]
-        for end, way in ((0, -1.0), (1, 1.0))
+        found = _solve(cost, within, sides) or middle
+        ends[axis] = drive.start[axis] + (found[axis] - sign * _SOLVED) * unit
+    best = [drive.start[axis] + middle[axis] * unit for axis in range(3)]
+    return StartBounds(
+        middle=_as_pose(best), low=_as_pose(low.tolist()), high=_as_pose(high.tolist())
     )
-    best = [start[axis] + middle[axis] * unit for axis in range(3)]
-    return StartBounds(middle=_as_pose(best), low=_as_pose(low), high=_as_pose(high))
 
 
 def _solve(cost: list[float], within: Values, sides: Values) -> list[float] | None:

@@ -343,41 +343,47 @@ def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> in
     return min(known, default=LARGEST_TICKS)
 
 
-def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:
-    """Return the dead time of each loop; of each phase if the law declares no loops."""
-    loops = run.declaration.loops
-    if loops:
-        return {loop.name: find_dead_time(run, loop) for loop in loops}
-    names = [name for name in run.declaration.phases if name != PAUSE]
-    return {phase: _find_dead_time_of_phase(run, phase) for phase in names}
+def find_dead_times(run: Run, loops: Sequence[str] = ()) -> dict[str, DeadTime | Missing]:
+    """Return the dead time of some or all loops, if constant; of each phase if no loop is declared.
+
+    In a phase without loops, it is that of the turn rate, or of the speed if the first is unknown.
+    """
+    declared, found = run.declaration, dict[str, DeadTime | Missing]()
+    for name in loops or [loop.name for loop in declared.loops]:
+        found[name] = find_dead_time(run, name)
+    for phase in [one for one in declared.phases if one != PAUSE and not declared.loops]:
+        name, tried = f"{phase}-loop" if phase in RESERVED else phase, list[DeadTime | Missing]()
+        phases = {one: (name,) if one == phase else () for one in declared.phases}
+        for command, signal, reference in _COMMANDS:
+            loop = ControlLoop(name=name, signal=signal, command=command, reference=reference)
+            driven = replace(run, declaration=replace(declared, loops=(loop,), phases=phases))
+            tried.append(find_dead_time(driven, loop))
+        found[phase] = next((one for one in tried if isinstance(one, DeadTime)), tried[0])
+    return {name: require_noise(one) for name, one in found.items()}
 
 
-def _find_dead_time_of_phase(run: Run, phase: str) -> DeadTime | Missing:
-    """Return the dead time of the turn rate in a phase, or of the speed if the first is unknown."""
-    name = f"{phase}-loop" if phase in RESERVED else phase
-    found: list[DeadTime | Missing] = []
-    for command, signal, reference in _COMMANDS:
-        loop = ControlLoop(name=name, signal=signal, command=command, reference=reference)
-        phases = {one: (name,) if one == phase else () for one in run.declaration.phases}
-        declaration = replace(run.declaration, loops=(loop,), phases=phases)
-        found.append(find_dead_time(replace(run, declaration=declaration), loop))
-    return next((one for one in found if isinstance(one, DeadTime)), found[0])
-
-
-def describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Finding:
-    """Return a dead time as a finding; `motion` is the run with its gaps spaced out."""
-    if isinstance(found, Missing):
-        return miss(found.reason)
-    changed = ""
-    for change in found.changes:
-        row = int(np.searchsorted(motion.poses.time_ns, change.time_ns))
-        changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
-    if found.is_exact:
-        return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
-    evidence = f"least squares; the next best leaves {found.margin:.3g} times"
-    if found.lag_slack:
-        evidence += "; with a lag a shorter one fits as well"
-    return fit_value(found.ticks, evidence, (found.ticks - found.lag_slack, found.ticks))
+def describe_dead_times(
+    dead_times: Mapping[str, DeadTime | Missing], motion: Run, run: Run
+) -> dict[str, Finding]:
+    """Return dead times as findings; `motion` is the run with its gaps spaced out."""
+    findings = {}
+    for name, found in dead_times.items():
+        if isinstance(found, Missing):
+            finding = miss(found.reason)
+        elif found.is_exact:
+            evidence = f"explains all {found.rows} steps to rounding"
+            for change in found.changes:
+                row = int(np.searchsorted(motion.poses.time_ns, change.time_ns))
+                until_s = run.poses.time_ns[row] / 1e9
+                evidence += f"; {change.before} until {until_s:.2f} s"
+            finding = find_exactly(found.ticks, evidence)
+        else:
+            evidence = f"least squares; the next best leaves {found.margin:.3g} times"
+            evidence += "; with a lag a shorter one fits as well" * bool(found.lag_slack)
+            interval = (found.ticks - found.lag_slack, found.ticks)
+            finding = fit_value(found.ticks, evidence, interval)
+        findings[f"{DEAD_TIME}{name}"] = finding
+    return findings
 
 
 def describe_limits(run: Run) -> dict[str, Finding]:

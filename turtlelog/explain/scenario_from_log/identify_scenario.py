@@ -10,7 +10,7 @@ import numpy as np
 
 from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
-from turtlelog.explain.scenario_from_log import identification, loop_settings
+from turtlelog.explain.scenario_from_log import identification, law_identification, loop_settings
 from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
@@ -24,13 +24,7 @@ from turtlelog.explain.scenario_from_log.identification import (
     miss,
     take_recorded,
 )
-from turtlelog.explain.scenario_from_log.law_identification import (
-    PHASES,
-    RULE_KEYS,
-    find_stop_rule,
-    identify_rotation,
-    identify_translation,
-)
+from turtlelog.explain.scenario_from_log.law_identification import PHASES, RULE_KEYS
 from turtlelog.explain.scenario_from_log.resimulation import (
     LONGEST_S,
     NOT_DETERMINISTIC,
@@ -145,14 +139,13 @@ def _identify_recorded(run: Run) -> Identification | None:
     recorded = check_recorded_scenario(run, trace, trust_law=False)
     if recorded.scenario is None:
         return None
-    motion = space_out(trace)
-    rotation, turning = identify_rotation(trace)
-    translation, driving = identify_translation(trace)
+    rotation, turning = law_identification.identify_rotation(trace)
+    translation, driving = law_identification.identify_translation(trace)
     is_law = _contradict_law(trace, turning, driving) is None
     findings = {**loop_settings.describe_goal(trace), **(rotation | translation if is_law else {})}
-    for loop in PHASES:
-        dead_time = identification.require_noise(find_dead_time(motion, loop))
-        findings[f"{DEAD_TIME}{loop}"] = identification.describe_dead_time(dead_time, motion, run)
+    motion = space_out(trace)
+    dead_times = identification.find_dead_times(motion, PHASES)
+    findings |= identification.describe_dead_times(dead_times, motion, run)
     note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
     findings |= identification.take_findings(findings, recorded.scenario, note)
     findings["stop_reason"] = identification.describe_stop_rule(run, recorded)
@@ -219,22 +212,15 @@ def _add_recorded(run: Run, found: Identification) -> Identification:
 def _identify_samples(run: Run) -> Identification:
     trace = mark_breaks(trace_run(run, PHASES))
     motion = space_out(trace)
-    dead_times = {
-        loop: identification.require_noise(find_dead_time(motion, loop)) for loop in PHASES
-    }
-    findings = {
-        f"{DEAD_TIME}{loop}": identification.describe_dead_time(found, motion, run)
-        for loop, found in dead_times.items()
-    }
+    dead_times = identification.find_dead_times(motion, PHASES)
+    findings = identification.describe_dead_times(dead_times, motion, run)
     findings |= loop_settings.describe_goal(trace)
-    rotation, turning = identify_rotation(trace)
-    translation, driving = identify_translation(trace)
-    obstacle = _contradict_law(trace, turning, driving)
+    rotation, turning = law_identification.identify_rotation(trace)
+    translation, driving = law_identification.identify_translation(trace)
     breaks = describe_trace_breaks(trace)
-    if obstacle:
+    if obstacle := _contradict_law(trace, turning, driving):
         return give_up(run.name, findings, obstacle, breaks)
-    obstacle = _find_obstacle(trace)
-    if obstacle:
+    if obstacle := _find_obstacle(trace):
         # Commands that follow their errors bit for bit determine their gain alone.
         pairs = ((rotation, turning), (translation, driving))
         sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
@@ -243,7 +229,9 @@ def _identify_samples(run: Run) -> Identification:
     is_certain = all(
         fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
     )
-    ending = find_stop_rule(trace, is_certain=is_certain, is_finished=run.is_complete)
+    ending = law_identification.find_stop_rule(
+        trace, is_certain=is_certain, is_finished=run.is_complete
+    )
     findings |= ending.rules
     hints = loop_settings.read_hints(trace)
     tables = ("start.", "goal.", "law.", "limits.", "loop.")
@@ -398,10 +386,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
     kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
     motion = space_out(trace)
-    dead_times = {
-        name: identification.require_noise(one)
-        for name, one in identification.find_dead_times(motion).items()
-    }
+    dead_times = identification.find_dead_times(motion)
     if not run.scenario_is_complete:
         recorded = RecordedScenario(reach="")
     elif not trust_law and kind not in LAWS:
@@ -422,10 +407,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
     findings = {
         **{key: miss(reason) for key in LAW_KEYS},
         **{key: miss(around) for key in (*LOOP_KEYS, "lost_commands")},
-        **{
-            f"{DEAD_TIME}{name}": identification.describe_dead_time(found, motion, run)
-            for name, found in dead_times.items()
-        },
+        **identification.describe_dead_times(dead_times, motion, run),
         **loop_settings.describe_goal(trace),
         **identification.describe_limits(run),
         **settings,

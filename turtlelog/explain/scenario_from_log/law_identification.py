@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -274,8 +274,7 @@ _ROUND_DIGITS: Final = 2
 """Largest number of digits of a typed time or number."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ending:
+class Ending(NamedTuple):
     """The rule that ended a run (`stop_reason`), and rules with unusual values, by key."""
 
     reason: Finding
@@ -324,7 +323,7 @@ def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Endi
     """
     speed = trace.speed_m_s[trace.rotating :]
     if not len(speed):
-        return Ending(reason=find_exactly("cut", "the log ends while the robot rotates"), rules={})
+        return Ending(find_exactly("cut", "the log ends while the robot rotates"), {})
     rules = [_judge_standstill(trace), *_judge_times(trace)]
     contradicted = {
         rule.key: miss(
@@ -336,19 +335,29 @@ def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Endi
         if rule.is_contradicted
     }
     if speed[-1] == 0.0:
-        return Ending(
-            reason=_say(WITHIN_TOLERANCE, "the last command is 0", is_certain=is_certain),
-            rules=contradicted,
-        )
+        reason = _say(WITHIN_TOLERANCE, "the last command is 0", is_certain=is_certain)
+        return Ending(reason, contradicted)
     met = [rule for rule in rules if rule.ends_here and not rule.is_contradicted]
     if met:
         needs_poses = met[0].name == SETTLED
         reason = _say(met[0].name, met[0].evidence, is_certain=is_certain or not needs_poses)
-        return Ending(reason=reason, rules=contradicted)
+        return Ending(reason, contradicted)
     if not is_finished:
         evidence = "no rule of the law ends the run at the last sample"
-        return Ending(reason=_say("cut", evidence, is_certain=is_certain), rules=contradicted)
-    return _guess_rule(rules, contradicted)
+        return Ending(_say("cut", evidence, is_certain=is_certain), contradicted)
+    # The rules that may have ended the run if their values are not the defaults.
+    likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
+    # A rounder value was more likely typed.
+    likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
+    for rule in likely[:1]:
+        value = _round_value(rule)
+        contradicted[rule.key] = miss(f"{value:.6g} would end the run as the log does", value)
+    reason = "the log says that the run ended, and no rule with its usual value ends it"
+    if len(likely) < 2:
+        known = [f"; with another {rule.name} would" for rule in likely]
+        return Ending(miss("".join([reason, *known])), contradicted)
+    names = tuple(rule.name for rule in likely)
+    return Ending(leave_open(names, reason, names[0]), contradicted)
 
 
 def _say(reason: str, evidence: str, *, is_certain: bool) -> Finding:
@@ -417,25 +426,6 @@ def _count_held(holds: Any) -> Any:
     """Return, for each row, how many rows up to it a condition has been true."""
     rows = np.arange(1, len(holds) + 1)
     return rows - np.maximum.accumulate(np.where(holds, 0, rows))
-
-
-def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
-    """Return the stop rules that may have ended a run if their values are not the defaults."""
-    likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
-    findings = dict(contradicted)
-    # A rounder value was more likely typed.
-    likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
-    for rule in likely[:1]:
-        value = _round_value(rule)
-        findings[rule.key] = miss(f"{value:.6g} would end the run as the log does", value)
-    reason = "the log says that the run ended, and no rule with its usual value ends it"
-    if len(likely) < 2:
-        known = [f"; with another {rule.name} would" for rule in likely]
-        return Ending(reason=miss("".join([reason, *known])), rules=findings)
-    return Ending(
-        reason=leave_open(tuple(rule.name for rule in likely), reason, likely[0].name),
-        rules=findings,
-    )
 
 
 def _round_value(rule: _Rule) -> float:

@@ -242,22 +242,17 @@ def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
         found = (lost for other, needed, lost in known if depths.hold(needed) and other == alike)
         lost = next(found, None)
         if lost is None:
-            lost, needed = _count_lost(scenario)
+            gauge, loops, superseded = QueueGauge(scenario), list[PlainLoop](), 0
+            for number, tick in enumerate(iterate_ticks(scenario, made=loops)):
+                gauge.receive(number)
+                superseded += max(len(tick.published) - 1, 0)
+                gauge.answer(tick)
+            is_newest = scenario.loop.queue_policy == "newest"
+            lost, needed = superseded if is_newest else loops[0].now.commands_dropped, gauge.needed
             if depths.hold(needed):
                 known.append((alike, needed, lost))
         counts.append(lost)
     return counts
-
-
-def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
-    gauge, loops = QueueGauge(scenario), list[PlainLoop]()
-    superseded = 0
-    for number, tick in enumerate(iterate_ticks(scenario, made=loops)):
-        gauge.receive(number)
-        superseded += max(len(tick.published) - 1, 0)
-        gauge.answer(tick)
-    is_newest = scenario.loop.queue_policy == "newest"
-    return superseded if is_newest else loops[0].now.commands_dropped, gauge.needed
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
