@@ -89,7 +89,7 @@ def _write_value(found: Attribution) -> str:
 def write_cause_head(found: Attribution) -> str:
     """Return how many effects and design parameters cause the value, as the title of a list."""
     named = choose_named(found)
-    sizes = [one.contribution or 0.0 for one in named]
+    sizes = [one.size for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
     left = max(found.resolution.size, NAMED * abs(found.divided))
     is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
@@ -116,7 +116,7 @@ def _need_each_other(found: Attribution, named: list[Contribution]) -> bool:
     """
     names = {one.cause for one in named}
     joint = sum(case.value for case in found.together if {*case.causes} == names)
-    return len(names) > 1 and joint > 0.5 * abs(sum(one.contribution or 0.0 for one in named))
+    return len(names) > 1 and joint > 0.5 * abs(sum(one.size for one in named))
 
 
 def _is_wide(found: Attribution) -> bool:
@@ -126,11 +126,11 @@ def _is_wide(found: Attribution) -> bool:
 def _write_main(found: Attribution) -> str:
     """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
-    largest = abs(named[0].contribution or 0.0)
-    main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
+    largest = abs(named[0].size)
+    main = [one for one in named if largest <= _ALIKE * abs(one.size)]
     label = "mainly " if len(main) < len(named) else ""
     mean = " in the mean over seeds" if found.seeds is not None else ""
-    added = math.fsum(one.contribution or 0.0 for one in named)
+    added = math.fsum(one.size for one in named)
     if added > 0.0 and len(named) == len(found.acting) and _need_each_other(found, named):
         # Parts of what only arises together would read as if each cause alone added its part.
         names = join_words([one.cause for one in named])
@@ -152,7 +152,7 @@ def write_part(found: Attribution, one: Contribution) -> str:
 
 def format_contribution(found: Attribution, one: Contribution) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
-    value = one.contribution or 0.0
+    value = one.size
     return f"{'+' if value >= 0.0 else ''}{_format_value(found, value, one.standard_error)}"
 
 
@@ -203,7 +203,7 @@ def _name_set(found: Attribution, case: ValueSet) -> str:
 
 def _is_negligible(found: Attribution) -> bool:
     """Return whether each effect, and their total, is within the resolution."""
-    largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
+    largest = max((abs(one.size) for one in found.contributions), default=0.0)
     return max(largest, abs(_sum_effects(found))) <= found.resolution.size
 
 
@@ -263,13 +263,13 @@ def _write_bound(found: Attribution) -> str:
 
 
 def _list_large(found: Attribution) -> list[Contribution]:
-    ordered = sorted(found.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    ordered = sorted(found.contributions, key=lambda one: -abs(one.size))
     least = NAMED * _sum_contributions(found)
-    return [one for one in ordered if abs(one.contribution or 0.0) > least]
+    return [one for one in ordered if abs(one.size) > least]
 
 
 def _sum_contributions(found: Attribution) -> float:
-    return math.fsum(abs(one.contribution or 0.0) for one in found.contributions)
+    return math.fsum(abs(one.size) for one in found.contributions)
 
 
 def _write_together(found: Attribution) -> str:

@@ -69,9 +69,14 @@ class Contribution:
     standard_error: float | None = None
 
     @property
+    def size(self) -> float:
+        """The contribution; 0 without one."""
+        return self.contribution or 0.0
+
+    @property
     def is_clear(self) -> bool:
         """Whether the contribution differs from 0 significantly over seeds."""
-        return is_clear(self.contribution or 0.0, self.standard_error)
+        return is_clear(self.size, self.standard_error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,7 +273,7 @@ class Attribution:
         least, found = _ROUNDING * abs(self.divided), []
         for one in (*self.contributions, *self.others):
             apart = 0.0 if one.alone is None else one.alone - self.divided
-            sizes = (apart, one.contribution or 0.0, one.standard_error or 0.0)
+            sizes = (apart, one.size, one.standard_error or 0.0)
             if one.ending or any(abs(size) > least for size in sizes):
                 found.append(one)
         return tuple(found)
@@ -299,7 +304,6 @@ SEED: Final = "seed"
 
 ROBOT: Final = "robot"
 """Basis of a robot's log: its model, driven by the recorded commands."""
-
 
 Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
 
@@ -388,6 +392,11 @@ class Change:
     low: float | None = None
     high: float | None = None
     undone: float | None = None
+
+    @property
+    def size(self) -> float:
+        """The contribution; 0 without one."""
+        return self.contribution or 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

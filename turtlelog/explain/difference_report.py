@@ -62,7 +62,6 @@ _PARTS: Final = {
 }
 """Meaning of the first difference between two runs, by the part that differs."""
 
-
 _CODE: Final = (
     "Until then the controller reads equal poses, so the cause lies in the controller, whose code"
     " differs"
@@ -121,7 +120,7 @@ def _write_dependences(found: ExplainedDifference) -> Iterator[str]:
     if found.orders is not None and found.contributions:
         orders = f"{found.orders} orders of the changes were sampled"
         yield f"{orders}: each contribution has a standard error."
-    sizes = [(one, one.contribution or 0.0, one.standard_error) for one in found.contributions]
+    sizes = [(one, one.size, one.standard_error) for one in found.contributions]
     unclear = [
         name_change(one) for one, size, error in sizes if error and not is_clear(size, error)
     ]
@@ -164,7 +163,7 @@ def write_difference_headline(found: ExplainedDifference) -> str:
         return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
     least = _TINY * _sum(found.contributions)
     chance = [
-        f"{_CHANCE[one.name]} {_write_move(found, one.contribution or 0.0, is_many=True)}"
+        f"{_CHANCE[one.name]} {_write_move(found, one.size, is_many=True)}"
         for one in found.contributions
         if _is_chance(found, one) and (one.name == SEED or _is_large(one, least))
     ]
@@ -175,14 +174,13 @@ def write_difference_headline(found: ExplainedDifference) -> str:
 def _write_parts(found: ExplainedDifference) -> str:
     """Return the contributions of the changes; those not in the headline are added up."""
     parts = [
-        f"{name_change(one)}"
-        f" {_write_move(found, one.contribution or 0.0, is_many=one.name in _PLURALS)}"
+        f"{name_change(one)} {_write_move(found, one.size, is_many=one.name in _PLURALS)}"
         for one in choose_told(found)
     ]
     if found.unexplained is not None:
         return join_words(parts) or ("no cause is certain" if found.contributions else "")
     rest = [one for one in _list_divided(found) if one not in choose_told(found)]
-    size = math.fsum(one.contribution or 0.0 for one in rest)
+    size = math.fsum(one.size for one in rest)
     if parts and abs(size) > _TINY * _sum(_list_divided(found)):
         parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
     told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
@@ -211,18 +209,18 @@ def choose_told(found: ExplainedDifference) -> list[Change]:
         return [one for one in divided if _is_large(one, _TINY * _sum(divided))]
     if len(divided) <= _FEW:
         tiny = _TINY * _sum(divided)
-        return [one for one in divided if abs(one.contribution or 0.0) > tiny]
+        return [one for one in divided if abs(one.size) > tiny]
     least = NAMED * _sum(divided)
     told = [one for one in divided if _is_large(one, least)]
     return divided if len(told) == len(divided) - 1 else told
 
 
 def _sum(changes: Sequence[Change]) -> float:
-    return math.fsum(abs(one.contribution or 0.0) for one in changes)
+    return math.fsum(abs(one.size) for one in changes)
 
 
 def _is_large(one: Change, least: float) -> bool:
-    size = one.contribution or 0.0
+    size = one.size
     return abs(size) > least and is_clear(size, one.standard_error)
 
 
@@ -233,7 +231,7 @@ def _write_move(found: ExplainedDifference, size: float, *, is_many: bool) -> st
 
 def format_change(found: ExplainedDifference, one: Change) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
-    size = one.contribution or 0.0
+    size = one.size
     if one.low is not None and one.high is not None:
         low, high = (format_magnitude(found, end) for end in (one.low, one.high))
         spread = f" ({low} to {high})"
@@ -272,7 +270,7 @@ def _compare_spans(one: Change) -> str:
 
 def _is_negligible(found: ExplainedDifference) -> bool:
     """Return whether all contributions, and the difference, are within the resolution."""
-    sizes = [abs(one.contribution or 0.0) for one in found.contributions]
+    sizes = [abs(one.size) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
@@ -401,7 +399,7 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
     if not sides or not found.contributions:
         return said
     answers = any(
-        one.name == COMMANDS and is_clear(one.contribution or 0.0, one.standard_error)
+        one.name == COMMANDS and is_clear(one.size, one.standard_error)
         for one in found.contributions
     )
     return [

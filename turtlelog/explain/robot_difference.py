@@ -159,9 +159,9 @@ def _divide(
     if divided.withheld:
         return replace(found, withheld=divided.withheld)
     listed = {one.name: one for one in changes}
-    shares = sorted(divided.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    shares = sorted(divided.contributions, key=lambda one: -abs(one.size))
     contributions = tuple(_complete(listed[one.cause], one) for one in shares)
-    explained = math.fsum(one.contribution or 0.0 for one in contributions)
+    explained = math.fsum(one.size for one in contributions)
     found = replace(
         found,
         first=replace(found.first, resimulated=fmean(ends[0])),
@@ -179,11 +179,7 @@ def _divide(
         return replace(found, withheld=reason)
     idle = tuple(key for name in parts if name not in acting for key in listed[name].keys)
     return replace(
-        found,
-        contributions=contributions,
-        changes=(),
-        idle=idle,
-        together=divided.together,
+        found, contributions=contributions, changes=(), idle=idle, together=divided.together
     )
 
 
@@ -212,7 +208,7 @@ def _complete(change: Change, share: Contribution) -> Change:
     That of the mean over draws would be too small by the root of their number.
     """
     error = (share.standard_error or 0.0) * math.sqrt(len(SEEDS))
-    size = share.contribution or 0.0
+    size = share.size
     return replace(
         change,
         contribution=size,

@@ -58,7 +58,6 @@ _AGREEMENT: Final = 0.1
 _ROUNDING: Final = 1e-12
 """Share of a value that a mean over equal values may differ by."""
 
-
 _NAMES: Final = ("the first run", "the second run")
 """Names of runs that have equal names."""
 
@@ -219,10 +218,7 @@ def _begin_side(run: Run, metric: str) -> Side:
     """Return the values in a run's log."""
     logged = measure_run(run, only=[metric])[metric]
     return Side(
-        name=run.name,
-        as_logged=logged.value,
-        reason=logged.reason,
-        simulated_by=run.simulated_by,
+        name=run.name, as_logged=logged.value, reason=logged.reason, simulated_by=run.simulated_by
     )
 
 
@@ -375,7 +371,7 @@ def _list_contributions(
     """Return the contributions of acting changes, the largest first, then that of the seeds."""
     listed = {one.name: one for one in found.changes}
     shares = [one for one in divided.contributions if one.cause in divided.acting]
-    shares.sort(key=lambda one: -abs(one.contribution or 0.0))
+    shares.sort(key=lambda one: -abs(one.size))
     contributions = [
         replace(
             listed[one.cause],
@@ -385,7 +381,7 @@ def _list_contributions(
         )
         for one in shares
     ]
-    rest = math.fsum([found.difference or 0.0, *(-(one.contribution or 0.0) for one in shares)])
+    rest = math.fsum([found.difference or 0.0, *(-one.size for one in shares)])
     if not game.is_random or abs(rest) <= _ROUNDING * abs(found.second.resimulated or 0.0):
         return tuple(contributions)
     seeds = tuple(one.seed for one in scenarios)
@@ -417,7 +413,7 @@ def _shift_effects(
     found = [attribute_scenario(one, metric=metric, work=work) for one in scenarios]
     if any(one.withheld for one in found):
         return ()
-    tables = [{one.cause: one.contribution or 0.0 for one in side.contributions} for side in found]
+    tables = [{one.cause: one.size for one in side.contributions} for side in found]
     shifts = [
         EffectShift(cause=name, first=tables[0].get(name, 0.0), second=tables[1].get(name, 0.0))
         for name in {**tables[0], **tables[1]}

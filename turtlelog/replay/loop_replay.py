@@ -117,30 +117,40 @@ def replay_law(
     answers, recorded = found.samples, Answers(run.samples, run.declaration)
     rows = slice(len(answers))
     pairings = [*differences.pair_samples(recorded, found, rows=rows, others=rows)]
-    pairings += [*differences.pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
+    pairings += differences.pair_published(run, answers)
+    if differences.has_ticks(run) and differences.has_all_commands(run):
+        # The ticks between samples and their commands.
+        rows = slice(min(len(run.commands), len(answers)))
+        held = (run.commands.time_ns[rows] - run.samples.time_ns[rows]) / find_plant(run).period_ns
+        time_ns = run.samples.time_ns[rows]
+        pairings.append(Pairing("pause", "tick", time_ns, held, blocks_ticks[rows]))
     signals = tuple(
         differences.compare_pairing(pairing, tolerance=tolerance) for pairing in pairings
     )
     stop = compare_last_answer(run, len(answers) - 1, stop_reason, blocks=bool(blocks_ticks[-1]))
-    others = [_count_published(run), stop]
+    missing, count = differences.count_missing_samples(run.samples), len(run.samples)
+    is_lossy = missing or not run.notes.keys().isdisjoint(LOSS_NOTES) or "commands" in run.absent
+    has_published, commands = differences.has_published(run), None
+    if not (has_published or is_lossy):
+        given, at_ns = len(run.commands), run.end_ns
+        commands = Difference(signal="commands", time_ns=at_ns, recorded=given, replayed=count)
+    first = [*(signal.first_difference for signal in signals), commands, stop]
     return LawReplay(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
-        missing_samples=differences.count_missing_samples(run.samples),
+        missing_samples=missing,
         signals=signals,
-        commands=others[0],
+        commands=commands,
         stop=stop,
         declaration=compare_declarations(run, found.declaration),
-        first_difference=differences.find_earliest(
-            [*(signal.first_difference for signal in signals), *others]
-        ),
+        first_difference=differences.find_earliest(first),
         first_command_difference=differences.find_earliest(
             signal.first_difference for signal in signals if signal.signal in differences.COMMANDS
         ),
         absent=(
             *differences.list_unrecorded(recorded, found),
-            *(() if differences.has_published(run) else differences.PUBLISHED),
+            *(() if has_published else differences.PUBLISHED),
         ),
         answers=answers,
     )
@@ -192,27 +202,6 @@ def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tup
         yield sample, loop.take_states(sample.sequence)
         if sample.stop:
             break
-
-
-def _count_published(run: Run) -> Difference | None:
-    """Return the number of commands beside the number of samples, if no row is lost."""
-    is_lossy = differences.count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(
-        LOSS_NOTES
-    )
-    if differences.has_published(run) or is_lossy or "commands" in run.absent:
-        return None
-    samples, commands = len(run.samples), len(run.commands)
-    return Difference(signal="commands", time_ns=run.end_ns, recorded=commands, replayed=samples)
-
-
-def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
-    """Return the ticks between samples and their commands, if the clock counts in ticks."""
-    rows = min(len(run.commands), len(blocks_ticks))
-    held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
-    if not differences.has_ticks(run) or not differences.has_all_commands(run):
-        return []
-    held = held_ns / find_plant(run).period_ns
-    return [Pairing("pause", "tick", run.samples.time_ns[:rows], held, blocks_ticks[:rows])]
 
 
 _OF_TICKS: Final = (

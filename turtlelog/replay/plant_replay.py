@@ -223,10 +223,7 @@ def _replay_lagged(run: Run) -> PlantReplay:
             for row in np.flatnonzero(apart > 1)
         ),
         commands=CommandUse(
-            taken=drive.taken,
-            unseen=len(run.commands) - drive.taken,
-            stops=0,
-            unexplained_ticks=0,
+            taken=drive.taken, unseen=len(run.commands) - drive.taken, stops=0, unexplained_ticks=0
         ),
     )
 

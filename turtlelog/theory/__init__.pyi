@@ -16,10 +16,7 @@ from .continuous_loop import (
     find_plant_final_value as find_plant_final_value,
     judge_bibo as judge_bibo,
 )
-from .exact_gains import (
-    StepMotion as StepMotion,
-    measure_step_motion as measure_step_motion,
-)
+from .exact_gains import StepMotion as StepMotion, measure_step_motion as measure_step_motion
 from .loop_models import (
     LoopModel as LoopModel,
     LoopTiming as LoopTiming,
@@ -43,14 +40,8 @@ from .pid_loop import (
     find_stable_gains as find_stable_gains,
     is_pid_stable as is_pid_stable,
 )
-from .pid_stability import (
-    Margins as Margins,
-    PidGains as PidGains,
-)
-from .process import (
-    INTEGRATOR as INTEGRATOR,
-    Process as Process,
-)
+from .pid_stability import Margins as Margins, PidGains as PidGains
+from .process import INTEGRATOR as INTEGRATOR, Process as Process
 from .recommended_gains import (
     OVERSHOOT_PERCENT as OVERSHOOT_PERCENT,
     PHASE_MARGIN_RAD as PHASE_MARGIN_RAD,

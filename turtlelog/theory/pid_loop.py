@@ -117,11 +117,7 @@ class PidLoop:
 
 
 def analyse_pid_loop(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> PidLoop:
     """Analyse a PID loop: poles, stability, range of its gain, step response, margins.
 
@@ -168,11 +164,7 @@ def analyse_pid_loop(
 
 
 def compute_pid_poles(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
@@ -215,11 +207,7 @@ def compute_pid_locus(
 
 
 def is_pid_stable(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> bool:
     """Return whether all poles of a closed PID loop lie inside the unit circle.
 
@@ -233,11 +221,7 @@ def is_pid_stable(
 
 
 def find_stable_gains(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> tuple[tuple[float, float], ...]:
     """Return the intervals of Kp [1/s] in which a loop is stable with its other gains fixed.
 

@@ -157,12 +157,7 @@ def _list_coefficients(shape: LoopShape) -> list[float]:
     from numpy.polynomial.polynomial import polyadd, polymul  # few theories need it
 
     c0, c1, c2 = shape.numerator
-    found = [
-        -c0 * c0,
-        2.0 * (c1 * c0 + 2.0 * c2 * c0 - c1 * c1),
-        4.0 * c2 * (c1 - c2 - c0),
-        0.0,
-    ]
+    found = [-c0 * c0, 2.0 * (c1 * c0 + 2.0 * c2 * c0 - c1 * c1), 4.0 * c2 * (c1 - c2 - c0), 0.0]
     gap = 1.0 if shape.a is None else 1.0 - shape.a
     both, apart = shape.ahead + shape.behind, shape.ahead - shape.behind
     # |W|^2 on the unit circle in rising powers of x.

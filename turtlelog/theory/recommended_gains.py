@@ -110,9 +110,13 @@ def recommend_gains(
             ("phase-margin", "PI", _EXACT, partial(exact.find_pi_of_margin, design, margin_rad)),
             ("phase-margin", "PD", _EXACT, partial(exact.find_pd_of_margin, design, margin_rad)),
         ]
+
+    def halve_ultimate_gain() -> PidGains:  # which gives a gain margin of 2
+        return PidGains(kp=0.5 * design.find_ultimate_gain())
+
     rules += [
         *(("simc", kind, _SKOGESTAD, partial(_compute_simc, design, kind)) for kind in _KINDS),
-        ("ziegler-nichols", "P", _ZIEGLER_NICHOLS, partial(_halve_ultimate_gain, design)),
+        ("ziegler-nichols", "P", _ZIEGLER_NICHOLS, halve_ultimate_gain),
     ]
     return tuple(_judge(design, *rule) for rule in rules)
 
@@ -231,11 +235,6 @@ def _compute_simc(design: LoopDesign, kind: str) -> PidGains | str:
         found = f"{1e3 * lag_s:.4g} ms of lag and {1e3 * theta_s:.4g} ms of dead time with the hold"
         return f"the rule takes a derivative where the lag exceeds the dead time; here are {found}"
     return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s) if kind == "PI" else 0.0, kd=kp * lag_s)
-
-
-def _halve_ultimate_gain(design: LoopDesign) -> PidGains:
-    """Return half of the gain at the limit of stability, which gives a gain margin of 2."""
-    return PidGains(kp=0.5 * design.find_ultimate_gain())
 
 
 def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:

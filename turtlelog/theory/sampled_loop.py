@@ -246,10 +246,7 @@ def _compute_stability_loop_gain(dead_time_ticks: int) -> float:
 
 
 def measure_step(
-    slowest: complex,
-    dead_time: int,
-    respond: Callable[[int], NDArray[np.float64]],
-    longest: int,
+    slowest: complex, dead_time: int, respond: Callable[[int], NDArray[np.float64]], longest: int
 ) -> tuple[float | None, int | None]:
     """Return overshoot [%] and 2 % settling time [samples] of a step response.
 

@@ -138,10 +138,7 @@ def drive_plant(
         return None
     read = driven[trace.number[:count]]
     left = np.column_stack(
-        [
-            trace.xy_m[:count] - read[:, :2],
-            subtract_headings(trace.heading_rad[:count], read[:, 2]),
-        ]
+        [trace.xy_m[:count] - read[:, :2], subtract_headings(trace.heading_rad[:count], read[:, 2])]
     )
     return _compare(trace, left, read, count)
 

@@ -240,7 +240,7 @@ def _identify_samples(run: Run) -> Identification:
     try:
         fits = search_loop(trace, known, hints, tuple(dead_times.values()))
         scenario = fits.scenario
-        if not (fits.is_exact or fits.is_close) and ending.reason.value in {None, "cut"}:
+        if not fits.is_reproduced and ending.reason.value in {None, "cut"}:
             scenario = cut_where_logged(scenario, trace)  # no search has found the log's end
         again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
@@ -251,9 +251,9 @@ def _identify_samples(run: Run) -> Identification:
     findings |= loop_settings.describe_loop(trace, fits, slack)
     if fits.is_fitted and not (fits.is_exact or fits.is_partial):
         findings |= _describe_dead_times_again(dead_times, fits, slack)
-    if not (fits.is_exact or fits.is_close):
+    if not fits.is_reproduced:
         findings |= _withhold_law(findings, turning, driving)
-    if not (fits.is_exact or fits.is_close or fits.is_fitted):
+    if not (fits.is_reproduced or fits.is_fitted):
         reason = "no setting of the loop explains the motion"
         findings |= {key: miss(reason, findings[key].used) for key in LAW_KEYS}
     findings |= loop_settings.describe_pause(trace, hints, fits)
@@ -377,7 +377,6 @@ def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
 
 _AROUND: Final = "a loop is identified from commands only around turtlesim"
 
-
 _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
 
 
@@ -448,7 +447,7 @@ def _fit_loop(
             sure,
             recorded={key: known[key] for key in LOOP_KEYS if key.startswith("loop.")},
         )
-        if fits.is_exact or fits.is_close:
+        if fits.is_reproduced:
             return fits
     return drive_loop(trace, hints, dead_times)
 

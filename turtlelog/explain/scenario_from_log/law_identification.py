@@ -352,12 +352,12 @@ def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Endi
     for rule in likely[:1]:
         value = _round_value(rule)
         contradicted[rule.key] = miss(f"{value:.6g} would end the run as the log does", value)
-    reason = "the log says that the run ended, and no rule with its usual value ends it"
+    told = "the log says that the run ended, and no rule with its usual value ends it"
     if len(likely) < 2:
         known = [f"; with another {rule.name} would" for rule in likely]
-        return Ending(miss("".join([reason, *known])), contradicted)
+        return Ending(miss("".join([told, *known])), contradicted)
     names = tuple(rule.name for rule in likely)
-    return Ending(leave_open(names, reason, names[0]), contradicted)
+    return Ending(leave_open(names, told, names[0]), contradicted)
 
 
 def _say(reason: str, evidence: str, *, is_certain: bool) -> Finding:

@@ -238,7 +238,6 @@ def set_pause(guess: Guess, ticks: int | None) -> Guess:
 
 START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
-
 _QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
 """Settings that get the default as their single value, because the clock does not show them."""
 
@@ -246,8 +245,6 @@ _LIKE_A_LAG: Final = MappingProxyType(
     {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
 )
 """Settings that a time constant of the robot may imitate, with their smallest values."""
-
-_PERIOD: Final = "the usual distance of the poses answered"
 
 
 def describe_loop(trace: Trace, fits: "Fits", lag_slack: int = 0) -> dict[str, Finding]:
@@ -263,7 +260,7 @@ def describe_loop(trace: Trace, fits: "Fits", lag_slack: int = 0) -> dict[str, F
         findings = {key: miss(reason, fits.guesses[0][key]) for key in keys}
         return {**findings, "lost_commands": miss(reason)}
     findings = {key: _describe_setting(trace, fits, key) for key in keys}
-    if lag_slack and not (fits.is_exact or fits.is_close):
+    if lag_slack and not fits.is_reproduced:
         findings |= _allow_lag(findings, lag_slack)
     for key in _QUEUES:
         if fits.is_driven and len(fits.ranges[key]) == 1:
@@ -318,7 +315,7 @@ def _describe_turn(trace: Trace, fits: "Fits") -> Finding:
         return miss("the pose jumps after the rotation: how far the robot turned is unknown")
     turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
     evidence = "heading at the end, less at the rotation's"
-    if fits.is_exact or fits.is_close:
+    if fits.is_reproduced:
         return find_exactly(turned, evidence)
     if not (fits.is_fitted and fits.drive):
         return miss("no setting explains the motion")
@@ -335,16 +332,15 @@ def _settle(values: list[Any], evidence: str) -> Finding:
 
 def _describe_setting(trace: Trace, fits: "Fits", key: str) -> Finding:
     values, chosen = fits.list_values(key), fits.guesses[0][key]
-    is_reproduced = fits.is_exact or fits.is_close
     if reason := _find_obstacle(fits, key, chosen):
         return miss(reason, chosen)
     if len(values) > 1:
-        how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
+        how = "reproduces every sample" if fits.is_reproduced else "leaves as little as the others"
         return leave_open(values, f"each {how}", chosen)
     also = _name_alike(key, chosen)
     if fits.is_exact:
         if key == "loop.period_ticks":
-            return find_exactly(chosen, _PERIOD)
+            return find_exactly(chosen, "the usual distance of the poses answered")
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     evidence = f"likeliest of {fits.tried} settings; none is exact"
     if fits.is_driven:
@@ -358,12 +354,11 @@ def _describe_setting(trace: Trace, fits: "Fits", key: str) -> Finding:
 
 def _find_obstacle(fits: "Fits", key: str, chosen: Any) -> str:
     """Return why a setting has no value; empty if it has a value."""
-    is_reproduced = fits.is_exact or fits.is_close
-    if not (is_reproduced or fits.is_fitted):
+    if not (fits.is_reproduced or fits.is_fitted):
         if fits.is_driven and fits.drive is None:
             return f"none of {fits.tried} settings answers the poses that were answered"
         return f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
-    if fits.is_partial and not is_reproduced:
+    if fits.is_partial and not fits.is_reproduced:
         return "the log is too long to try all settings that may explain it"
     return "a deeper queue gives the same run" if key in fits.hidden else ""
 

@@ -279,7 +279,6 @@ LONGEST_S: Final = 3600.0
 """Longest run that is simulated again [s]: 225,000 ticks, about five seconds for each
 simulation."""
 
-
 NOT_DETERMINISTIC: Final = (
     "the recorded scenario reproduces every sample once, and not when it is simulated again:"
     " its law is not deterministic, and nothing is claimed of it"

@@ -44,7 +44,6 @@ _SPARE_S: Final = 3.0
 
 _USUAL_S: Final = Scenario().max_duration_s
 
-
 Settings = Mapping[str, Any]
 
 _Exact = tuple[Guess, int]
@@ -84,6 +83,11 @@ class Fits:
     is_partial: bool = False
     hidden: frozenset[str] = frozenset()
     bounds: driven_plant.StartBounds | None = None
+
+    @property
+    def is_reproduced(self) -> bool:
+        """Whether the settings reproduce every sample, bit for bit or within rounding."""
+        return self.is_exact or self.is_close
 
     @property
     def scenario(self) -> Scenario:
