@@ -67,7 +67,6 @@ def write_headline(found: Attribution) -> str:
 
 
 def _write_value(found: Attribution) -> str:
-    """Return the value of the log, and the re-simulated value if it differs."""
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
@@ -320,7 +319,6 @@ def write_joint(names: Sequence[str], value: float, size: str) -> str:
 
 
 def _write_seeds(found: Attribution) -> str:
-    """Return the value with other seeds."""
     seeds = found.seeds
     if seeds is None:
         return ""
@@ -353,7 +351,6 @@ def _list_idle(found: Attribution) -> list[str]:
 
 
 def _write_unclear(found: Attribution) -> str:
-    """Return the contributions that chance alone may explain, because they are close to 0."""
     unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
@@ -392,7 +389,6 @@ def _write_parts(starts: StartRange) -> str:
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:
-    """Return a range with one unit."""
     least, most = f"{low:.4g}", _format_value(found, high)
     return most if _format_value(found, low) == most else f"{least} to {most}"
 

@@ -269,7 +269,6 @@ def _compare_spans(one: Change) -> str:
 
 
 def _is_negligible(found: ExplainedDifference) -> bool:
-    """Return whether all contributions, and the difference, are within the resolution."""
     sizes = [abs(one.size) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
@@ -324,7 +323,6 @@ def _name_set(changes: dict[str, Change], case: ValueSet) -> str:
 
 
 def _write_together(found: ExplainedDifference) -> str:
-    """Return the part that arises only if several changes act together; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
     names = {one.name: name_change(one) for one in found.contributions}
@@ -354,7 +352,6 @@ def _write_departure(found: ExplainedDifference) -> list[str]:
 
 
 def _write_software(found: ExplainedDifference) -> str:
-    """Return differences other than settings before the runs differ: versions, platform or code."""
     first, second = found.first.simulated_by, found.second.simulated_by
     silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
     if silent:

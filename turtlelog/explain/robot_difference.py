@@ -186,7 +186,6 @@ def _divide(
 def _find_acting(
     found: ExplainedDifference, logs: Sequence[RobotLog], parts: Mapping[str, Cause]
 ) -> dict[str, Cause]:
-    """Return the parts that alone change the metric in one of the logs."""
     game = RobotGame(logs[0], logs[1], found.metric, parts)
     least = _ACTS * abs(found.difference or 0.0)
 
@@ -297,7 +296,6 @@ class RobotGame(Game):
         )
 
     def _get(self, part: str, out: Coalition) -> RobotLog:
-        """Return the log from which a part is taken."""
         return self._logs[part not in out]
 
     def _find_times(self, out: Coalition) -> Times:

@@ -215,7 +215,6 @@ def _name_untrusted(
 
 
 def _begin_side(run: Run, metric: str) -> Side:
-    """Return the values in a run's log."""
     logged = measure_run(run, only=[metric])[metric]
     return Side(
         name=run.name, as_logged=logged.value, reason=logged.reason, simulated_by=run.simulated_by
@@ -238,7 +237,6 @@ def choose_common_metric(first: Run, second: Run) -> str:
 
 
 def _require_common_metric(first: Run, second: Run, metric: str) -> None:
-    """Require a metric that both runs have, in the same unit."""
     for run in (first, second):
         known = list_metrics(run.declaration)
         if metric not in known:
@@ -249,7 +247,6 @@ def _require_common_metric(first: Run, second: Run, metric: str) -> None:
 
 
 def _hold_same_settings(first: Run, second: Run) -> bool:
-    """Return whether the scenarios of two runs are equal apart from their names."""
     settings = [
         {key: value for key, value in run.parameters.items() if key != "name"}
         for run in (first, second)
@@ -299,12 +296,16 @@ def _divide(
     game = ChangeGame(second, found.metric, changes, first, work)
     own = ChangeGame(first, found.metric, {}, first, work)
     before, after = own.play_as_recorded().value, game.play_as_recorded().value
-    listed = tuple(_describe_change(one, second) for one in changes.values())
+    values, listed = flatten_scenario(second), list[Change]()
+    for name, change in changes.items():
+        keys = tuple(key for key, value in change.neutral.items() if value != values.get(key))
+        old, new = (tuple(side.get(key) for key in keys) for side in (change.neutral, values))
+        listed.append(Change(name=name, keys=keys, first=old, second=new))
     found = replace(
         found,
         first=replace(found.first, resimulated=before),
         second=replace(found.second, resimulated=after),
-        changes=listed,
+        changes=tuple(listed),
         difference=None if before is None or after is None else after - before,
     )
     base = Attribution(
@@ -321,22 +322,18 @@ def _divide(
     is_exact = len(changes) <= depth.most_exact
     divided = divide_game(base, game) if is_exact else sample_game(base, game)
     seeds = len(SEEDS) if game.is_random else 1
-    if divided.seeds is not None:
-        seeds = divided.seeds.used
     found = replace(
         found,
-        seeds=seeds,
+        seeds=seeds if divided.seeds is None else divided.seeds.used,
         orders=None if is_exact else ORDERS,
         without_value=divided.without_value,
         with_value=divided.with_value,
     )
-    obstacle = divided.withheld or _compare_with_logs(found)
-    if obstacle:
+    if obstacle := divided.withheld or _compare_with_logs(found):
         return replace(found, withheld=obstacle)
-    contributions = _list_contributions(found, divided, game, scenarios)
     found = replace(
         found,
-        contributions=contributions,
+        contributions=_list_contributions(found, divided, game, scenarios),
         changes=(),
         idle=tuple(k for one in listed if one.name not in divided.acting for k in one.keys),
         together=divided.together,
@@ -348,18 +345,6 @@ def _divide(
     if depth.shows_effects:
         found = replace(found, effects=_shift_effects(scenarios, found.metric, work))
     return found
-
-
-def _describe_change(change: Cause, second: Scenario) -> Change:
-    values = flatten_scenario(second)
-    before = change.neutral
-    keys = tuple(key for key in before if before[key] != values.get(key))
-    return Change(
-        name=change.name,
-        keys=keys,
-        first=tuple(before[key] for key in keys),
-        second=tuple(values.get(key) for key in keys),
-    )
 
 
 def _list_contributions(

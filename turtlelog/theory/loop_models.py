@@ -57,6 +57,8 @@ class MeasuredTiming:
 class LoopModel:
     """Model of a declared loop for theory.
 
+    Without a model, the methods raise TheoryError; the message is the reason.
+
     Attributes:
         loop: Loop as the law declares it.
         gains: Gains of the controller; None if there is no model.
@@ -85,41 +87,24 @@ class LoopModel:
     left_out: tuple[str, ...] = ()
 
     def analyse(self) -> PidLoop:
-        """Return the properties of the loop.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return the properties of the loop."""
         gains, settings = self.require()
         return analyse_pid_loop(gains, **settings)
 
     def require(self) -> tuple[PidGains, Settings]:
-        """Return the gains and the other arguments of theory's functions.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return the gains and the other arguments of theory's functions."""
         if self.gains is None or self.process is None or self.period_s is None:
             raise TheoryError(f"{self.loop.name}: {self.reason}")
         return self.gains, {"period_s": self.period_s, "process": self.process}
 
     def require_slowest(self) -> Settings:
-        """Return period and process for recommended gains, with the largest possible delay.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return period and process for recommended gains, with the largest possible delay."""
         settings = self.require_latest()
         process = settings["process"]
-        settings["process"] = replace(process, lag_s=process.lag_s + self.ramp_s)
-        return settings
+        return {**settings, "process": replace(process, lag_s=process.lag_s + self.ramp_s)}
 
     def require_latest(self) -> Settings:
-        """Return period and process with the largest possible dead time.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return period and process with the largest possible dead time."""
         _, settings = self.require()
         if self.most_dead_time_s is not None:
             settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)

@@ -222,7 +222,13 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
             if number == 0:
                 offsets, spread = found, variance
         noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
-    whiteness = _measure_whiteness(after, stretches)
+    # The mean square of changes over twice the mean square: 1 for noise, 0 for curves.
+    changes, squares = np.zeros(3), np.zeros(3)
+    for stretch in stretches:
+        part = after[stretch]
+        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
+        squares += (part**2).sum(axis=0) / len(part)
+    whiteness = np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(spread) * widen_for_runs(whiteness)
@@ -260,16 +266,6 @@ def _fit_offsets(
         fresh = np.flatnonzero(np.diff(logged[:, axis], prepend=np.nan) != 0.0)
         variance += (np.add.reduceat(estimator[axis], fresh, axis=1) ** 2).sum(axis=1)
     return np.einsum("ijn,ni->j", estimator, left / noise), variance
-
-
-def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
-    """Return the mean square of changes over twice the mean square: 1 for noise, 0 for curves."""
-    changes, squares = np.zeros(3), np.zeros(3)
-    for stretch in stretches:
-        part = left[stretch]
-        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
-        squares += (part**2).sum(axis=0) / len(part)
-    return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -301,30 +301,23 @@ def _find_jumps(trace: Trace) -> tuple[int, ...]:
         return ()
     ticks = np.maximum(np.rint(np.diff(trace.pose_time_ns) / trace.tick_ns), 1.0) + 1.0
     moved, turned = _measure_steps(trace)
-    speed, turn_rate = _find_fastest(trace)
-    reach_m, reach_rad = (ticks * (trace.tick_ns / 1e9) * rate for rate in (speed, turn_rate))
+    run, reaches = trace.run, []
+    for name, command, applied in (
+        ("speed", trace.speed_m_s, run.poses.speed_m_s),
+        ("turn_rate", trace.turn_rate_rad_s, run.poses.turn_rate_rad_s),
+    ):
+        fastest = float(np.abs(command).max())  # that the robot can have had
+        if find_plant(run).name == LAGGED:
+            key, seen = PLANT_KEYS[name], 0.0 if applied is None else float(np.abs(applied).max())
+            backwards = read_number(run.parameters, f"{key}reverse_gain")
+            gain = max(abs(read_number(run.parameters, f"{key}gain", 1.0)), abs(backwards))
+            fastest = max(fastest * gain, seen)
+        reaches.append(ticks * (trace.tick_ns / 1e9) * fastest)
+    reach_m, reach_rad = reaches
     is_jump = moved > reach_m + _find_slack(trace.xy_m, trace.grain_m)
     unwrapped = np.unwrap(trace.heading_rad)[:, None]
     is_jump |= turned > reach_rad + _find_slack(unwrapped, trace.grain_rad)
     return tuple((np.flatnonzero(is_jump) + 1).tolist())
-
-
-def _find_fastest(trace: Trace) -> tuple[float, float]:
-    """Return the largest speed [m/s] and turn rate [rad/s] that the robot can have had."""
-    run = trace.run
-    speed, turn_rate = (float(np.abs(v).max()) for v in (trace.speed_m_s, trace.turn_rate_rad_s))
-    if find_plant(run).name != LAGGED:
-        return speed, turn_rate
-    gains = [
-        max(
-            abs(read_number(run.parameters, f"{PLANT_KEYS[name]}{of}gain", default))
-            for of, default in (("", 1.0), ("reverse_", 0.0))
-        )
-        for name in ("speed", "turn_rate")
-    ]
-    shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
-    seen = [0.0 if values is None else float(np.abs(values).max()) for values in shown]
-    return max(speed * gains[0], seen[0]), max(turn_rate * gains[1], seen[1])
 
 
 def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
