@@ -1,23 +1,13 @@
 """An attribution in sentences that hold for the run."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from typing import Final
 
 from turtlelog.display import format_html, format_notebook, join_words
-from turtlelog.explain.answers import (
-    SAME,
-    THIS_SEED,
-    THIS_SEED_MEANS,
-    Attribution,
-    Contribution,
-    StartRange,
-    Together,
-    ValueSet,
-    is_clear,
-)
+from turtlelog.explain import answers
+from turtlelog.explain.answers import Attribution, Contribution, Together, ValueSet
 from turtlelog.explain.causes import RANDOM_EFFECTS
 
 NAMED: Final = 0.1
@@ -77,7 +67,7 @@ def _write_value(found: Attribution) -> str:
     size = _format_value(found, logged)
     if built is None:
         return f"{found.metric} is {size} in the log; re-simulated it has no value."
-    if abs(logged - built) <= SAME * abs(built):
+    if abs(logged - built) <= answers.SAME * abs(built):
         return f"{found.metric} is {size}, in the log and re-simulated."
     if size == _format_value(found, built):
         apart = _format_value(found, abs(logged - built))
@@ -161,7 +151,9 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         names = join_words(found.causes, "or")
         never = f"It has no value without {names} either." if found.causes else ""
         is_never = not found.with_value and found.without_all is None
-        missing = write_missing(found.without_value, found.with_value, partial(_name_set, found))
+        known = {name: name for name in found.causes}
+        nothing = f"without {join_words(found.causes)}"
+        missing = write_missing(found.without_value, found.with_value, known, nothing)
         sentences = [never if is_never else missing]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
@@ -185,19 +177,21 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
 
 
 def write_missing(
-    without: Iterable[ValueSet], having: Iterable[ValueSet], name_set: Callable[[ValueSet], str]
+    without: Iterable[ValueSet], having: Iterable[ValueSet], names: Mapping[str, str], nothing: str
 ) -> str:
-    """Return the named sets that leave a metric without a value, and those that give it one."""
+    """Return the sets that leave a metric without a value, and those that give it one, in words.
+
+    `names` are the words for all causes, and `nothing` those for a run without them.
+    """
+
+    def name_set(case: ValueSet) -> str:
+        alone = " alone" if len(case.causes) < len(names) else ""
+        words = join_words([names[name] for name in case.causes])
+        return f"with {words}{alone}" if case.causes else nothing
+
     parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
     parts += [f"{name_set(case)} it has a value" for case in having]
     return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
-
-
-def _name_set(found: Attribution, case: ValueSet) -> str:
-    if not case.causes:
-        return f"without {join_words(found.causes)}"
-    alone = " alone" if len(found.causes) > len(case.causes) else ""
-    return f"with {join_words(case.causes)}{alone}"
 
 
 def _is_negligible(found: Attribution) -> bool:
@@ -275,22 +269,39 @@ def _write_together(found: Attribution) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
-    return " ".join(
-        write_joint(
-            case.causes, case.value, _format_value(found, abs(case.value), case.standard_error)
-        )
-        for case in choose_joint(found.together, _sum_contributions(found))
-    )
+
+    def write_size(case: Together) -> str:
+        return _format_value(found, abs(case.value), case.standard_error)
+
+    names = {name: name for name in found.causes}
+    return write_joint_parts(found.together, _sum_contributions(found), names, write_size)
 
 
-def choose_joint(together: Iterable[Together], total: float) -> list[Together]:
-    """Return the largest joint parts, if clear and large beside the contributions' total."""
-    largest = sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
-    return [
-        case
-        for case in largest
-        if abs(case.value) > NAMED * total and is_clear(case.value, case.standard_error)
-    ]
+def write_joint_parts(
+    together: Iterable[Together],
+    total: float,
+    names: Mapping[str, str],
+    write_size: Callable[[Together], str],
+) -> str:
+    """Return the parts that arise only if several causes act, if clear and not small.
+
+    `total` is that of the contributions' magnitudes; `write_size` returns a size with its unit.
+    """
+    sentences = []
+    for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
+        is_clear = answers.is_clear(case.value, case.standard_error)
+        if not is_clear or abs(case.value) <= NAMED * total:
+            continue
+        of, size = [names[name] for name in case.causes], write_size(case)
+        them, is_pair = _capitalise(join_words(of)), len(of) == 2
+        both = "both" if is_pair else "all of them"
+        text = f"{them} act together: {size} of what they add arises only if {both} act."
+        if case.value <= 0.0:
+            apart = "their parts, alone and in smaller groups"
+            apart = f"{of[0]} alone plus {of[1]} alone" if is_pair else apart
+            text = f"{them} overlap: together they add {size} less than {apart}."
+        sentences.append(text)
+    return " ".join(sentences)
 
 
 def _write_singles(found: Attribution) -> str:
@@ -304,18 +315,6 @@ def _write_singles(found: Attribution) -> str:
         f"without {first} it would be {_format_value(found, value)},"
         f" without {second} {_format_value(found, other)}"
     )
-
-
-def write_joint(names: Sequence[str], value: float, size: str) -> str:
-    """Return the part that arises only if several causes act, of this size with its unit."""
-    them = _capitalise(join_words(names))
-    if value > 0.0:
-        both = "both" if len(names) == 2 else "all of them"
-        return f"{them} act together: {size} of what they add arises only if {both} act."
-    apart = "their parts, alone and in smaller groups"
-    if len(names) == 2:
-        apart = f"{names[0]} alone plus {names[1]} alone"
-    return f"{them} overlap: together they add {size} less than {apart}."
 
 
 def _write_seeds(found: Attribution) -> str:
@@ -374,18 +373,15 @@ def _write_starts(found: Attribution) -> str:
     rest = ""
     if starts.without_all is not None:
         rest = f", without {_name_acting(found)} {_format_span(found, *starts.without_all)}"
-    return f"It depends on single samples: f{where} {span}{rest}{missing}.{_write_parts(starts)}"
-
-
-def _write_parts(starts: StartRange) -> str:
-    """Return each cause's part of the total; the last part follows from the others."""
+    # Each cause's part of the total; the last part follows from the others.
     names = [part.cause for part in starts.parts]
     parts = [
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
-        for part in starts.parts[: len(names) - 1]
+        for part in starts.parts[:-1]
     ]
     total = f"of the total that {join_words(names)} add."
-    return f" {_capitalise(join_words(parts))} {total}" if parts else ""
+    divided = f" {_capitalise(join_words(parts))} {total}" if parts else ""
+    return f"It depends on single samples: f{where} {span}{rest}{missing}.{divided}"
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:
@@ -400,7 +396,7 @@ def _write_others(found: Attribution) -> list[str]:
     for one in found.others:
         change = math.inf if one.alone is None else abs(one.alone - found.divided)
         least = max(found.resolution.size, NAMED * abs(found.divided))
-        if change <= least or not is_clear(change, one.standard_error):
+        if change <= least or not answers.is_clear(change, one.standard_error):
             continue
         is_design = one.cause not in found.effects and one.alone is not None and not one.ending
         if is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found):
@@ -452,7 +448,7 @@ def tabulate_attribution(found: Attribution) -> str:
         for row, one in zip(rows, changing, strict=True):
             row.insert(2, one.standard_error)
         if found.contributions and found.seeds.varies:
-            row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
+            row = [answers.THIS_SEED, found.this_seed, None, None, answers.THIS_SEED_MEANS]
             rows.insert(sum(one.contribution is not None for one in changing), row)
     rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
     return format_notebook(write_headline(found), format_html(rows, heads=heads), *rest)

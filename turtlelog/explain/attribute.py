@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
+from turtlelog.explain import contributions
 from turtlelog.explain.answers import SAME, Attribution
 from turtlelog.explain.causes import (
     SAMPLING,
@@ -22,16 +23,6 @@ from turtlelog.explain.causes import (
     require_causes,
     require_distinct,
     require_metric,
-)
-from turtlelog.explain.contributions import (
-    describe_alone,
-    divide_game,
-    find_steady_span,
-    ranges_over,
-    spread_starts,
-    subtract_values,
-    turn_start,
-    vary_start,
 )
 from turtlelog.explain.game import (
     SEEDS,
@@ -173,17 +164,17 @@ def attribute_scenario(
         without_all=game.take_out(chosen).value,
         causes=tuple(chosen),
         contributions=(),
-        others=tuple(describe_alone(game, name) for name in others),
+        others=tuple(contributions.describe_alone(game, name) for name in others),
         resolution=find_resolution(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason or None,
         left=tuple(name for name in causes if name in others),
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (f"{obstacle[:1].upper()}{obstacle[1:]}.",),
     )
-    found = divide_game(found, game)
+    found = contributions.divide_game(found, game)
     if found.seeds is not None or found.withheld:
         return found
-    starts = vary_start(
+    starts = contributions.vary_start(
         scenario,
         metric,
         added=(found.resimulated or 0.0) - (found.without_all or 0.0),
@@ -370,7 +361,7 @@ def measure_luck(
     game = ScenarioGame(scenario, found.metric)
     offsets_rad = np.zeros(0)
     if not game.is_random:
-        offsets_rad = spread_starts(scenario, simulate_run(scenario), _COUNT)
+        offsets_rad = contributions.spread_starts(scenario, simulate_run(scenario), _COUNT)
         if not len(offsets_rad):
             raise ExplainError("the robot does not turn: no start meets its samples elsewhere")
     cases = [(), *((name,) for name in found.causes)]
@@ -419,7 +410,7 @@ def _simulate_curves(
             plays.append([game.build_play(out, seed) for seed in game.list_seeds(out)])
             continue
         play = game.build_play(out)
-        turned = [turn_start(play.scenario, offset_rad) for offset_rad in offsets_rad.tolist()]
+        turned = (contributions.turn_start(play.scenario, by) for by in offsets_rad.tolist())
         plays.append([replace(play, scenario=one, may_fail=True) for one in turned])
     every = [play for row in plays for play in row]
     outcomes: list[Outcome] = []
@@ -447,9 +438,10 @@ def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "
         for curve in (curves[0], curves[-1])
     )
     added = (found.resimulated or 0.0) - (found.without_all or 0.0)
-    span = find_steady_span(values, added, found.resolution.size)
+    span = contributions.find_steady_span(values, added, found.resolution.size)
     if 0 < values.count(None) < len(values):
         return "wide"
-    if not ranges_over(values, span):
+    if not contributions.ranges_over(values, span):
         return "steady"
-    return "wide" if ranges_over(subtract_values(values, without), span) else "follows"
+    is_wide = contributions.ranges_over(contributions.subtract_values(values, without), span)
+    return "wide" if is_wide else "follows"

@@ -17,16 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.answers import (
-    Attribution,
-    CausePart,
-    Contribution,
-    DifferenceRange,
-    SeedRange,
-    StartRange,
-    Together,
-    ValueSet,
-)
+from turtlelog.explain import answers
+from turtlelog.explain.answers import Attribution, CausePart, Contribution, StartRange, Together
 from turtlelog.explain.causes import find_sample_period_s
 from turtlelog.explain.game import (
     SEEDS,
@@ -125,25 +117,20 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
         steps = pairwise(values[row * width : (row + 1) * width])
         for name, (before, after) in zip(order, steps, strict=True):
             added[name].append(after - before)
-    errors = {}
+    contributions = []
     for name, sizes in added.items():
         parts = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
         if len(seeds) > 1:  # all pairs of a seed contain its effect
             parts = [fmean(parts[seed :: len(seeds)]) for seed in range(len(seeds))]
-        errors[name] = _find_error(parts)
-    return replace(
-        found,
-        contributions=tuple(
-            Contribution(
-                cause=name,
-                contribution=fmean(sizes),
-                alone=game.take_out([name]).value,
-                meaning=game.causes[name].meaning,
-                standard_error=errors[name],
-            )
-            for name, sizes in added.items()
-        ),
-    )
+        contribution = Contribution(
+            cause=name,
+            contribution=fmean(sizes),
+            alone=game.take_out([name]).value,
+            meaning=game.causes[name].meaning,
+            standard_error=_find_error(parts),
+        )
+        contributions.append(contribution)
+    return replace(found, contributions=tuple(contributions))
 
 
 _COUNT: Final = 17
@@ -240,7 +227,7 @@ def vary_start(
 
 def vary_both_starts(
     scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
-) -> DifferenceRange | None:
+) -> answers.DifferenceRange | None:
     """Return the range of the difference over starts within one sample's turn of the faster run."""
     spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
     offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
@@ -256,7 +243,7 @@ def vary_both_starts(
     if not all(known):
         return None
     spans = [(min(one), max(one)) for one in known]
-    return DifferenceRange(
+    return answers.DifferenceRange(
         count=len(offsets_rad),
         within_rad=offsets_rad[-1],
         difference=spans[0],
@@ -316,9 +303,9 @@ def _tell_what_has_no_value(
     missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
     present = [inside for inside in outcomes if inside not in missing]
 
-    def describe(inside: Coalition) -> ValueSet:
+    def describe(inside: Coalition) -> answers.ValueSet:
         names = tuple(name for name in found.causes if name in inside)
-        return ValueSet(causes=names, reason=outcomes[inside].reason or None)
+        return answers.ValueSet(causes=names, reason=outcomes[inside].reason or None)
 
     is_empty = frozenset() in missing
     return replace(
@@ -374,7 +361,7 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     return replace(
         found,
         without_all=worth[frozenset()],
-        seeds=SeedRange(
+        seeds=answers.SeedRange(
             count=count,
             used=len(values),
             mean=fmean(values),

@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from html import escape
 from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
-from turtlelog.explain.answer_words import NAMED, choose_joint, write_joint, write_missing
+from turtlelog.explain.answer_words import NAMED, write_joint_parts, write_missing
 from turtlelog.explain.answers import (
     ROBOT,
     SAME,
@@ -16,7 +15,6 @@ from turtlelog.explain.answers import (
     Change,
     ExplainedDifference,
     Side,
-    ValueSet,
     is_clear,
 )
 from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, TIMES
@@ -251,21 +249,14 @@ def name_change(one: Change) -> str:
         return _WORDS[one.name]
     if "." in one.name:
         return one.name
-    return f"the {_compare_spans(one)}{one.name}"
-
-
-def _compare_spans(one: Change) -> str:
-    """Return `longer `, `shorter ` or `missing ` for a changed duration or queue; else nothing."""
-    if len(one.keys) != 1 or one.name not in _SPANS:
-        return ""
-    before, after = one.first[0] or 0, one.second[0] or 0
-    if isinstance(before, str) or isinstance(after, str):
-        return ""  # a policy is not longer than another
-    if not after:
-        return "missing "
-    if not before:
-        return ""
-    return "longer " if after > before else "shorter "
+    change = ""
+    before, after = ((*values, 0)[0] or 0 for values in (one.first, one.second))
+    is_span = len(one.keys) == 1 and one.name in _SPANS
+    if is_span and not isinstance(before or after, str):  # a policy is not longer than another
+        change = "longer " if after > before else "shorter "
+        if not (before and after):
+            change = "" if after else "missing "
+    return f"the {change}{one.name}"
 
 
 def _is_negligible(found: ExplainedDifference) -> bool:
@@ -295,9 +286,9 @@ def _count_decimals(found: ExplainedDifference) -> int:
 
 def _write_obstacle(found: ExplainedDifference) -> list[str]:
     if found.without_value:
-        changes = {one.name: one for one in found.changes}
-        name_set = partial(_name_set, changes)
-        return [write_missing(found.without_value, found.with_value, name_set)]
+        words = {one.name: name_change(one) for one in found.changes}
+        sets = (found.without_value, found.with_value)
+        return [write_missing(*sets, words, "without all changes")]
     if not found.withheld:
         return []
     if found.has_same_settings:
@@ -315,22 +306,13 @@ def _write_obstacle(found: ExplainedDifference) -> list[str]:
     return [f"Why is not known: {found.withheld}.{differ}{software}"]
 
 
-def _name_set(changes: dict[str, Change], case: ValueSet) -> str:
-    if not case.causes:
-        return "without all changes"
-    alone = " alone" if len(case.causes) < len(changes) else ""
-    return f"with {join_words([name_change(changes[name]) for name in case.causes])}{alone}"
-
-
 def _write_together(found: ExplainedDifference) -> str:
     if not found.contributions or _is_negligible(found):
         return ""
     names = {one.name: name_change(one) for one in found.contributions}
-    return " ".join(
-        write_joint(
-            [names[name] for name in one.causes], one.value, format_magnitude(found, abs(one.value))
-        )
-        for one in choose_joint(found.together, _sum(_list_divided(found)))
+    total = _sum(_list_divided(found))
+    return write_joint_parts(
+        found.together, total, names, lambda one: format_magnitude(found, abs(one.value))
     )
 
 

@@ -10,17 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
-from turtlelog.explain import robot_log
-from turtlelog.explain.answers import (
-    ROBOT,
-    SAME,
-    Attribution,
-    Change,
-    Contribution,
-    ExplainedDifference,
-    Resolution,
-    Side,
-)
+from turtlelog.explain import answers, robot_log
+from turtlelog.explain.answers import ROBOT, Change, Contribution, ExplainedDifference, Side
 from turtlelog.explain.contributions import ORDERS, divide_game, sample_game
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
 from turtlelog.explain.robot_log import COMMANDS, RobotLog
@@ -70,13 +61,13 @@ def explain_robots(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=Resolution(size=0.0, reason="no scenario is known"),
+        resolution=answers.Resolution(size=0.0, reason="no scenario is known"),
     )
     one, other = (side.as_logged for side in sides)
     if one is None or other is None:
         return replace(found, withheld="one log has no value")
     found = replace(found, difference=other - one)
-    if abs(other - one) <= SAME * max(abs(one), abs(other)):
+    if abs(other - one) <= answers.SAME * max(abs(one), abs(other)):
         return found
     lacking = [run.name for run in runs if not len(run.commands)]
     if lacking:
@@ -131,7 +122,7 @@ def _divide(
     difference = found.difference or 0.0
     acting = _find_acting(found, logs, parts)
     game = RobotGame(logs[0], logs[1], found.metric, acting, work)
-    base = Attribution(
+    base = answers.Attribution(
         metric=found.metric,
         unit=found.unit,
         resimulated=game.play_as_recorded().value,

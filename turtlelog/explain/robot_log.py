@@ -375,12 +375,22 @@ def read_motion_facts(run: Run) -> MotionFacts:
             replay = replay_plant(run)
         except ReplayError as err:
             refused = str(err)
+    commands, largest = run.commands, list[Largest]()
+    for signal, unit, values in (
+        ("speed", "m/s", commands.speed_m_s),
+        ("lateral_speed", "m/s", commands.lateral_speed_m_s),
+        ("turn_rate", "rad/s", commands.turn_rate_rad_s),
+    ):
+        if values.any():
+            row = int(np.abs(values).argmax())
+            value, time_ns = float(values[row]), int(commands.time_ns[row])
+            largest.append(Largest(signal=signal, unit=unit, value=value, time_ns=time_ns))
     return MotionFacts(
         name=run.name,
         kind="turtlesim" if is_turtlesim else "robot",
         poses=_measure_periods(run.poses.time_ns),
         commands=_measure_periods(run.commands.time_ns),
-        largest=_find_largest(run),
+        largest=tuple(largest),
         outliers=list_outliers(run),
         jumps=find_jumps(run) if replay is None else (),
         gaps=find_gaps(run) if replay is None else (),
@@ -403,22 +413,6 @@ def _measure_periods(time_ns: NDArray[np.int64]) -> Periods | None:
         longest_ns=int(period_ns[longest]),
         longest_at_ns=int(time_ns[longest]),
     )
-
-
-def _find_largest(run: Run) -> tuple[Largest, ...]:
-    commands = run.commands
-    columns = (
-        ("speed", "m/s", commands.speed_m_s),
-        ("lateral_speed", "m/s", commands.lateral_speed_m_s),
-        ("turn_rate", "rad/s", commands.turn_rate_rad_s),
-    )
-    found = []
-    for signal, unit, values in columns:
-        if values.any():
-            row = int(np.abs(values).argmax())
-            at_ns = int(commands.time_ns[row])
-            found.append(Largest(signal=signal, unit=unit, value=float(values[row]), time_ns=at_ns))
-    return tuple(found)
 
 
 def _measure_delays(run: Run) -> Delays | None:

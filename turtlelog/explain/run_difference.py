@@ -9,18 +9,8 @@ import numpy as np
 
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.answers import (
-    SAME,
-    SEED,
-    Attribution,
-    Change,
-    Departure,
-    EffectShift,
-    ExplainedDifference,
-    Part,
-    Resolution,
-    Side,
-)
+from turtlelog.explain import answers
+from turtlelog.explain.answers import SEED, Attribution, Change, ExplainedDifference, Side
 from turtlelog.explain.attribute import attribute_scenario
 from turtlelog.explain.causes import (
     choose_metric,
@@ -138,7 +128,7 @@ def explain_difference(
         for scenario in scenarios
         if scenario is not None
     ]
-    none = Resolution(size=0.0, reason="no scenario is known")
+    none = answers.Resolution(size=0.0, reason="no scenario is known")
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
@@ -197,7 +187,7 @@ def _name_untrusted(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=Resolution(size=0.0, reason="no run is simulated"),
+        resolution=answers.Resolution(size=0.0, reason="no run is simulated"),
         withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
         has_same_settings=is_same,
         departure=find_departure(first, second) if is_same else None,
@@ -386,28 +376,30 @@ def _compare_with_logs(found: ExplainedDifference) -> str:
             return f"{side.name} has no value when it is simulated again"
         apart = max(apart, abs(side.as_logged - side.resimulated))
         largest = max(largest, abs(side.as_logged))
-    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), SAME * largest):
+    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), answers.SAME * largest):
         return ""
     return "logs and re-simulations differ by more than a tenth of the difference"
 
 
 def _shift_effects(
     scenarios: Sequence[Scenario], metric: str, work: Work | None
-) -> tuple[EffectShift, ...]:
+) -> tuple[answers.EffectShift, ...]:
     """Return how the contributions of `explain` differ; empty if a run has no contributions."""
     found = [attribute_scenario(one, metric=metric, work=work) for one in scenarios]
     if any(one.withheld for one in found):
         return ()
     tables = [{one.cause: one.size for one in side.contributions} for side in found]
     shifts = [
-        EffectShift(cause=name, first=tables[0].get(name, 0.0), second=tables[1].get(name, 0.0))
+        answers.EffectShift(
+            cause=name, first=tables[0].get(name, 0.0), second=tables[1].get(name, 0.0)
+        )
         for name in {**tables[0], **tables[1]}
     ]
     acting = [one for one in shifts if one.first or one.second]
     return tuple(sorted(acting, key=lambda one: -abs(one.shift)))
 
 
-_PARTS: Final[Mapping[str, Part]] = {
+_PARTS: Final[Mapping[str, answers.Part]] = {
     **dict.fromkeys(("stop", "samples", "poses", "commands"), "end"),
     **dict.fromkeys(("sample_time", "pose_read", "command_time"), "timing"),
     **dict.fromkeys(differences.SENSED, "sensor"),
@@ -416,7 +408,7 @@ _PARTS: Final[Mapping[str, Part]] = {
 """Parts by the signal that differs; every other signal belongs to the controller."""
 
 
-def find_departure(first: Run, second: Run) -> Departure | None:
+def find_departure(first: Run, second: Run) -> answers.Departure | None:
     """Return the first difference of two runs; None if all their common data are equal.
 
     Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
@@ -438,7 +430,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
     part = _PARTS.get(earliest.signal, "controller")
     if part == "robot" and earliest.time_ns <= first.poses.time_ns[0]:
         part = "start"
-    return Departure(
+    return answers.Departure(
         part=part,
         signal=earliest.signal,
         unit=next((one.unit for one in pairings if one.signal == earliest.signal), ""),

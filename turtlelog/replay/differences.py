@@ -275,10 +275,22 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
         yield from _pair_answers(run, replayed, rows, others)
         time_ns, again_ns = run.samples.time_ns[rows], replayed.samples.time_ns[others]
         yield Pairing("sample_time", "s", time_ns, time_ns / 1e9, again_ns / 1e9)
-        read, read_again = _count_ticks_read(run)[rows], _count_ticks_read(replayed)[others]
-        yield Pairing("pose_read", "tick", time_ns, read, read_again)
-    if len(run.commands) and has_all_commands(run):
-        yield from _pair_commands(run, replayed)
+        read, read_again = (  # the number of the tick whose pose each sample read
+            one.poses.time_ns[one.samples.pose_sequence] // find_plant(one).period_ns
+            for one in (run, replayed)
+        )
+        yield Pairing("pose_read", "tick", time_ns, read[rows], read_again[others])
+    if not len(run.commands) or not has_all_commands(run):
+        return
+    old, new = run.commands, replayed.commands
+    count = min(len(old), len(new))
+    for name, unit, recorded, again in (
+        ("command_time", "s", old.time_ns / 1e9, new.time_ns / 1e9),
+        ("command_speed", "m/s", old.speed_m_s, new.speed_m_s),
+        ("command_lateral_speed", "m/s", old.lateral_speed_m_s, new.lateral_speed_m_s),
+        ("command_turn_rate", "rad/s", old.turn_rate_rad_s, new.turn_rate_rad_s),
+    ):
+        yield Pairing(name, unit, old.time_ns[:count], recorded[:count], again[:count])
 
 
 def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
@@ -343,24 +355,6 @@ def _pair_poses(
         yield Pairing(turn, "rad", time_ns, was[1][rows], now[1][others], "angle")
 
 
-def _count_ticks_read(run: Run) -> Rows:
-    """Return the number of the tick whose pose each sample read."""
-    return run.poses.time_ns[run.samples.pose_sequence] // find_plant(run).period_ns
-
-
-def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
-    was, now = run.commands, replayed.commands
-    count = min(len(was), len(now))
-    columns = (
-        ("command_time", "s", was.time_ns / 1e9, now.time_ns / 1e9),
-        ("command_speed", "m/s", was.speed_m_s, now.speed_m_s),
-        ("command_lateral_speed", "m/s", was.lateral_speed_m_s, now.lateral_speed_m_s),
-        ("command_turn_rate", "rad/s", was.turn_rate_rad_s, now.turn_rate_rad_s),
-    )
-    for name, unit, recorded, others in columns:
-        yield Pairing(name, unit, was.time_ns[:count], recorded[:count], others[:count])
-
-
 _RowChoice = NDArray[np.int64] | slice
 
 _Read = Callable[[SampleColumns], NDArray[np.float64] | None]
@@ -419,8 +413,10 @@ def pair_samples(
         if name in are:
             kind: Literal["angle", "number"] = "angle" if name in _ANGLES else "number"
             yield Pairing(name, unit, time_ns, was[rows], are[name][1][others], kind)
-    phases = _name_phases(recorded)[rows], _name_phases(replayed)[others]
-    yield Pairing("phase", "1", time_ns, *phases, kind="label")
+    was_phase, phase = (
+        np.array(one.declaration.phase_names)[one.samples.phase] for one in (recorded, replayed)
+    )
+    yield Pairing("phase", "1", time_ns, was_phase[rows], phase[others], kind="label")
 
 
 def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
@@ -432,10 +428,6 @@ def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]
         for row, name in enumerate(names.states)
     }
     return {name: (unit, column) for name, (unit, column) in found.items() if column is not None}
-
-
-def _name_phases(answers: Answers) -> NDArray[np.str_]:
-    return np.array(answers.declaration.phase_names)[answers.samples.phase]
 
 
 def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:

@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
-from turtlelog.theory import process
+from turtlelog.theory.process import (
+    require_array,
+    require_even_times,
+    require_gain,
+    require_gains,
+    require_level,
+    require_positive,
+    require_times,
+)
 
 PLANT: Final = ((1.0,), (1.0, 0.0))
 """Numerator and denominator of 1/s."""
@@ -78,7 +86,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
     Raises:
         TheoryError: If `kind` is no such input, or times are not evenly spaced.
     """
-    control, times = load_library("control"), process.require_even_times(time_s)
+    control, times = load_library("control"), require_even_times(time_s)
     _require_kind(kind)
     plant = control.tf(*PLANT)
     if kind == "impulse":
@@ -163,7 +171,7 @@ def compute_time_constant(kp: float) -> float:
     Raises:
         TheoryError: If the gain is not a positive number.
     """
-    return 1.0 / process.require_gain(kp)
+    return 1.0 / require_gain(kp)
 
 
 def compute_settling_time(kp: float) -> float:
@@ -200,7 +208,7 @@ def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> 
         TheoryError: If an argument is not a positive number.
     """
     tau_s = compute_time_constant(kp)
-    step, limit = process.require_positive("step", step), process.require_positive("limit", limit)
+    step, limit = require_positive("step", step), require_positive("limit", limit)
     unclipped = limit * tau_s
     if unclipped >= step:
         return compute_exact_settling_time(kp)
@@ -220,7 +228,7 @@ def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.flo
         TheoryError: If the gain is not a positive number, or times are not evenly spaced.
     """
     control = load_library("control")
-    kp, times = process.require_gain(kp), process.require_even_times(time_s)
+    kp, times = require_gain(kp), require_even_times(time_s)
     response = control.step_response(control.tf([kp], [1.0, kp]), times)
     return np.asarray(response.outputs, dtype=np.float64)
 
@@ -239,8 +247,7 @@ def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
     """
     numerator, denominator = map(np.array, PLANT)
     poles = [
-        np.roots(np.polyadd(denominator, gain * numerator))
-        for gain in process.require_gains(kp).tolist()
+        np.roots(np.polyadd(denominator, gain * numerator)) for gain in require_gains(kp).tolist()
     ]
     return np.asarray(poles, dtype=np.complex128).reshape(len(poles))
 
@@ -265,8 +272,8 @@ def compute_step_response(
     Raises:
         TheoryError: If the gain is not positive or a number is not finite.
     """
-    kp, times = process.require_gain(kp), process.require_times(time_s)
-    step = process.require_level("initial", initial) - process.require_level("reference", reference)
+    kp, times = require_gain(kp), require_times(time_s)
+    step = require_level("initial", initial) - require_level("reference", reference)
     return reference + step * np.exp(-kp * np.clip(times, 0.0, _DECAYED / kp))
 
 
@@ -276,7 +283,7 @@ def _require_kind(kind: str) -> None:
 
 
 def _require_polynomial(coefficients: Any) -> NDArray[np.float64]:
-    found = np.atleast_1d(process.require_array("transfer function", "coefficients", coefficients))
+    found = np.atleast_1d(require_array("transfer function", "coefficients", coefficients))
     if found.ndim != 1 or not len(found):
         raise TheoryError(
             f"transfer function: expected a list of coefficients, found shape {found.shape}"

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
-from turtlelog.theory import pid_stability
+from turtlelog.theory import pid_stability, sampled_loop
 from turtlelog.theory.pid_stability import LoopShape, Margins, PidGains
 from turtlelog.theory.process import (
     INTEGRATOR,
@@ -46,14 +46,7 @@ from turtlelog.theory.process import (
     require_times,
     sample_process,
 )
-from turtlelog.theory.sampled_loop import (
-    LARGEST_DEVIATION,
-    analyse_sampled_loop,
-    compute_sampled_locus,
-    compute_sampled_poles,
-    compute_stability_gain,
-    measure_step,
-)
+from turtlelog.theory.sampled_loop import LARGEST_DEVIATION
 
 _LONGEST: Final = 500_000
 """Longest response for overshoot and settling time [samples]: about 0.2 s of computing, and 2.2 h
@@ -139,13 +132,13 @@ def analyse_pid_loop(
     overshoot_percent, settling_time_s = None, None
     if whole is not None:
         kp = gains.kp * process.gain
-        known = analyse_sampled_loop(kp, period_s=period_s, dead_time_ticks=whole)
+        known = sampled_loop.analyse_sampled_loop(kp, period_s=period_s, dead_time_ticks=whole)
         overshoot_percent, settling_time_s = known.overshoot_percent, known.settling_time_s
     elif stable:
         dead_time = sample_process(process, period_s, dead_time_ticks).whole
         settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
         respond = partial(compute_pid_step_response, gains, period_s=period_s, **settings)
-        overshoot_percent, ticks = measure_step(poles[0], dead_time, respond, _LONGEST)
+        overshoot_percent, ticks = sampled_loop.measure_step(poles[0], dead_time, respond, _LONGEST)
         settling_time_s = None if ticks is None else ticks * float(period_s)
     return PidLoop(
         gains=gains,
@@ -178,7 +171,9 @@ def compute_pid_poles(
     if whole is None:
         found = _solve_quadratic(shape) if shape.degree == 2 else _iterate(shape)
         return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
-    return compute_sampled_poles(gains.kp * process.gain, period_s=period_s, dead_time_ticks=whole)
+    return sampled_loop.compute_sampled_poles(
+        gains.kp * process.gain, period_s=period_s, dead_time_ticks=whole
+    )
 
 
 def compute_pid_locus(
@@ -200,10 +195,11 @@ def compute_pid_locus(
     _, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is not None:
         own = [gain * process.gain for gain in kp]
-        return compute_sampled_locus(own, period_s=period_s, dead_time_ticks=whole).ravel()
+        found = sampled_loop.compute_sampled_locus(own, period_s=period_s, dead_time_ticks=whole)
+        return found.ravel()
     settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
-    found = [compute_pid_poles(replace(gains, kp=k), period_s=period_s, **settings) for k in kp]
-    return np.concatenate(found)
+    poles = [compute_pid_poles(replace(gains, kp=k), period_s=period_s, **settings) for k in kp]
+    return np.concatenate(poles)
 
 
 def is_pid_stable(
@@ -243,7 +239,7 @@ def find_stable_gains(
     gains = gains if gains.is_proportional else replace(gains, kp=1.0 / per_gain)
     held, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is not None:
-        return ((0.0, compute_stability_gain(period_s, whole) / process.gain),)
+        return ((0.0, sampled_loop.compute_stability_gain(period_s, whole) / process.gain),)
     found = pid_stability.find_stable_intervals(lambda p: replace(held, p=p), held)
     return tuple((low / per_gain, high / per_gain) for low, high in found)
 
@@ -311,7 +307,11 @@ def compute_pid_step_response(
     keep, slope = gains.weigh_derivative(period_s)
     kp, per_error = gains.kp, gains.ki * period_s
     lag_gap, filter_gap = sampled.lag_gap, sampled.filter_gap
-    newest, older, oldest = sampled.list_weights()
+    # The weights of commands d, d + 1 and d + 2 samples old in the input of the lag.
+    weights = [sampled.ahead, 1.0 - sampled.ahead - sampled.behind, sampled.behind]
+    if lag_gap is None:
+        weights = [*weights[1:], 0.0]
+    newest, older, oldest = (sampled.gain * weight for weight in weights)
     commands = [0.0] * (sampled.whole + 2)
     y = last = integral = derivative = filtered = rate = 0.0
     for k in range(len(response)):
@@ -367,7 +367,7 @@ def _prepare(
 def _judge(shape: LoopShape, whole: int | None) -> bool:
     if whole is None:
         return pid_stability.is_stable(shape)
-    return compute_stability_gain(1.0, whole) / shape.p > 1.0
+    return sampled_loop.compute_stability_gain(1.0, whole) / shape.p > 1.0
 
 
 _MOST_ROUNDS: Final = 300

@@ -136,11 +136,6 @@ class SampledProcess:
     filter_gap: float | None
 
     @property
-    def at(self) -> float:
-        """Weight w0; (T - m) / T without lag."""
-        return 1.0 - self.ahead - self.behind
-
-    @property
     def delay(self) -> int:
         """Number of poles at z = 0: d, or one less with a low-pass, whose zero cancels one pole."""
         return self.whole - (self.filter_gap is not None)
@@ -149,13 +144,6 @@ class SampledProcess:
     def gaps(self) -> tuple[float, ...]:
         """1 - e for each pole e of lag and low-pass."""
         return tuple(gap for gap in (self.lag_gap, self.filter_gap) if gap is not None)
-
-    def list_weights(self) -> tuple[float, float, float]:
-        """Return the weights of commands d, d + 1 and d + 2 samples old in the input of the lag."""
-        weights = (self.at, self.behind, 0.0)
-        if self.lag_gap is not None:
-            weights = (self.ahead, self.at, self.behind)
-        return self.gain * weights[0], self.gain * weights[1], self.gain * weights[2]
 
     @property
     def is_integrator(self) -> bool:

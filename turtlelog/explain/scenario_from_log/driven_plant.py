@@ -79,10 +79,6 @@ class Playback:
             speed_m_s=speed_m_s,
             turn_rate_rad_s=turn_rate_rad_s,
             phase="control",
-            bearing_rad=0.0,
-            heading_error_rad=0.0,
-            error_x_m=0.0,
-            error_y_m=0.0,
             blocks_ticks=parameters.pause_ticks if number == parameters.pauses_at else 0,
             stop_reason="end" if self._next == len(parameters.commands) else None,
         )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
-from turtlelog.explain.scenario_from_log.trace import Trace, Values
+from turtlelog.explain.scenario_from_log.trace import Trace
 from turtlelog.laws import LAWS
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
@@ -194,8 +194,9 @@ def compare_samples(trace: Trace, again: Run) -> Resimulation:
     turned = np.abs(subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read]))
     speed = np.abs(trace.speed_m_s[left] - again.samples.speed_m_s[right])
     turn_rate = np.abs(trace.turn_rate_rad_s[left] - again.samples.turn_rate_rad_s[right])
-    error = PoseError(x_m=_max(xy[:, 0]), y_m=_max(xy[:, 1]), heading_rad=_max(turned))
-    command_error = max(_max(speed), _max(turn_rate))
+    columns = (*xy.T, turned, speed, turn_rate)
+    x_m, y_m, heading_rad, *commands = (float(one.max(initial=0.0)) for one in columns)
+    error, command_error = PoseError(x_m=x_m, y_m=y_m, heading_rad=heading_rad), max(commands)
     is_whole = len(trace) == len(left) and int(trace.number[-1]) + 1 == len(again.samples)
     return Resimulation(
         samples=len(left),
@@ -269,10 +270,6 @@ def read_pause(scenario: Scenario) -> tuple[float | None, int]:
             is_blocked = sample.blocks_ticks > 0
             sent = sent if is_blocked else sample.turn_rate_rad_s
     return None, 0
-
-
-def _max(values: Values) -> float:
-    return float(values.max()) if len(values) else 0.0
 
 
 LONGEST_S: Final = 3600.0

@@ -11,14 +11,7 @@ import numpy as np
 
 from turtlelog.explain.scenario_from_log import driven_plant, loop_settings, resimulation
 from turtlelog.explain.scenario_from_log.driven_plant import Drive
-from turtlelog.explain.scenario_from_log.loop_settings import (
-    DEPTHS,
-    PAUSE_KEY,
-    START_KEYS,
-    Guess,
-    Hints,
-    set_pause,
-)
+from turtlelog.explain.scenario_from_log.loop_settings import Guess, Hints, set_pause
 from turtlelog.explain.scenario_from_log.resimulation import Depths, Row
 from turtlelog.explain.scenario_from_log.trace import Trace
 from turtlelog.measure import DeadTime, Missing
@@ -177,8 +170,8 @@ class _Search:
             self._base_values = known
         base, values = self._base, dict(guess)
         law = base.law
-        if PAUSE_KEY in values:
-            pause_ticks = values.pop(PAUSE_KEY)
+        if loop_settings.PAUSE_KEY in values:
+            pause_ticks = values.pop(loop_settings.PAUSE_KEY)
             law = replace(law, parameters=replace(law.parameters, pause_ticks=pause_ticks))
         loop = {key.removeprefix("loop."): value for key, value in values.items()}
         return replace(base, law=law, loop=replace(base.loop, **loop))
@@ -222,7 +215,7 @@ class _Search:
     def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
         """Return whether time stamps and pose numbers contradict the pause, and the queue."""
         return (
-            guess.get(PAUSE_KEY) not in self._near,
+            guess.get(loop_settings.PAUSE_KEY) not in self._near,
             guess["loop.start_backlog"] not in self._hints.backlogs,
         )
 
@@ -231,7 +224,7 @@ class _Search:
         rows = self._rows
         hidden = {
             key
-            for key in DEPTHS
+            for key in loop_settings.DEPTHS
             if any(self._count({**one, key: one[key] + 1}, rows) >= len(rows) for one, _ in exact)
         }
         return Fits(
@@ -292,7 +285,9 @@ class _Search:
             found = driven_plant.drive_plant(self._trace, deeper, reads_alike=self.is_driven)
             return found is not None and np.array_equal(found.left, drive.left)
 
-        return frozenset(key for key in DEPTHS if any(is_alike(*one, key) for one in driven))
+        return frozenset(
+            key for key in loop_settings.DEPTHS if any(is_alike(*one, key) for one in driven)
+        )
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return settings that reproduce every sample from a start that is not a 32-bit float.
@@ -303,7 +298,7 @@ class _Search:
         if fits.bounds is None or not (poses == poses.astype(np.float32)).all():
             return None
         start, kept = driven_plant.keep_in_world(fits.bounds.middle), self._known
-        precise = dict(zip(START_KEYS, start, strict=True))
+        precise = dict(zip(loop_settings.START_KEYS, start, strict=True))
         self._known = {**kept, **precise, "start.precision": "float64"}
         if found := self.find_in_tiers(tiers):
             return replace(found, bounds=fits.bounds)
@@ -346,7 +341,9 @@ class _Search:
         drive = driven_plant.join_starts([*drives]) if drives else None
         start: dict[str, float] = {}
         if drive is not None:
-            start = dict(zip(START_KEYS, driven_plant.keep_in_world(drive.start), strict=True))
+            start = dict(
+                zip(loop_settings.START_KEYS, driven_plant.keep_in_world(drive.start), strict=True)
+            )
         self.to_rounding = True
         scenarios = tuple(self._end(self.build(guess, **start), goes_on=False) for guess in guesses)
         reproduced = self._count(guesses[0], self._rows)
@@ -371,7 +368,7 @@ class _Search:
         for key, value in (pair for guess in guesses for pair in guess.items()):
             self._values.setdefault(key, set()).add(value)
         if self._hints.pauses:
-            self._values.setdefault(PAUSE_KEY, set()).update(pauses)
+            self._values.setdefault(loop_settings.PAUSE_KEY, set()).update(pauses)
 
     def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
         return {key: tuple(sorted(values)) for key, values in self._values.items()}
@@ -379,8 +376,10 @@ class _Search:
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
         scenario = self.build(guess)
-        others = frozenset(pair for pair in guess.items() if pair[0] not in DEPTHS)
-        start = tuple(self._known.get(key) for key in (*START_KEYS, "start.precision"))
+        others = frozenset(pair for pair in guess.items() if pair[0] not in loop_settings.DEPTHS)
+        start = tuple(
+            self._known.get(key) for key in (*loop_settings.START_KEYS, "start.precision")
+        )
         key = (others, start, len(rows), self.to_rounding)
         alike, depths = self._counted.setdefault(key, []), resimulation.read_depths(scenario)
         equal = next((equal for needed, equal in alike if depths.hold(needed)), None)
