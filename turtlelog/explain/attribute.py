@@ -56,10 +56,6 @@ _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the effects' total. With a larger
 difference, the re-simulation does not represent the log."""
 
-_OUTSIDE: Final = (
-    "the log's value lies outside of the central 95 % over seeds, its own is not known"
-)
-
 
 def attribute_run(
     run: Run,
@@ -215,7 +211,8 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
         return "the re-simulation has no value"
     if found.seeds is not None and not knows_seed:
         is_central = found.seeds.low <= logged <= found.seeds.high
-        return "" if is_central else _OUTSIDE
+        outside = "the log's value lies outside of the central 95 % over seeds"
+        return "" if is_central else f"{outside}, its own is not known"
     added, apart, same = abs(built - without), abs(logged - built), SAME * abs(logged)
     if apart <= (same if added <= same else _AGREEMENT * added):
         return ""

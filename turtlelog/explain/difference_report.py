@@ -55,15 +55,12 @@ _PARTS: Final = {
     "sensor": "Until then the robot moves equally, so the cause lies in the sensor",
     "controller": "Until then the controller reads equal poses, so the cause lies in the"
     " controller: its code, its version or its state",
+    "code": "Until then the controller reads equal poses, so the cause lies in the controller,"
+    " whose code differs",
     "timing": "Until then all values are equal, so the cause lies in the timing",
     "end": "All that both contain is equal",
 }
 """Meaning of the first difference between two runs, by the part that differs."""
-
-_CODE: Final = (
-    "Until then the controller reads equal poses, so the cause lies in the controller, whose code"
-    " differs"
-)
 
 
 def write_difference_sentences(
@@ -329,7 +326,7 @@ def _write_departure(found: ExplainedDifference) -> list[str]:
     return [
         f"{_write_software(found)} The runs depart at {one.time_s:.3f} s, after {samples}, in"
         f" {one.signal.replace('_', ' ')}: {values}.",
-        f"{_CODE if one.part == 'controller' and has_other_code else _PARTS[one.part]}.",
+        f"{_PARTS['code' if one.part == 'controller' and has_other_code else one.part]}.",
     ]
 
 

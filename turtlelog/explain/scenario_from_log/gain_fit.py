@@ -252,12 +252,8 @@ class CommandFit:
             leaves = f"a pattern of {found.noise:.2g} and no noise"
         elif not self.is_read and found.noise > _LARGER * max(self.noise.size, self.noise.grain):
             leaves = f"{found.noise:.2g}, more than the poses have of noise"
-        return f"{_NOT_PROPORTIONAL} {found.value:.4g} leaves {leaves}" if leaves else None
-
-
-_NOT_PROPORTIONAL: Final = (
-    "the commands are not proportional to the error of the logged poses: a gain of"
-)
+        reason = "the commands are not proportional to the error of the logged poses"
+        return f"{reason}: a gain of {found.value:.4g} leaves {leaves}" if leaves else None
 
 
 def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:

@@ -140,8 +140,6 @@ LOOP_KEYS: Final = (
 DEAD_TIME: Final = "dead_time."
 """Prefix of the keys of dead times, followed by the name of a loop, or of a phase without loops."""
 
-_NO_SAMPLES: Final = "the recording holds no samples: which pose a command answers is not known"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
@@ -211,15 +209,14 @@ class Identification:
 def identify_plant(run: Run) -> Identification:
     """Return the largest commands and the number of lost ones, for a run without samples."""
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
-    findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
-    largest = {
-        "limits.speed_m_s": run.commands.speed_m_s,
-        "limits.turn_rate_rad_s": run.commands.turn_rate_rad_s,
-    }
-    for key, command in largest.items():
+    reason = "the recording holds no samples: which pose a command answers is not known"
+    findings = dict.fromkeys((*LAW_KEYS, *loops), miss(reason))
+    for key in ("speed_m_s", "turn_rate_rad_s"):
+        command = getattr(run.commands, key)
         if len(command):
             seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
-            findings[key] = miss(f"{seen}; without the error it is unknown whether it was clipped")
+            seen += "; without the error it is unknown whether it was clipped"
+            findings[f"limits.{key}"] = miss(seen)
     if run.poses.speed_m_s is None:
         lost = miss("the poses hold no applied velocities, which would tell the commands that act")
     else:
@@ -228,7 +225,7 @@ def identify_plant(run: Run) -> Identification:
             lost = find_exactly(use.unseen, f"no pose shows them; {use.taken} others are shown")
         except ReplayError as err:
             lost = miss(str(err))
-    return give_up(run.name, {**findings, "lost_commands": lost}, _NO_SAMPLES)
+    return give_up(run.name, {**findings, "lost_commands": lost}, reason)
 
 
 def give_up(

@@ -282,11 +282,8 @@ def _describe_dead_times_again(
         return found
     runs = [simulate_run(scenario) for scenario in fits.scenarios]
     for loop, logged in dead_times.items():
-        is_hidden = (
-            not logged.is_exact
-            if isinstance(logged, DeadTime)
-            else (logged.status is Status.UNDETERMINED)
-        )
+        is_hidden = isinstance(logged, DeadTime) and not logged.is_exact
+        is_hidden |= isinstance(logged, Missing) and logged.status is Status.UNDETERMINED
         again = [find_dead_time(run, loop) for run in runs] if is_hidden else []
         ticks = [one.ticks for one in again if isinstance(one, DeadTime)]
         if ticks and len(ticks) == len(runs):

@@ -43,14 +43,12 @@ def describe_phase(kind: str, phase: str) -> str:
     """Return a phase of a law in words: `the rotation`, `phase approach`."""
     if phase in {PAUSE, DONE}:
         return "the pause" if phase == PAUSE else "the run"
-    noun = _NOUNS.get(phase) if kind == DEFAULT_LAW else None
-    return f"the {noun}" if noun else f"phase {phase}"
+    return f"the {_NOUNS[phase]}" if kind == DEFAULT_LAW and phase in _NOUNS else f"phase {phase}"
 
 
 def describe_loop_name(kind: str, loop: str) -> str:
     """Return the action of a law's loop, or else its name: `rotating`, `of align`."""
-    adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
-    return adverb or f"of {loop}"
+    return _ADVERBS.get(loop, f"of {loop}") if kind == DEFAULT_LAW else f"of {loop}"
 
 
 def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:

@@ -441,12 +441,6 @@ def describe_start(trace: Trace, fits: "Fits") -> dict[str, Finding]:
     return {**found, "loop.pose_precision": known}
 
 
-_UNEXPLAINED: Final = (
-    "an effect that does not show in a log, such as loss, jitter or a disturbance, or commands"
-    " that the log does not contain"
-)
-
-
 def describe_difference(trace: Trace, fits: "Fits", resimulation: Resimulation) -> list[str]:
     """Return how the re-simulation differs from the log, in at most one sentence."""
     if fits.is_exact:
@@ -460,7 +454,10 @@ def describe_difference(trace: Trace, fits: "Fits", resimulation: Resimulation) 
         way = describe_departure(trace, fits.reproduced)
     reach = f"the re-simulation {way}"
     if not fits.is_fitted:
-        return [f"{reach}: no setting explains the motion: {_UNEXPLAINED}"]
+        return [
+            f"{reach}: no setting explains the motion: an effect that does not show in a log, such"
+            " as loss, jitter or a disturbance, or commands that the log does not contain"
+        ]
     noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
     left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
     return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]
