@@ -12,11 +12,11 @@ from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import Any, Final
 
+from turtlelog import measure
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
 from turtlelog.explain.answers import Resolution
 from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, name_law
-from turtlelog.measure import describe_no_metric, list_metrics
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
@@ -303,9 +303,9 @@ def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
 
 def require_metric(declaration: Declaration, metric: str) -> None:
     """Refuse a metric that a run of these loops does not have, with the nearest names."""
-    known = list_metrics(declaration)
+    known = measure.list_metrics(declaration)
     if metric not in known:
-        raise ExplainError(describe_no_metric(metric, known))
+        raise ExplainError(measure.describe_no_metric(metric, known))
 
 
 def require_distinct(causes: Sequence[str] | None) -> None:
@@ -343,7 +343,7 @@ def find_resolution(
     scenario: Scenario, declaration: Declaration, metric: str, value: float
 ) -> Resolution:
     """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
-    unit = list_metrics(declaration)[metric].unit
+    unit = measure.list_metrics(declaration)[metric].unit
     if unit == "s":
         return Resolution(size=find_sample_period_s(scenario), reason="one sample period")
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
