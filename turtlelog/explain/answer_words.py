@@ -151,9 +151,9 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         names = join_words(found.causes, "or")
         never = f"It has no value without {names} either." if found.causes else ""
         is_never = not found.with_value and found.without_all is None
-        known = {name: name for name in found.causes}
-        nothing = f"without {join_words(found.causes)}"
-        missing = write_missing(found.without_value, found.with_value, known, nothing)
+        sets, nothing = (found.without_value, found.with_value), join_words(found.causes)
+        known = dict(zip(found.causes, found.causes, strict=True))
+        missing = write_missing(*sets, known, f"without {nothing}")
         sentences = [never if is_never else missing]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
@@ -186,7 +186,7 @@ def write_missing(
 
     def name_set(case: ValueSet) -> str:
         alone = " alone" if len(case.causes) < len(names) else ""
-        words = join_words([names[name] for name in case.causes])
+        words = join_words([names.get(name, name) for name in case.causes])
         return f"with {words}{alone}" if case.causes else nothing
 
     parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
@@ -273,8 +273,7 @@ def _write_together(found: Attribution) -> str:
     def write_size(case: Together) -> str:
         return _format_value(found, abs(case.value), case.standard_error)
 
-    names = {name: name for name in found.causes}
-    return write_joint_parts(found.together, _sum_contributions(found), names, write_size)
+    return write_joint_parts(found.together, _sum_contributions(found), {}, write_size)
 
 
 def write_joint_parts(
@@ -285,14 +284,15 @@ def write_joint_parts(
 ) -> str:
     """Return the parts that arise only if several causes act, if clear and not small.
 
-    `total` is that of the contributions' magnitudes; `write_size` returns a size with its unit.
+    `total` is that of the contributions' magnitudes, `names` have causes in other words, and
+    `write_size` returns a size with its unit.
     """
     sentences = []
     for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
         is_clear = answers.is_clear(case.value, case.standard_error)
         if not is_clear or abs(case.value) <= NAMED * total:
             continue
-        of, size = [names[name] for name in case.causes], write_size(case)
+        of, size = [names.get(name, name) for name in case.causes], write_size(case)
         them, is_pair = _capitalise(join_words(of)), len(of) == 2
         both = "both" if is_pair else "all of them"
         text = f"{them} act together: {size} of what they add arises only if {both} act."
