@@ -1,4 +1,9 @@
-"""Attribute a value to its causes: Shapley values from simulations without them."""
+"""Attribute a value to its causes, by simulations without them; the effect of chance on it.
+
+A sampling controller reaches its tolerance at a random point within the turn of one sample. Luck is
+measured over the starts of an attribution's range, four times as dense. For a run with random
+effects, the seeds of its contributions are varied instead.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -4,6 +4,8 @@ The causes of an effect are in its file, those of a law in the law. Each cause d
 without it. Sampling belongs to the clock: without sampling, the same scenario is simulated with a
 finer clock. The differences between two scenarios are causes as well: a group of settings that
 belong together is a cause of the second one, and its neutral values are those of the first.
+
+The metric to explain is chosen and checked here as well, and its resolution is found.
 """
 
 import math

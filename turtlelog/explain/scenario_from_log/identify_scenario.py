@@ -1,4 +1,8 @@
-"""Identification of the scenario that produced a log."""
+"""Identification of the scenario that produced a log.
+
+Commands show the parameters of sequential-p. For any other law, only facts about the loop are
+found: dead times, limits and queues, from poses, commands and the clock.
+"""
 
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
