@@ -17,9 +17,9 @@ from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.engine.limits import DAMAGES, DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
 from turtlelog.log.engine.parsing import take_apart
+from turtlelog.log.engine.source import FileSummary, salvage_summary
 from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
 from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
-from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.exporters import describe_bag
 from turtlelog.log.file_access import create_folder, name_file, replace_when_complete

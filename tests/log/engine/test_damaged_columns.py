@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType
 from tests.log.engine.files import Row, pack, write_points, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import iter_columns, read_columns, read_info
-from turtlelog.log.engine.summary import _STEP, Ends, check_data
+from turtlelog.log.engine.source import _STEP, Ends, check_data
 from turtlelog.log.file_access import DamageError
 
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")

@@ -41,7 +41,6 @@ from turtlelog.log.engine.parsing import (
     take_apart,
     take_whole,
 )
-from turtlelog.log.engine.summary import ChunkEntry
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.file_access import DamageError, LimitError
 
@@ -54,6 +53,34 @@ _WITHIN: Final = 15
 _UNMARKED: Final = 255
 _SIZE: Final = struct.Struct("<Q")
 _INDEX: Final = struct.Struct("<HI")  # channel, size of the pairs of log time and offset [bytes]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkEntry:
+    """Entry of a chunk in the summary.
+
+    Attributes:
+        start: Offset in the file [bytes].
+        length: Length of the chunk record [bytes].
+        index_length: Length of the message indexes after the chunk [bytes].
+        start_ns: Earliest log time of the chunk's messages [ns]; 0 without messages.
+        end_ns: Latest log time [ns].
+        channels: Ids of the channels that have messages in the chunk.
+        size: Decompressed size of the chunk's records [bytes].
+    """
+
+    start: int
+    length: int
+    index_length: int
+    start_ns: int
+    end_ns: int
+    channels: frozenset[int]
+    size: int
+
+    @property
+    def end(self) -> int:
+        """Offset after the chunk's message indexes [bytes]."""
+        return self.start + self.length + self.index_length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ take longer than reading them one by one.
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,21 +97,17 @@ class _Cursor:
             # Each value takes at least a byte: values that cannot exist are not read.
             self._require(lengths)
         elif field.length is None:
-            return self._take_texts() if field.kind == TEXT else self._take_one(field)
+            if field.kind == TEXT:
+                return self._take_texts()
+            return self._take_numbers(str(field.kind), 1)[:, 0]
         else:
             lengths = np.full(len(self.places), field.length)
             self._require(lengths)
             if field.kind != TEXT:
-                return self._finish(self._take_numbers(str(field.kind), field.length), field)
+                return self._take_numbers(str(field.kind), field.length)
         if isinstance(field.kind, str) and field.kind != TEXT:
             return self._take_arrays(field.kind, lengths)
         return self._take_lists(field.kind, lengths)
-
-    def _take_one(self, field: Field) -> Column:
-        return self._finish(self._take_numbers(str(field.kind), 1)[:, 0], field)
-
-    def _finish(self, values: Column, field: Field) -> Column:
-        return values != 0 if field.kind == "?" else np.ascontiguousarray(values)
 
     def _require(self, sizes: Offsets) -> None:
         short = self.places + sizes > self._ends
@@ -120,18 +116,16 @@ class _Cursor:
             size = self._ends[row] - self._starts[row] + 4
             raise LogError(f"message {self._numbers[row]}: expected more than {size} bytes")
 
-    def _align(self, size: int) -> None:
-        self.places += (self._starts - self.places) % size
-
     def _take_numbers(self, kind: str, count: int) -> Column:
         """Read `count` numbers from every message, shape (n, count)."""
         code = np.dtype(kind.replace("?", "u1"))
-        self._align(code.itemsize)
+        self.places += (self._starts - self.places) % code.itemsize
         size = code.itemsize * count
         self._require(np.full(len(self.places), size))
         values = gather_bytes(self._data, self.places, size).view(code.newbyteorder(self._order))
         self.places += size
-        return values.reshape(-1, count).astype(code)
+        values = values.reshape(-1, count)
+        return values != 0 if kind == "?" else values.astype(code)
 
     def _take_texts(self) -> Column:
         lengths = self._take_numbers("u4", 1)[:, 0].astype(np.int64)
@@ -264,31 +258,18 @@ def decode_few(
     The result is None if the type has arrays or sequences, or if a message is invalid. Then
     `decode_messages` gives the reason. `padding` bytes after the fields make a message too long.
     """
-    try:
-        numbers = list(_list_numbers(fields, ""))
-    except _OtherKindError:
+    lengths = np.ones_like(starts)
+    found = take_few_lists(fields, data, starts, starts, ends, lengths)
+    if found is None or ends.max(initial=0) > len(data):
         return None
-    values: list[list[bytes]] = [[] for _ in numbers]
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        place = start
-        for (_, kind, size), column in zip(numbers, values, strict=True):
-            place += (start - place) % size
-            first, place = place, place + size
-            if kind == TEXT and place <= end:
-                first = place
-                place += int.from_bytes(data[place - _LENGTH : place], "little")
-            if place > end:
-                return None
-            column.append(data[first:place])
-        if end - place >= padding or end > len(data):
-            return None
-    try:
-        return {
-            name: _join_texts(column) if kind == TEXT else _join_numbers(column, kind)
-            for (name, kind, _), column in zip(numbers, values, strict=True)
-        }
-    except UnicodeDecodeError:
+    if (ends - np.array(found[1], np.int64) >= padding).any():
         return None
+    rows: list[Any] = [row for (row,) in found[0]]
+    columns: dict[str, Column] = {}
+    for name, kind, _ in _list_numbers(fields, ""):
+        dtype = object if kind == TEXT else np.dtype(kind)
+        columns[name] = np.array([row[name] for row in rows], dtype)
+    return columns
 
 
 def take_few_lists(
@@ -307,7 +288,8 @@ def take_few_lists(
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")
         numbers = [
-            (name, size, None if code == TEXT else _read_number(code)) for name, code, size in parts
+            (name, size, None if code == TEXT else struct.Struct(f"<{CODES[code]}").unpack_from)
+            for name, code, size in parts
         ]
         rows = zip(*(values.tolist() for values in (starts, places, ends, lengths)), strict=True)
         found = [_take_list(numbers, data, *row) for row in rows]
@@ -318,10 +300,6 @@ def take_few_lists(
 
 class _OtherKindError(Exception):
     """A type that contains more than numbers and texts."""
-
-
-def _read_number(kind: str) -> Callable[[bytes, int], tuple[object, ...]]:
-    return struct.Struct("<" + CODES[kind]).unpack_from
 
 
 def _take_list(
@@ -341,18 +319,15 @@ def _take_list(
             first = place
             place += int.from_bytes(data[place - _LENGTH : place], "little")
             text = data[first:place]
-            value[name] = known.get(text) or _keep_text(known, text)
+            if text not in known:
+                if len(known) == _MOST_KNOWN:
+                    known.clear()
+                known[text] = text.removesuffix(b"\x00").decode()
+            value[name] = known[text]
         if place > end:
             raise _OtherKindError
         values.append(value[""] if is_text else value)
     return values, place
-
-
-def _keep_text(known: dict[bytes, str], text: bytes) -> str:
-    found = text.removesuffix(b"\x00").decode()
-    if len(known) < _MOST_KNOWN:
-        known[text] = found
-    return found
 
 
 def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str, str, int]]:
@@ -367,15 +342,3 @@ def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str,
             yield prefix + field.name, field.kind, size
     if not fields:  # ROS gives a type without fields one byte
         raise _OtherKindError
-
-
-def _join_texts(column: list[bytes]) -> Column:
-    texts = np.empty(len(column), dtype=object)
-    texts[:] = [text.removesuffix(b"\x00").decode() for text in column]
-    return texts
-
-
-def _join_numbers(column: list[bytes], kind: str) -> Column:
-    code = np.dtype(kind.replace("?", "u1"))
-    values = np.frombuffer(b"".join(column), code.newbyteorder("<"))
-    return values != 0 if kind == "?" else values.astype(code)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
 from types import MappingProxyType
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.channels import Decode, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, Decode, Selection, TopicPlan
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.limits import UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
+from turtlelog.log.engine.limits import COLUMNS, UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
@@ -29,6 +29,7 @@ from turtlelog.log.engine.message_types import (
 )
 from turtlelog.log.engine.object_messages import JsonField, decode_objects
 from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_bytes, gather_heads
+from turtlelog.log.file_access import name_place
 
 Rows = dict[str, Column]
 
@@ -206,11 +207,7 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     heads = gather_bytes(block.data, starts, MESSAGE.itemsize).view(MESSAGE)
     _check_heads(heads)
     firsts, ends = starts + MESSAGE.itemsize, starts + RECORD.size + lengths
-    columns: Rows = {
-        LOG_TIME: heads[LOG_TIME].astype(np.int64),
-        PUBLISH_TIME: heads[PUBLISH_TIME].astype(np.int64),
-        SEQUENCE: heads[SEQUENCE].astype(np.uint32),
-    }
+    columns = {name: heads[name].astype(kind) for name, kind in _KINDS.items()}
     is_big = heads["#encapsulation"] == BIG_ENDIAN
     if not is_big.any():
         return columns | decode_messages(plan.fields, block.data, firsts, ends, "<")
@@ -233,12 +230,8 @@ def _read_objects(
         block.data[start + MESSAGE_HEAD : end]
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
     ]
-    return {
-        LOG_TIME: heads["log_time"].astype(np.int64),
-        PUBLISH_TIME: heads["publish_time"].astype(np.int64),
-        SEQUENCE: heads["sequence"].astype(np.uint32),
-        **decode_objects(fields, messages, decode),
-    }
+    stamps = {name: heads[name.removeprefix("#")].astype(kind) for name, kind in _KINDS.items()}
+    return stamps | decode_objects(fields, messages, decode)
 
 
 def _check_heads(heads: NDArray[np.void]) -> None:
@@ -256,3 +249,86 @@ def _check_times(*columns: NDArray[np.uint64]) -> None:
     for times in columns:
         if len(times) and times.max() >= 2**63:
             raise LogError(f"expected times below 2^63 ns, found {times.max()}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """A segment of consecutive messages.
+
+    Attributes:
+        rows: Rows of requested topics.
+        size: Number of bytes read.
+        counts: Number of messages by channel, requested or not.
+        rest: Other records of the block; only in the first piece of a block.
+    """
+
+    rows: Mapping[str, Rows]
+    size: int
+    counts: Mapping[int, int]
+    rest: tuple[Any, ...] = ()
+
+
+def read_piece(
+    catalogue: Catalogue,
+    selection: Selection,
+    block: Block,
+    offsets: Mapping[int, Offsets],
+    wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
+) -> Piece:
+    """Return the requested messages among those at some offsets of a block."""
+    found = {}
+    for topic, channels in catalogue.group_channels(offsets, block.byte).items():
+        parts = [offsets[channel] for channel in channels]
+        starts = parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts))
+        plan = selection.choose_plan(catalogue, topic)
+        if plan is None or not len(starts):
+            continue
+        whole = None if block.before is None else wholes.get(topic)
+        rows = _read_topic(plan, block, starts, selection, catalogue.allowance, whole)
+        if rows and len(rows[LOG_TIME]):
+            found[topic] = rows
+    counts = {channel: len(starts) for channel, starts in offsets.items()}
+    share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
+    return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
+
+
+def _read_topic(
+    plan: TopicPlan,
+    block: Block,
+    starts: Offsets,
+    selection: Selection,
+    allowance: Allowance,
+    whole: FixedColumns | None,
+) -> Rows:
+    """Return the requested messages of a topic; empty if they went into the columns `whole`."""
+    place = f"{block.unit} {block.byte}: topic {plan.topic}"
+    with name_place(place):
+        messages = unpack_messages(block, starts, allowance)
+        unpacked, starts = rewrite_ros1(plan, *messages)
+    if selection.is_counted:
+        allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
+    with name_place(place):
+        first = 0 if block.before is None else block.before.get(plan.topic, 0)
+        if whole is not None and whole.fill(unpacked.data, starts, first):
+            return {}
+        rows = decode_rows(plan, unpacked, starts)
+    kept = selection.kept.get(plan.topic)
+    if kept is not None:
+        rows = {name: rows[name] for name in rows if name in kept}
+    if selection.is_ever:
+        return rows
+    times = rows[LOG_TIME]
+    return pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
+
+
+_LISTS: Final = 2
+"""Memory factor for lists: nested messages take ten times their bytes, columns five times."""
+
+
+def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
+    """Return the approximate memory of messages as columns [bytes]."""
+    size = len(starts) * plan.row_size
+    if plan.layout is None:
+        share = 1 if plan.sequence is None else _LISTS
+        size += share * int(gather_heads(data, starts)["length"].sum())
+    return size

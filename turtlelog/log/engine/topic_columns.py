@@ -1,9 +1,11 @@
 """Reading of the messages of a file as columns, topic by topic."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -11,19 +13,24 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import Block, Offsets
+from turtlelog.log.engine.channels import EVER, Selection
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
     SEQUENCE,
     FixedColumns,
+    Piece,
     Rows,
     make_empty_rows,
     pick_rows,
+    read_piece,
 )
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.source import EVER, Piece, Selection, Source, count_rows, iterate_pieces
+from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
+from turtlelog.log.file_access import DamageError
 from turtlelog.run.tables import Tabular
 
 _MOST_BYTES: Final = 2**25  # bytes of blocks in a batch: rows of images are large
@@ -218,25 +225,21 @@ def _set_aside(
     }
 
 
-def _join_rows(parts: list[Rows]) -> Rows:
-    """Return the rows of all parts in order of log time; equal times keep their order."""
-    if len(parts) == 1:
-        rows = parts[0]
-    else:
-        rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    times = rows[LOG_TIME]
-    if len(times) > 1 and (times[1:] < times[:-1]).any():
-        rows = pick_rows(rows, np.argsort(times, kind="stable"))
-    return rows
-
-
 def build_columns(
     parts: Mapping[str, list[Rows]], types: Mapping[str, str]
 ) -> Mapping[str, TopicColumns]:
-    """Return rows of topics as columns, in order of topic names; `types` are the message types."""
+    """Return rows of topics as columns, in order of topic names and of log time.
+
+    Rows with equal times keep their order. `types` are the message types.
+    """
     topics = {}
-    for topic in sorted(parts):
-        rows = _join_rows(parts[topic])
+    for topic, found in sorted(parts.items()):
+        rows = found[0]
+        if len(found) > 1:
+            rows = {name: np.concatenate([part[name] for part in found]) for name in rows}
+        times = rows[LOG_TIME]
+        if len(times) > 1 and (times[1:] < times[:-1]).any():
+            rows = pick_rows(rows, np.argsort(times, kind="stable"))
         topics[topic] = TopicColumns(
             topic=topic,
             type=types[topic],
@@ -304,3 +307,85 @@ class _RowStore:
         """All rows, as a single part if the expected number was right."""
         whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]
+
+
+def iterate_pieces(
+    source: Source | SqliteSource,
+    selection: Selection,
+    most_rows: int | None = None,
+    wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
+) -> Iterator[Piece]:
+    """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
+
+    Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
+
+    Raises:
+        LogError: If a requested topic is missing or cannot be decoded.
+        DamageError: If the file is damaged, or counts differ from the statistics.
+    """
+    catalogue, channels = source.catalogue, None
+    if source.is_indexed:
+        selection.require_topics(catalogue)
+        plans = selection.choose_plans(catalogue)
+        known = catalogue.channels.values()
+        if not selection.is_lenient:
+            channels = {channel.id for channel in known if channel.topic in plans}
+    counts: Counter[int] = Counter()
+
+    def read(block: Block) -> list[Piece]:
+        parts = _split(block.offsets, most_rows)
+        pieces = [read_piece(catalogue, selection, block, offsets, wholes) for offsets in parts]
+        return [replace(pieces[0], rest=block.rest), *pieces[1:]]
+
+    for pieces in source.map_blocks(read, channels, selection.start_ns, selection.end_ns):
+        for piece in pieces:
+            counts.update(piece.counts)
+            yield piece
+    if not source.is_indexed:  # the blocks have named the topics
+        selection.require_topics(catalogue)
+        selection.choose_plans(catalogue)
+    if selection.is_ever:
+        _check_counts(source, counts, channels)
+
+
+def count_rows(source: Source | SqliteSource, selection: Selection) -> Mapping[str, int]:
+    """Return the number of rows of each topic from the statistics; empty without statistics.
+
+    If there are message indexes, their size limits the numbers.
+    """
+    if source.statistics is None or not selection.is_ever:
+        return {}
+    room = source.index_length // 16 if source.is_indexed else EVER
+    counts: Counter[str] = Counter()
+    for number, count in source.statistics.channel_message_counts.items():
+        if number in source.catalogue:
+            counts[source.catalogue.channels[number].topic] += min(count, room)
+    return counts
+
+
+def _split(
+    offsets: Mapping[int, Offsets], most_rows: int | None
+) -> Sequence[Mapping[int, Offsets]]:
+    """Return the messages of a block in segments of at most `most_rows` messages per channel."""
+    if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
+        return [offsets]
+    borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
+    stretches: Sequence[dict[int, Offsets]] = [{} for _ in range(len(borders) + 1)]
+    for channel, of in offsets.items():
+        parts = np.split(of, np.searchsorted(of, borders))
+        for stretch, part in zip(stretches, parts, strict=True):
+            if len(part):
+                stretch[channel] = part
+    return stretches
+
+
+def _check_counts(
+    source: Source | SqliteSource, counts: Counter[int], channels: Collection[int] | None
+) -> None:
+    statistics = source.statistics
+    for channel, expected in statistics.channel_message_counts.items() if statistics else ():
+        if (channels is None or channel in channels) and counts[channel] != expected:
+            raise DamageError(
+                f"byte {source.summary_start}: channel {channel}: expected {expected} messages"
+                f" as the statistics say, found {counts[channel]}"
+            )

@@ -13,12 +13,18 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
-from turtlelog.log.engine.channels import Catalogue, TopicPlan
-from turtlelog.log.engine.decode import LOG_TIME, PUBLISH_TIME, SEQUENCE, Rows, make_empty_rows
+from turtlelog.log.engine.channels import Catalogue, Selection, TopicPlan
+from turtlelog.log.engine.decode import (
+    LOG_TIME,
+    PUBLISH_TIME,
+    SEQUENCE,
+    Rows,
+    make_empty_rows,
+    read_piece,
+)
 from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.source import Selection, Source, read_piece
-from turtlelog.log.engine.summary import salvage_summary
+from turtlelog.log.engine.source import Source, salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import DamageError
