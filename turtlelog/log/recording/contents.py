@@ -155,10 +155,10 @@ def build_contents(
     states = () if head.declaration is None else head.declaration.states
     # For an unfinished recording, its topics show its effects.
     for topic in topics.list_topics(head.declaration, more={*head.more_topics, *parts}):
-        plan = _plan(topic, states if topic.name == topics.LAW_STATE else ())
+        own = states if topic.name == topics.LAW_STATE else ()
         if topic.name in catalogue.topics:
-            _check_type(plan, catalogue.find_plan(topic.name))
-        rows = parts.get(topic.name) or [_make_empty_rows(topic, plan)]
+            _check_type(_plan(topic, own), catalogue.find_plan(topic.name))
+        rows = parts.get(topic.name) or [dict(_make_empty_rows(topic, own))]
         tables |= build_columns({topic.name: rows}, {topic.name: topic.schema})
     return Contents(
         head=head,
@@ -198,15 +198,9 @@ def _plan(topic: topics.Topic, states: tuple[str, ...]) -> TopicPlan:
     return TopicPlan(topic=topic.name, type=topic.schema, fields=kind.fields, layout=kind.layout)
 
 
-def _make_empty_rows(topic: topics.Topic, plan: TopicPlan) -> Rows:
-    return (
-        dict(_keep_empty_rows(topic)) if topic.schema in topics.SCHEMAS else make_empty_rows(plan)
-    )
-
-
 @lru_cache(maxsize=_MOST_PLANS)
-def _keep_empty_rows(topic: topics.Topic) -> Rows:
-    return make_empty_rows(_plan(topic, ()))
+def _make_empty_rows(topic: topics.Topic, states: tuple[str, ...]) -> Rows:
+    return make_empty_rows(_plan(topic, states))
 
 
 def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
@@ -218,16 +212,9 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     unknown whether the pose dropped out or its sensed values are lost.
     """
     tables, declaration = dict(contents.topics), contents.head.declaration
-    pose_topics = [
-        name
-        for name in (
-            topics.POSE.name,
-            topics.POSE64.name,
-            topics.VELOCITY64.name,
-            topics.MEASURED.name,
-        )
-        if name == topics.POSE.name or (name in tables and len(tables[name]))
-    ]
+    exact = topics.POSE64.name, topics.VELOCITY64.name, topics.MEASURED.name
+    pose_topics = [name for name in exact if name in tables and len(tables[name])]
+    pose_topics.insert(0, topics.POSE.name)
     numbers = _intersect({name: tables[name] for name in pose_topics})
     for name in pose_topics:
         tables[name] = tables[name].select(np.isin(tables[name].sequence, numbers))
@@ -280,10 +267,10 @@ def _take_described(
     samples: TopicColumns, tables: dict[str, TopicColumns], declaration: Declaration
 ) -> TopicColumns:
     """Return the complete samples, and drop all rows of the other samples."""
-    if declaration.states:
-        samples = samples.select(
-            np.isin(samples.fields["sequence"], tables[topics.LAW_STATE].sequence)
-        )
+    for name in (topics.LAW_STATE, topics.SHAPED.name):
+        if name in tables:
+            is_there = np.isin(samples.fields["sequence"], tables[name].sequence)
+            samples = samples.select(is_there)
     if declaration.has_reference:
         # In these phases every sample has a reference pose.
         moved = {loop.name for loop in declaration.loops if loop.moves}
@@ -292,16 +279,8 @@ def _take_described(
         due = np.isin(samples.fields["phase"], numbers)
         is_there = np.isin(samples.fields["sequence"], tables[topics.REFERENCE64.name].sequence)
         samples = samples.select(is_there | ~due)
-    if topics.SHAPED.name in tables:
-        samples = samples.select(
-            np.isin(samples.fields["sequence"], tables[topics.SHAPED.name].sequence)
-        )
-    for name in (
-        topics.LAW_STATE,
-        topics.REFERENCE.name,
-        topics.REFERENCE64.name,
-        topics.SHAPED.name,
-    ):
+    references = topics.REFERENCE.name, topics.REFERENCE64.name
+    for name in (topics.LAW_STATE, *references, topics.SHAPED.name):
         if name in tables:
             is_kept = np.isin(tables[name].sequence, samples.fields["sequence"])
             tables[name] = tables[name].select(is_kept)

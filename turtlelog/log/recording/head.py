@@ -104,6 +104,13 @@ class Head:
 
 def describe_run(run: "Run") -> Head:
     """Return the metadata for the recording of a run."""
+    poses, shaped = run.poses, run.samples.shaped_speed_m_s
+    measured = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
+    more_topics = {
+        SENSED.name: poses.sensed_xy_m is not None,
+        SHAPED.name: shaped is not None,
+        MEASURED.name: any(values is not None for values in measured),
+    }
     return Head(
         format_version=_FORMAT_VERSION,
         source=run.source,
@@ -112,7 +119,7 @@ def describe_run(run: "Run") -> Head:
         goal_heading_rad=run.goal_heading_rad,
         absent=run.absent,
         nan_columns=frozenset(_list_nan_columns(run)),
-        more_topics=frozenset(_list_more_topics(run)),
+        more_topics=frozenset(name for name, is_there in more_topics.items() if is_there),
         declaration=run.declaration,
         clock=run.clock,
         simulated_by=run.simulated_by,
@@ -168,12 +175,12 @@ def format_head(head: Head) -> dict[str, str]:
             most = _LONGEST_DECLARATION
             raise LogError(f"declaration: expected up to {most} bytes as JSON, found {len(text)}")
         record["declaration"] = text
-    if head.more_topics:
-        record["more_topics"] = _encode(sorted(head.more_topics))
-    if head.clock is not None:
-        record["clock"] = _encode(head.clock)
-    if head.simulated_by:
-        record["simulated_by"] = _encode(dict(head.simulated_by))
+    rest = {
+        "more_topics": sorted(head.more_topics),
+        "clock": head.clock,
+        "simulated_by": dict(head.simulated_by),
+    }
+    record |= {name: _encode(value) for name, value in rest.items() if value}
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -197,6 +204,12 @@ def parse_head(record: Mapping[str, str]) -> Head:
         raise LogError(f"format version {version}: expected 1 to {_FORMAT_VERSION}")
     if _get(record, CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
+    declaration = None
+    if version > 1:
+        text = _get(record, "declaration")
+        with name_place(f"metadata {HEAD}: declaration"):
+            parse = _keep_declaration if len(text) <= _USUAL else parse_declaration
+            declaration = parse(text)
     return Head(
         format_version=version,
         source=_get(record, "source"),
@@ -206,7 +219,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         absent=_decode(record, "absent", tuple[str, ...]),
         nan_columns=_decode(record, "nan_columns", frozenset[str]),
         more_topics=_decode(record, "more_topics", frozenset[str], frozenset()),
-        declaration=None if version == 1 else _parse_declaration(record),
+        declaration=declaration,
         notes=_decode(record, "notes", dict[str, str]),
         clock=_decode(record, "clock", Clock, None),
         simulated_by=_decode(record, "simulated_by", dict[str, str], {}),
@@ -267,45 +280,22 @@ _keep_tables = lru_cache(maxsize=32)(_parse_tables)
 
 
 def _list_nan_columns(run: "Run") -> list[str]:
-    columns = {
-        "poses.speed_m_s": run.poses.speed_m_s,
-        "poses.turn_rate_rad_s": run.poses.turn_rate_rad_s,
-    }
-    measured = {
-        "poses.measured_speed_m_s": run.poses.measured_speed_m_s,
-        "poses.measured_turn_rate_rad_s": run.poses.measured_turn_rate_rad_s,
-    }
-    if any(values is not None for values in measured.values()):
-        columns |= measured
-    samples = {name: getattr(run.samples, name) for name in MAY_BE_ABSENT}
+    poses, samples = ["speed_m_s", "turn_rate_rad_s"], [*MAY_BE_ABSENT]
+    measured = [f"measured_{name}" for name in poses]
+    if any(getattr(run.poses, name) is not None for name in measured):
+        poses += measured
     if run.declaration.has_reference:
-        for name in ("reference_xy_m", "reference_heading_rad"):
-            samples[name] = getattr(run.samples, name)
-    columns |= {f"samples.{name}": values for name, values in samples.items()}
-    return [name for name, values in columns.items() if values is None]
-
-
-def _list_more_topics(run: "Run") -> list[str]:
-    poses, shaped = run.poses, run.samples.shaped_speed_m_s
-    speed, turn_rate = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
-    is_there = {
-        SENSED.name: poses.sensed_xy_m is not None,
-        SHAPED.name: shaped is not None,
-        MEASURED.name: speed is not None or turn_rate is not None,
-    }
-    return [name for name, is_one in is_there.items() if is_one]
+        samples += "reference_xy_m", "reference_heading_rad"
+    return [
+        *(f"poses.{name}" for name in poses if getattr(run.poses, name) is None),
+        *(f"samples.{name}" for name in samples if getattr(run.samples, name) is None),
+    ]
 
 
 def sum_up_record(record: Mapping[str, str]) -> str:
     """Return the checksum of all entries except `CHECKSUM`."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
-
-
-def _parse_declaration(record: Mapping[str, str]) -> Declaration:
-    text = _get(record, "declaration")
-    with name_place(f"metadata {HEAD}: declaration"):
-        return _keep_declaration(text) if len(text) <= _USUAL else parse_declaration(text)
 
 
 _keep_declaration = lru_cache(maxsize=32)(parse_declaration)

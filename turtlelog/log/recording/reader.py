@@ -1,11 +1,11 @@
 """Reading of recordings as runs, finished or still growing."""
 
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -22,7 +22,7 @@ from turtlelog.log.engine.opening import NoMcapError, open_mcap
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file
-from turtlelog.log.file_info import Survey, survey_file
+from turtlelog.log.file_info import survey_file
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.contents import (
     Contents,
@@ -88,7 +88,9 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             # The error's frames hold unpacked data; they are freed before the file is read again.
             damage, is_unfinished = str(err), isinstance(err, UnfinishedError)
         if not allow_partial:
-            survey = _survey_rest(stream)
+            survey = None
+            with suppress(LogError):  # no record is left
+                survey = survey_file(stream, allow_partial=True)
             if may_be_foreign and is_unfinished and survey is not None and not survey.is_own:
                 raise ForeignFileError(f"{damage}: not a recording by turtlelog")
             is_empty = survey is not None and not any(survey.counts.values())
@@ -101,14 +103,6 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             raise LogError(f"{damage}; in what it still holds: {err}") from err
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=3)
     return replace(run, notes={**run.notes, "partial": lost})
-
-
-def _survey_rest(stream: BinaryIO) -> Survey | None:
-    """Return the remaining contents of a damaged file; None if there is no record."""
-    try:
-        return survey_file(stream, allow_partial=True)
-    except LogError:
-        return None
 
 
 def _build_whole_run(contents: Contents) -> Run:
@@ -176,8 +170,11 @@ class RecordingTail:
             LogError: If the file is not a recording by turtlelog.
         """
         with name_file(self._path, expected="a turtlelog recording"):
-            has_grown = [self._take(section) for section in self._read_sections()]
-            return self._build() if any(has_grown) and topics.POSE.name in self._parts else None
+            has_grown = False
+            for section, place in walk_growing(self._stream, self._place):
+                self._place = place
+                has_grown |= section is not None and self._take(section)
+            return self._build() if has_grown and topics.POSE.name in self._parts else None
 
     def read_last_run(self) -> Run:
         """Return the run so far, even if it is incomplete.
@@ -194,12 +191,6 @@ class RecordingTail:
         parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
         contents = build_contents(self._records, self._catalogue, parts, ())
         return build_run(reconcile_contents(contents)[0])
-
-    def _read_sections(self) -> Iterator[Section]:
-        for section, place in walk_growing(self._stream, self._place):
-            self._place = place
-            if section is not None:
-                yield section
 
     def _take(self, section: Section) -> bool:
         """Add a section, and return whether it contains new data for a run."""
@@ -231,7 +222,13 @@ def build_run(contents: Contents) -> Run:
     # Each table frees its source before the next is built.
     columns.pop(topics.REFERENCE.name, None)
     poses = _build_poses(columns, head)
-    commands = _build_commands(columns.pop(topics.COMMAND.name))
+    command = columns.pop(topics.COMMAND.name)
+    commands = CommandColumns(
+        time_ns=command.log_time_ns,
+        speed_m_s=command.fields["linear.x"],
+        lateral_speed_m_s=command.fields["linear.y"],
+        turn_rate_rad_s=command.fields["angular.z"],
+    )
     events = _build_events(columns.pop(topics.EVENT.name))
     samples = _build_samples(columns, head, declaration)
     return Run(
@@ -335,23 +332,13 @@ def _prefer(exact: TopicColumns, rounded: TopicColumns) -> TopicColumns:
     return exact
 
 
-def _build_commands(columns: TopicColumns) -> CommandColumns:
-    command = columns.fields
-    return CommandColumns(
-        time_ns=columns.log_time_ns,
-        speed_m_s=command["linear.x"],
-        lateral_speed_m_s=command["linear.y"],
-        turn_rate_rad_s=command["angular.z"],
-    )
-
-
 def _build_samples(
     columns: dict[str, TopicColumns], head: Head, declaration: Declaration
 ) -> SampleColumns:
     sequence = columns[topics.CONTROL.name].fields["sequence"]
     reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
-    states = _build_states(columns, declaration.states, sequence)
-    shaped = _build_shaped(columns, sequence)
+    states = _pop_numbered(columns, topics.LAW_STATE, sequence)
+    shaped = _pop_numbered(columns, topics.SHAPED.name, sequence)
     samples = columns.pop(topics.CONTROL.name)
     time_ns, fields = samples.log_time_ns, dict(samples.fields)
     del samples, sequence
@@ -360,11 +347,15 @@ def _build_samples(
         found[name] = _gather(fields, parts)
         for part in parts:
             del fields[part]
-    found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
+    for name in MAY_BE_ABSENT:
+        # The metadata at the start of a live recording cannot list what its samples will lack.
+        is_late = head.format_version > 1 and name in _FOUND_LATE
+        is_lacking = is_late and lacks_values(name, found[name])
+        found[name] = None if is_lacking else _unless_nan(head, f"samples.{name}", found[name])
     return SampleColumns(
         time_ns=time_ns,
         **found,
-        states=states,
+        states=np.column_stack([states[name] for name in declaration.states]) if states else None,
         shaped_speed_m_s=shaped.get("linear.x"),
         shaped_turn_rate_rad_s=shaped.get("angular.z"),
         reference_xy_m=reference_xy_m,
@@ -378,40 +369,17 @@ def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
     return values.astype(np.float64 if values.dtype.kind == "f" else np.int64, copy=False)
 
 
-def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
-    """Return a column of samples; None if the metadata says so or a live recording lacks it.
-
-    The metadata at the start of a live recording cannot list the columns that its samples will
-    lack.
-    """
-    if head.format_version > 1 and name in _FOUND_LATE and lacks_values(name, values):
-        return None
-    return _unless_nan(head, f"samples.{name}", values)
-
-
-def _build_states(
-    columns: dict[str, TopicColumns], names: tuple[str, ...], sequence: Column
-) -> Values | None:
-    if not names:
-        return None
-    found = columns.pop(topics.LAW_STATE)
-    _require_numbers(found, sequence)
-    return np.column_stack([found.fields[name] for name in names])
-
-
-def _build_shaped(columns: dict[str, TopicColumns], sequence: Column) -> Mapping[str, Column]:
-    if topics.SHAPED.name not in columns:
+def _pop_numbered(
+    columns: dict[str, TopicColumns], topic: str, sequence: Column
+) -> Mapping[str, Column]:
+    """Return the fields of a topic with exactly one message per sample; empty without the topic."""
+    if topic not in columns:
         return {}
-    found = columns.pop(topics.SHAPED.name)
-    _require_numbers(found, sequence)
-    return found.fields
-
-
-def _require_numbers(found: TopicColumns, sequence: Column) -> None:
-    """Refuse a topic without exactly one message per sample."""
+    found = columns.pop(topic)
     if not np.array_equal(found.sequence, sequence):
         expected = f"the numbers of the {len(sequence)} samples"
-        raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
+        raise LogError(f"topic {topic}: expected {expected}, found {len(found)} others")
+    return found.fields
 
 
 def _build_reference(
