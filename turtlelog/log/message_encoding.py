@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.cursor import CODES
-from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
     TEXT,
@@ -24,7 +23,7 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     read_type,
 )
-from turtlelog.log.engine.parsing import HEADING_FIELDS
+from turtlelog.log.engine.records import HEADING_FIELDS, RECORD
 from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = Struct("<BQHIQQ4s")

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema
 
@@ -16,14 +15,14 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.engine.limits import DAMAGES, DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
-from turtlelog.log.engine.parsing import take_apart
+from turtlelog.log.engine.records import take_apart
 from turtlelog.log.engine.source import FileSummary, salvage_summary
 from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
 from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.exporters import describe_bag
 from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
-from turtlelog.log.mcap_writer import LIBRARY
+from turtlelog.log.mcap_writer import LIBRARY, join_records
 from turtlelog.log.recording.head import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2.bag_files import METADATA_FILE, list_present_files, read_compression
@@ -275,9 +274,7 @@ def _walk(source: Path, found: Damaged) -> Iterator[Section | Loss]:
 
 
 def _walk_sqlite(source: Path, bag: SqliteSource, place: Path) -> Iterator[Section | Loss]:
-    builder = RecordBuilder()
-    Header(profile="ros2", library=LIBRARY).write(builder)
-    header: bytes = builder.end()  # type: ignore[no-untyped-call]
+    header = join_records([Header(profile="ros2", library=LIBRARY)])
     yield Section(data=header, start=0, is_chunk=False, is_checked=False)
     with name_file(source, expected="a bag in SQLite"):
         size, claimed, _ = measure_pages(place)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.framing import CHUNK_HEAD, RECORD, check_start
+from turtlelog.log.engine.framing import CHUNK_HEAD
 from turtlelog.log.engine.limits import (
     DAMAGES,
     DESCRIPTIONS,
@@ -29,12 +29,14 @@ from turtlelog.log.engine.limits import (
     measure_stored,
     unpack_chunk,
 )
-from turtlelog.log.engine.parsing import (
+from turtlelog.log.engine.records import (
     COUNTED_HEAD,
     MESSAGE_HEAD,
     OF_CHUNKS,
+    RECORD,
     Place,
     RecordStretch,
+    check_start,
     gather_heads,
     iterate_places,
     parse_record,
@@ -169,15 +171,20 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
 def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:
     """Return records as a block by reading their headers."""
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
-    starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
-    if len(starts):
-        numbers = np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
-        order = np.argsort(numbers, kind="stable")
-        present, firsts = np.unique(numbers[order], return_index=True)
-        ordered, borders = starts[order], [*firsts.tolist(), len(starts)]
-        for number, (first, end) in zip(present.tolist(), pairwise(borders), strict=True):
-            offsets[number] = ordered[first:end]
+    numbers = [heads["channel"] for _, heads in stretch.iterate_rows()]
+    offsets = group_starts(np.concatenate(numbers), stretch.starts) if numbers else {}
     return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
+
+
+def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offsets]:
+    """Return the starts of messages by channel, given the channel of each message in order."""
+    order = np.argsort(channels, kind="stable")
+    present, firsts = np.unique(channels[order], return_index=True)
+    ordered, borders = starts[order].astype(np.int64), pairwise([*firsts.tolist(), len(starts)])
+    return {
+        channel: ordered[first:end]
+        for channel, (first, end) in zip(present.tolist(), borders, strict=True)
+    }
 
 
 def walk_blocks(
@@ -306,9 +313,13 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> lis
         gaps.append(0)
     rest, filled = list[Place](), int((ends - starts).sum())
     for gap in gaps:
-        for place in _walk_gap(data, gap, marks, byte):
+        for place in iterate_places(data, gap, len(data), byte):
+            if place.opcode == Opcode.MESSAGE:
+                raise _mistrust(byte, f"a message at {gap} that is not in it")
             rest.append(place)
             filled += RECORD.size + place.length
+            if marks[place.end >> _SLOT] == place.end & _WITHIN:
+                break
         if filled > len(data):
             break
     if filled != len(data):
@@ -332,17 +343,6 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
     if ends.max() > len(data):
         raise _mistrust(byte, f"a message up to {ends.max()} of {len(data)} bytes")
     return ends
-
-
-def _walk_gap(data: bytes, start: int, marks: NDArray[np.uint8], byte: int) -> list[Place]:
-    places = []
-    for place in iterate_places(data, start, len(data), byte):
-        if place.opcode == Opcode.MESSAGE:
-            raise _mistrust(byte, f"a message at {start} that is not in it")
-        places.append(place)
-        if marks[place.end >> _SLOT] == place.end & _WITHIN:
-            break
-    return places
 
 
 def _mistrust(byte: int, found: str) -> DamageError:

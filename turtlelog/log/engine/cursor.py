@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Offsets
 from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
-from turtlelog.log.engine.parsing import gather_bytes
+from turtlelog.log.engine.records import gather_bytes
 
 Order = Literal["<", ">"]
 

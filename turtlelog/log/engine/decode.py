@@ -16,7 +16,6 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import Catalogue, Decode, Selection, TopicPlan
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
-from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import COLUMNS, UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
@@ -28,7 +27,13 @@ from turtlelog.log.engine.message_types import (
     fill_columns,
 )
 from turtlelog.log.engine.object_messages import JsonField, decode_objects
-from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_bytes, gather_heads
+from turtlelog.log.engine.records import (
+    COUNTED_HEAD,
+    MESSAGE_HEAD,
+    RECORD,
+    gather_bytes,
+    gather_heads,
+)
 from turtlelog.log.file_access import name_place
 
 Rows = dict[str, Column]

@@ -1,8 +1,4 @@
-"""Detection of consecutive MCAP records and messages, and of the next record after damage.
-
-Topics alternate, so message lengths repeat. The period is estimated from earlier messages and every
-prediction is checked against the bytes; if it fails, records are read one by one again.
-"""
+"""Confirmation of MCAP records by their lengths, and of the next record after damage."""
 
 import struct
 from collections.abc import Iterator, Mapping
@@ -14,13 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance, measure_stored
-
-MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
-"""Magic bytes at the start and end of a file. The constant is defined here, because mcap.writer
-takes 20 ms to load."""
-
-RECORD: Final = struct.Struct("<BQ")
-"""Opcode, and length of the body [bytes]."""
+from turtlelog.log.engine.records import COUNTED_HEAD, MCAP0_MAGIC, RECORD, MessageWalk
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start and end time, unpacked size, checksum, and length of the compression's name."""
@@ -47,19 +37,8 @@ row occur once in a gigabyte, four in a row once in 100 GB. After damage, messag
 this number of them are consecutive.
 """
 
-SQLITE_MAGIC: Final = b"SQLite format 3\0"
-_RERUN: Final = b"RRF2"
-_BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
-_BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
-_LETTERS: Final = frozenset((*b"\t\n\r", *range(0x20, 0x7F)))
-START_SIZE: Final = len(SQLITE_MAGIC)
-"""Number of bytes at the start of a file that determine its kind."""
-
 _LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
 """Largest length of a record's body that is accepted [bytes]."""
-
-_LEAST_MESSAGE: Final = 22
-"""Length of a message record without data, as its length field counts it [bytes]."""
 
 _PRIVATE: Final = 0x80  # first opcode for private use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
@@ -79,7 +58,7 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
 }
 # Two kinds continue with data that have an 8-byte length; number of bytes after these data.
 _DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
-_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: _LEAST_MESSAGE, Opcode.CHUNK: 40}
+_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: COUNTED_HEAD, Opcode.CHUNK: 40}
 _EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
 _FIRST_STEP: Final = 2**12  # bytes searched at a time while the next record may be near
@@ -88,32 +67,11 @@ _FOOTER_SIZE: Final = 29
 _INDEX_HEAD: Final = 6  # bytes of a message index before its pairs: channel, length of the pairs
 _PAIR: Final = 16  # bytes: log time, offset
 
+RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
+"""Kinds of records that stand one after the other outside chunks."""
+
+
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
-_LONE: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
-
-
-def check_start(stream: BinaryIO) -> None:
-    """Check the magic bytes at the start."""
-    stream.seek(0)
-    reason = find_wrong_start(stream.read(START_SIZE))
-    if reason is not None:
-        raise LogError(f"byte 0: {reason}")
-
-
-def find_wrong_start(start: bytes) -> str | None:
-    """Return why a file does not start like MCAP, with advice; None if it does start so."""
-    if start.startswith(MCAP0_MAGIC):
-        return None
-    found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
-    if start.startswith(SQLITE_MAGIC):
-        found = "it is a bag in SQLite"
-    elif start.startswith(_RERUN):
-        found = "it is a Rerun recording, which turtlelog view shows"
-    elif start.startswith(_BAG_DESCRIPTION):
-        found = "it is the metadata.yaml of a bag: name the folder that it is in"
-    elif start and set(start.removeprefix(_BYTE_ORDER_MARK)) <= _LETTERS:
-        found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
-    return f"not an MCAP file: {found}"
 
 
 class FileWindow:
@@ -279,7 +237,7 @@ def find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int | 
     within a damaged uncompressed chunk such records would look valid without any confirmation.
     """
     is_wanted = np.zeros(256, dtype=bool)
-    is_wanted[[*_BOUND, Opcode.DATA_END, *(_LONE if is_lone else ())]] = True
+    is_wanted[[*_BOUND, Opcode.DATA_END, *(RUNS if is_lone else ())]] = True
     for candidate in _iterate_candidates(window, place, is_wanted):
         try:
             if _is_borne_out(window, candidate):
@@ -327,95 +285,16 @@ def _is_borne_out(window: FileWindow, place: int) -> bool:
     return True
 
 
-_MESSAGE: Final = int(Opcode.MESSAGE)
-_HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8")])
-
-_LONGEST_TURN: Final = 64  # messages; robots have some 20 topics with different rates
-_FIRST: Final = 16  # steps before a period is searched; a chunk has some thousand messages
-_RAREST: Final = 2**12  # steps between failed searches: a search takes the time of 100 steps
-_WORTH: Final = 128  # messages to predict: a search that predicts fewer costs more than it saves
-_MOST: Final = 2**14  # messages predicted at a time
-
-
-class MessageWalk:
-    """Predicts where messages start, from the lengths of earlier messages.
-
-    Attributes:
-        is_due: Whether a prediction should be tried now.
-    """
-
-    def __init__(self, data: bytes) -> None:
-        self.is_due = False
-        self._size = len(data)
-        count = max(self._size - RECORD.size + 1, 0)
-        self._heads = np.ndarray((count,), f"V{RECORD.size}", buffer=data, strides=(1,))
-        self._steps: list[int] = []
-        self._wait, self._turn, self._reach = _FIRST, 0, 2 * _WORTH
-
-    def add(self, step: int) -> None:
-        """Add the distance from one message to the next [bytes]."""
-        self._steps.append(step)
-        self.is_due = len(self._steps) >= self._wait
-
-    def go_on(self, place: int, most: int) -> tuple[NDArray[np.uint32], int]:
-        """Return the starts of complete messages from `place` on, and the next place."""
-        length = self._turn or _find_turn(self._steps)
-        turn = np.array(self._steps[len(self._steps) - length :], np.int64)
-        found = [np.array([place], np.int64)]
-        count = 0
-        while len(turn) and count < most:
-            reach = min(self._reach - self._reach % len(turn), most - count)  # whole periods
-            places = self._foretell(int(found[-1][-1]), turn, reach)
-            found.append(places[1:])
-            count += len(places) - 1
-            if len(places) <= reach:
-                break
-            self._reach = min(2 * self._reach, _MOST)
-        self._plan(count, len(turn))
-        places = np.concatenate(found)
-        return places[:-1].astype(np.uint32), int(places[-1])
-
-    def _foretell(self, place: int, turn: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-        ends = np.cumsum(turn)
-        firsts = place + ends[-1] * np.arange(-(-most // len(turn)))
-        places = np.empty(most + 1, np.int64)
-        places[0], places[1:] = place, (firsts[:, None] + ends).ravel()[:most]
-        places = places[: places.searchsorted(self._size, side="right")]
-        heads = self._heads[places[:-1]].view(_HEAD)
-        lengths = np.diff(places) - RECORD.size
-        fits = (heads["length"] == lengths.view(np.uint64)) & (heads["opcode"] == _MESSAGE)
-        return places if fits.all() else places[: int(fits.argmin()) + 1]
-
-    def _plan(self, count: int, turn: int) -> None:
-        """Set the time of the next try."""
-        if count >= _WORTH:
-            # The step that was not predicted comes before those of the next period.
-            self._turn, self._wait = turn, turn + 1
-            self._reach = min(max(count + 2 * turn, 2 * _WORTH), _MOST)
-        else:
-            self._turn, self._wait = 0, min(2 * max(self._wait, _FIRST), _RAREST)
-        self._steps.clear()
-        self.is_due = False
-
-
-def _find_turn(steps: list[int]) -> int:
-    """Return the latest period of the steps; 0 if the steps did not repeat."""
-    for turn in range(1, min(len(steps) // 2, _LONGEST_TURN) + 1):
-        if steps[-turn:] == steps[-2 * turn : -turn]:
-            return turn
-    return 0
-
-
 def skip_followed(data: bytes) -> int:
     """Return the start of the last message in the unbroken series from the first byte on.
 
     The last message may be truncated. The result is 0 without any message.
     """
     place, last, walk = 0, 0, MessageWalk(data)
-    end, unpack = len(data) - RECORD.size, RECORD.unpack_from
+    end, unpack, message = len(data) - RECORD.size, RECORD.unpack_from, int(Opcode.MESSAGE)
     while place <= end:
         opcode, length = unpack(data, place)
-        if opcode != _MESSAGE or not _LEAST_MESSAGE <= length <= _LARGEST_RECORD:
+        if opcode != message or not COUNTED_HEAD <= length <= _LARGEST_RECORD:
             break
         last = place
         place += RECORD.size + length

@@ -87,8 +87,6 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
 _COLUMNS: Final = 40_000_000
 _COLUMNS_SHARE: Final = 16  # of the size beyond
 
-_LARGER_CHUNKS: Final = "mcap filter FILE -o NEW.mcap writes larger ones"
-
 _CHANNEL: Final = 500  # bytes in memory, without the letters of its name
 _ENTRY: Final = 200  # bytes in memory of an entry of its table, without its letters
 
@@ -121,18 +119,18 @@ class Allowance:
         """
         with self._spending:  # several threads unpack messages at once
             self._left[kind] = left = self._left[kind] - count
-        if left < 0:
-            raise LogError(self._describe_most(kind))
-
-    def _describe_most(self, kind: str) -> str:
+        if left >= 0:
+            return
         most, size = self._most[kind], self._file_size
-        if kind != COLUMNS:
-            reason = f"expected up to {most} {kind} in a file of {size} bytes, found more"
-            return f"{reason}; {_LARGER_CHUNKS}" if kind == CHUNKS else reason
-        return (
-            f"its messages take more than {most:,} bytes as columns, the most for a file of"
-            f" {size:,} bytes. Cut the file into parts, or store it without compression"
-            " (mcap decompress FILE)"
+        if kind == COLUMNS:
+            raise LogError(
+                f"its messages take more than {most:,} bytes as columns, the most for a file of"
+                f" {size:,} bytes. Cut the file into parts, or store it without compression"
+                " (mcap decompress FILE)"
+            )
+        advice = "; mcap filter FILE -o NEW.mcap writes larger ones" if kind == CHUNKS else ""
+        raise LogError(
+            f"expected up to {most} {kind} in a file of {size} bytes, found more{advice}"
         )
 
     def spend_description(self, described: Schema | Channel) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.parsing import HEADING_FIELDS
+from turtlelog.log.engine.records import HEADING_FIELDS
 
 TEXT: Final = "text"
 """Kind of a text; every other kind is a type code of numpy, or the fields of a nested message."""

@@ -23,10 +23,12 @@ from turtlelog.log.engine.blocks import (
     walk_blocks,
 )
 from turtlelog.log.engine.channels import EVER, Catalogue
-from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
-from turtlelog.log.engine.parsing import (
+from turtlelog.log.engine.records import (
+    MCAP0_MAGIC,
+    RECORD,
     Place,
+    check_start,
     iterate_places,
     parse_record,
     read_record,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+J = TypeVar("J")
 
 _Job = tuple[ChunkEntry, bytes, Mapping[str, int]]
 
@@ -202,7 +205,10 @@ class Source:
         )
         jobs = self._read_chunks(wanted)
         # Starting threads takes longer than reading one chunk.
-        yield from map(build, jobs) if len(wanted) <= 1 else _map_ahead(build, jobs)
+        if len(wanted) <= 1:
+            yield from map(build, jobs)
+        else:
+            yield from map_ahead(build, jobs, lambda job: job[0].size + job[0].length, _AHEAD)
 
     def _walk_blocks(self) -> Iterator[Block]:
         counts: Counter[str] = Counter()
@@ -225,17 +231,23 @@ class Source:
                     counts[known[channel].topic] += count
 
 
-def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
-    """Yield results in order. Threads compute them ahead, up to a limited number of bytes."""
+def map_ahead(
+    work: Callable[[J], T],
+    jobs: Iterable[J],
+    measure: Callable[[J], int],
+    most: int,
+    threads: int = _THREADS,
+) -> Iterator[T]:
+    """Yield results in order. Threads compute them ahead, up to a total size `most`."""
     from concurrent.futures import ThreadPoolExecutor  # 8 ms that a file with one chunk saves
 
     waiting: deque[tuple[int, Future[T]]] = deque()
-    ahead = 0  # bytes computed ahead
-    with ThreadPoolExecutor(_THREADS) as pool:
+    ahead = 0  # total size that is computed ahead
+    with ThreadPoolExecutor(threads) as pool:
         try:
             for job in jobs:
-                size = job[0].size + job[0].length
-                while waiting and (ahead + size > _AHEAD or len(waiting) > 4 * _THREADS):
+                size = measure(job)
+                while waiting and (ahead + size > most or len(waiting) > 4 * threads):
                     done, future = waiting.popleft()
                     ahead -= done
                     yield future.result()

@@ -28,10 +28,10 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import Block
+from turtlelog.log.engine.blocks import Block, group_starts
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import DESCRIPTIONS, SCHEMA_BYTES, Allowance
-from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
+from turtlelog.log.engine.records import COUNTED_HEAD, HEADING, MESSAGE_HEAD
 from turtlelog.log.engine.sqlite_file import open_connection
 from turtlelog.log.file_access import DamageError
 
@@ -213,9 +213,7 @@ class SqliteSource:
         kind = f"V{MESSAGE_HEAD}"
         places = np.ndarray((len(data) - MESSAGE_HEAD + 1,), kind, buffer=data, strides=(1,))
         places[starts] = heads.view(kind)
-        order = np.argsort(numbers, kind="stable")
-        present, firsts = np.unique(numbers[order], return_index=True)
-        offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
+        offsets = group_starts(numbers, starts)
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
 
     def judge_row(self, topic_id: object, timestamp: object, data: object) -> str | None:

@@ -15,14 +15,11 @@ from mcap.opcode import Opcode
 from turtlelog.errors import LogError
 from turtlelog.log.engine.framing import (
     CHUNK_HEAD,
-    MCAP0_MAGIC,
-    RECORD,
-    START_SIZE,
+    RUNS,
     SUMMARY_ONLY,
     FileWindow,
     find_next_record,
     find_record_end,
-    find_wrong_start,
     is_padding,
     is_record_start,
     measure_record,
@@ -37,11 +34,16 @@ from turtlelog.log.engine.limits import (
     Allowance,
     unpack_chunk,
 )
+from turtlelog.log.engine.records import (
+    MCAP0_MAGIC,
+    RECORD,
+    START_SIZE,
+    find_wrong_start,
+)
 
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression
-_RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
-_LONE: Final = _RUNS | {Opcode.HEADER, Opcode.DATA_END}
+_LONE: Final = RUNS | {Opcode.HEADER, Opcode.DATA_END}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,7 +189,7 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     end = find_record_end(window, place)[1]
     if opcode == Opcode.MESSAGE:
         end = max(end, place + skip_followed(window.read(place, _BATCH)))
-    while opcode in _RUNS and end - place < _BATCH:
+    while opcode in RUNS and end - place < _BATCH:
         try:
             found, after = find_record_end(window, end)
         except LogError:

@@ -15,10 +15,10 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.channels import Catalogue, Selection
 from turtlelog.log.engine.decode import Rows, read_piece
-from turtlelog.log.engine.framing import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
+from turtlelog.log.engine.records import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file

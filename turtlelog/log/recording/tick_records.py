@@ -11,8 +11,8 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from turtlelog.log.engine.cursor import CODES
-from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
+from turtlelog.log.engine.records import RECORD
 from turtlelog.log.mcap_writer import ChunkRows
 from turtlelog.log.message_encoding import ENCAPSULATION, HEAD, encode_message
 from turtlelog.log.recording import topics
