@@ -140,13 +140,7 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
                 with open_place(found) as stream:
                     summary = salvage_summary(stream)
         with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-            if found.bag is None:
-                copied = _copy_mcap(source, found, output, summary)
-            else:
-                catalogue = found.bag.catalogue
-                known = tuple(catalogue.schemas.values()), tuple(catalogue.channels.values())
-                walk = _walk_sqlite(source, found.bag, found.place)
-                copied = _copy_records(walk, found.stored_size, output, *known)
+            copied = _copy(source, found, output, summary)
             if found.fault is not None:
                 copied.lose(Loss(start=size, end=size, reason=found.fault))
             report = _build_report(str(source), copied, summary)
@@ -158,26 +152,23 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
     return report
 
 
-def _copy_mcap(
-    source: Path, found: Damaged, output: BinaryIO, summary: FileSummary | None
-) -> "_Copied":
-    known = ((), ()) if summary is None else (summary.schemas, summary.channels)
-
-    def copy() -> _Copied:
-        copied = _copy_records(_walk(source, found), found.stored_size, output, *known)
-        if copied.data_end is not None and summary is None:
-            reason, size = "the summary is damaged or missing", found.place.stat().st_size
-            copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
-        return copied
-
-    copied = copy()
+def _copy(source: Path, found: Damaged, output: BinaryIO, summary: FileSummary | None) -> "_Copied":
+    schemas: Iterable[Schema] = summary.schemas if summary else ()
+    channels: Iterable[Channel] = summary.channels if summary else ()
+    if found.bag is not None:
+        catalogue = found.bag.catalogue
+        schemas, channels = catalogue.schemas.values(), catalogue.channels.values()
+    copied = _copy_records(_walk(source, found), found.stored_size, output, schemas, channels)
     if copied.is_described_late:
         # A schema or channel came later than its messages: the copy starts again with those known.
         output.seek(0)
         output.truncate()
         first = copied.rewriter.numbering
-        known = (tuple(first.first_schemas.values()), tuple(first.first_channels.values()))
-        copied = copy()
+        schemas, channels = first.first_schemas.values(), first.first_channels.values()
+        copied = _copy_records(_walk(source, found), found.stored_size, output, schemas, channels)
+    if copied.data_end is not None and summary is None:
+        reason, size = "the summary is damaged or missing", found.place.stat().st_size
+        copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
     return copied
 
 
@@ -233,8 +224,8 @@ def _copy_records(
     walk: Iterator[Section | Loss],
     stored_size: int,
     output: BinaryIO,
-    schemas: tuple[Schema, ...],
-    channels: tuple[Channel, ...],
+    schemas: Iterable[Schema],
+    channels: Iterable[Channel],
 ) -> _Copied:
     """Copy the sections of a walk over a file; `schemas` and `channels` are known beforehand."""
     allowance = Allowance(stored_size)
@@ -248,37 +239,33 @@ def _copy_records(
             else:
                 copied.mismatch = found
             continue
-        is_checked, place = found.is_checked, found.start
-        for reason in _take_section(rewriter, found, allowance):
+        left, place = allowance.count_left(RECORDS), found.start
+        stretch = take_apart(found.data, is_chunk=found.is_chunk, most_records=left)
+        allowance.spend(RECORDS, stretch.records)
+        try:
+            allowance.spend(DESCRIPTIONS, len(stretch.others))
+        except LogError as err:
+            faults = [str(err)]
+        else:
+            faults = rewriter.take_stretch(stretch, place, is_checked=found.is_checked)
+        for reason in faults:
             copied.lose(Loss(start=place, end=place, reason=reason))
         if not found.is_chunk and found.data[0] == Opcode.DATA_END:
-            copied.data_end, copied.is_vouched = place + len(found.data), is_checked
+            copied.data_end, copied.is_vouched = place + len(found.data), found.is_checked
     return copied
-
-
-def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) -> list[str]:
-    left = allowance.count_left(RECORDS)
-    stretch = take_apart(section.data, is_chunk=section.is_chunk, most_records=left)
-    allowance.spend(RECORDS, stretch.records)
-    try:
-        allowance.spend(DESCRIPTIONS, len(stretch.others))
-    except LogError as err:
-        return [str(err)]
-    return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
 def _walk(source: Path, found: Damaged) -> Iterator[Section | Loss]:
     # Errors of writing the new file do not concern this file.
-    with name_file(source, expected="an MCAP file"), open_place(found) as stream:
-        yield from walk_sections(stream)
-
-
-def _walk_sqlite(source: Path, bag: SqliteSource, place: Path) -> Iterator[Section | Loss]:
+    if found.bag is None:
+        with name_file(source, expected="an MCAP file"), open_place(found) as stream:
+            yield from walk_sections(stream)
+        return
     header = join_records([Header(profile="ros2", library=LIBRARY)])
     yield Section(data=header, start=0, is_chunk=False, is_checked=False)
     with name_file(source, expected="a bag in SQLite"):
-        size, claimed, _ = measure_pages(place)
-        yield from _group_rows(bag, size)
+        size, claimed, _ = measure_pages(found.place)
+        yield from _group_rows(found.bag, size)
         if size < claimed:
             reason = f"expected a file of {claimed} bytes, found its end: cut short"
             yield Loss(start=size, end=claimed, reason=reason)
