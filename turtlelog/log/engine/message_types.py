@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
 from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final
@@ -362,23 +361,6 @@ def shorten_type(name: str, package: str = "") -> str:
     return f"{before[-1] if before else package}/{last}"
 
 
-def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
-    """Return the layout of a type; None if its messages differ in size.
-
-    CDR aligns a number to its own size; nothing else is aligned.
-    """
-    places: list[tuple[str, str, int | None, int]] = []
-    end = _place(fields, "", 0, places)
-    if end is None or end > _LARGEST_RECORD:
-        return None
-    return Layout(
-        little=_join(places, end, "<"),
-        big=_join(places, end, ">"),
-        size=ENCAPSULATION + end,
-        kinds={name: kind for name, kind, *_ in places},
-    )
-
-
 def name_parts(field: Field) -> Iterator[str]:
     """Yield the parts of dotted names for a nested message: one part, or one per array element."""
     if field.length is None:
@@ -410,72 +392,137 @@ def _find_sequence(fields: tuple[Field, ...]) -> str | None:
     return None
 
 
-def _place(
-    fields: tuple[Field, ...],
-    prefix: str,
-    end: int | None,
-    places: list[tuple[str, str, int | None, int]],
-) -> int | None:
-    """Append name, kind, array length and offset of every number; return the end of the last.
-
-    The result is None if there is a text or a sequence.
-    """
-    for field in fields:
-        if end is None or field.is_sequence or field.kind == TEXT:
-            return None
-        if isinstance(field.kind, str):
-            size = np.dtype(field.kind).itemsize
-            end += -end % size
-            places.append((prefix + field.name, field.kind, field.length, end))
-            end += size * (1 if field.length is None else field.length)
-        else:
-            for part in name_parts(field):
-                end = _place(field.kind, f"{prefix}{part}.", end, places)
-    # ROS gives a type without fields one byte.
-    return end if fields or end is None else end + 1
+def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
+    """Return the layout of a type; None if its messages differ in size."""
+    alike = lay_out_alike(fields, {})
+    if alike is None or alike.constants or alike.size > _LARGEST_RECORD:
+        return None
+    return Layout(
+        little=_join(alike, "<"),
+        big=_join(alike, ">"),
+        size=ENCAPSULATION + alike.size,
+        kinds={name: kind for name, kind, *_ in alike.numbers},
+    )
 
 
-def _join(
-    places: list[tuple[str, str, int | None, int]], end: int, order: str
-) -> np.dtype[np.void]:
-    codes = ((f"{order}{kind.replace('?', 'u1')}", length) for _, kind, length, _ in places)
+def _join(alike: "AlikeLayout", order: str) -> np.dtype[np.void]:
+    codes = ((f"{order}{kind.replace('?', 'u1')}", length) for _, kind, length, _ in alike.numbers)
     formats = [code if length is None else f"({length},){code}" for code, length in codes]
     assert MESSAGE.names is not None
     layout = {
-        "names": [*MESSAGE.names, *(name for name, *_ in places)],
+        "names": [*MESSAGE.names, *(name for name, *_ in alike.numbers)],
         "formats": [*(MESSAGE[name] for name in MESSAGE.names), *formats],
         "offsets": [
             *(MESSAGE.fields[name][1] for name in MESSAGE.names if MESSAGE.fields),
-            *(MESSAGE.itemsize + place for *_, place in places),
+            *(MESSAGE.itemsize + place for *_, place in alike.numbers),
         ],
-        "itemsize": MESSAGE.itemsize + end,
+        "itemsize": MESSAGE.itemsize + alike.size,
     }
     return np.dtype(layout)  # type: ignore[call-overload,no-any-return]
 
 
-KNOWN_TYPES: Final = tuple(name.replace("/", "/msg/") for name in _TEXTS)
-"""ROS 2 names of the types with a known definition."""
-
-_NESTED: Final = re.compile(r"^(\w+/\w+)", re.MULTILINE | re.ASCII)
+class _UnlikeError(Exception):
+    """Messages that differ in more than numbers."""
 
 
-@cache
-def find_definition(type_name: str) -> str | None:
-    """Return the `ros2msg` text of a common type and its nested types; None for other types.
+class AlikeLayout:
+    """The offsets of fields in messages that differ only in numbers.
 
-    Args:
-        type_name: `package/msg/Type` or `package/Type`.
+    A type with texts or sequences has no fixed layout. If every text is the same in all messages
+    and every sequence has the same length, fields nevertheless have fixed offsets. CDR aligns a
+    number to its own size; nothing else is aligned.
+
+    Attributes:
+        size: Size of a message [bytes].
+        numbers: Name, type code, array length and offset [bytes] of each number.
+        constants: Bytes that are the same in all messages, with their offsets.
+        names: Names of all fields.
     """
-    name = shorten_type(type_name)
-    if name not in _TEXTS:
+
+    def __init__(self, fields: tuple[Field, ...], columns: Mapping[str, Column]) -> None:
+        self.size = 0
+        self.numbers: list[tuple[str, str, int | None, int]] = []
+        self.constants: list[tuple[bytes, int]] = []
+        self.names: list[str] = []
+        self._columns = columns
+        self._place(fields, "")
+
+    def fill(self, rows: int, columns: Mapping[str, Column]) -> NDArray[np.uint8]:
+        """Return the bytes of messages, shape (rows, size).
+
+        Numbers by field name are little-endian and of the field's type. Missing fields are 0.
+        """
+        found = np.zeros((rows, self.size), dtype=np.uint8)
+        for data, place in self.constants:
+            found[:, place : place + len(data)] = np.frombuffer(data, dtype=np.uint8)
+        for name, *_, place in self.numbers:
+            if name in columns:
+                part = np.ascontiguousarray(columns[name]).view(np.uint8).reshape(rows, -1)
+                found[:, place : place + part.shape[1]] = part
+        return found
+
+    def _place(self, fields: tuple[Field, ...], prefix: str) -> None:
+        for one in fields:
+            name = prefix + one.name
+            self.names.append(name)
+            if one.is_sequence:
+                self._place_items(one, name)
+            elif one.kind == TEXT:
+                self._place_text(one, self._columns.get(name))
+            elif isinstance(one.kind, str):
+                self._place_number(name, one.kind, one.length)
+            else:
+                for part in name_parts(one):
+                    self._place(one.kind, f"{prefix}{part}.")
+        if not fields:  # ROS gives a type without fields one byte
+            self.size += 1
+
+    def _place_number(self, name: str, kind: str, length: int | None) -> None:
+        column, shape = self._columns.get(name), () if length is None else (length,)
+        # Objects are checked one by one where they are encoded.
+        if column is not None and (column.dtype == object or column.shape[1:] != shape):
+            raise _UnlikeError
+        size = np.dtype(kind).itemsize
+        self.size += -self.size % size
+        self.numbers.append((name, kind, length, self.size))
+        self.size += size * (1 if length is None else length)
+
+    def _place_text(self, one: Field, column: Column | None) -> None:
+        text: Any = "" if column is None or not len(column) else column[0]
+        is_same = isinstance(text, str) and (
+            column is None or all(text == other for other in column)
+        )
+        if one.length is not None or not is_same:
+            raise _UnlikeError
+        data = text.encode() + b"\x00"
+        self._place_count(len(data))
+        self.constants.append((data, self.size))
+        self.size += len(data)
+
+    def _place_items(self, one: Field, name: str) -> None:
+        keys = [key.removeprefix(f"{name}.") for key in self._columns if key.startswith(f"{name}.")]
+        numbers = {key.split(".")[0] for key in keys}
+        is_listed = numbers == {str(number) for number in range(len(numbers))}
+        if name in self._columns or (isinstance(one.kind, str) and numbers) or not is_listed:
+            raise _UnlikeError
+        self._place_count(len(numbers))
+        for number in range(len(numbers)):
+            assert not isinstance(one.kind, str)
+            self._place(one.kind, f"{name}.{number}.")
+
+    def _place_count(self, count: int) -> None:
+        self.size += -self.size % 4
+        self.constants.append((count.to_bytes(4, "little"), self.size))
+        self.size += 4
+
+
+def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
+    """Return the layout of messages; None if the messages differ in more than numbers.
+
+    Columns have dotted field names. Those of items of a sequence of messages have an index, as in
+    `transforms.0.child_frame_id`.
+    """
+    try:
+        return AlikeLayout(fields, columns)
+    except _UnlikeError:
         return None
-    # Each type once, before the types that follow it in its fields.
-    nested = dict.fromkeys(_iterate_nested(name))
-    parts = [f"{'=' * 80}\nMSG: {other}\n{_TEXTS[other]}" for other in nested]
-    return "".join([_TEXTS[name], *parts])
-
-
-def _iterate_nested(name: str) -> Iterator[str]:
-    for other in _NESTED.findall(_TEXTS[name]):
-        yield other
-        yield from _iterate_nested(other)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import Column, read_type
+from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_write_error
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.message_encoding import PackedItems, lay_out_alike
+from turtlelog.log.message_encoding import PackedItems
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
