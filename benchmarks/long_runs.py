@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from turtlelog.log.engine.message_types import find_definition
+from turtlelog.log.engine.channels import find_definition
 
 
 def lengthen_run(run: tl.Run, rows: int) -> tl.Run:

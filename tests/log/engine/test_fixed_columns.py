@@ -10,8 +10,7 @@ from mcap.writer import IndexType, Writer
 from tests.log.engine.files import POINT, pack, write_points
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns
-from turtlelog.log.engine.channels import Selection
-from turtlelog.log.engine.decode import LOG_TIME, SEQUENCE, FixedColumns
+from turtlelog.log.engine.decode import LOG_TIME, SEQUENCE, FixedColumns, Selection
 from turtlelog.log.engine.message_types import Layout, read_type
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.topic_columns import _SHARE, _SPARE, _set_aside, count_rows

@@ -10,8 +10,9 @@ from rosbags.typesys import get_types_from_idl
 from tests.log.engine.files import pack
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info
+from turtlelog.log.engine.channels import KNOWN_TYPES, find_definition
 from turtlelog.log.engine.idl import LONGEST_TEXT, convert_idl
-from turtlelog.log.engine.message_types import KNOWN_TYPES, Field, find_definition, read_type
+from turtlelog.log.engine.message_types import Field, read_type
 
 LINE = "=" * 80 + "\n"
 

@@ -4,7 +4,8 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from turtlelog.log.engine.message_types import KNOWN_TYPES, find_definition, read_type
+from turtlelog.log.engine.channels import KNOWN_TYPES, find_definition
+from turtlelog.log.engine.message_types import read_type
 
 # Of packages that rosbags does not carry: nothing to compare with.
 OTHERS = {

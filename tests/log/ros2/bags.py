@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests.known import known
 from tests.log.engine.raw_records import read_raw
-from turtlelog.log.engine.message_types import find_definition
+from turtlelog.log.engine.channels import find_definition
 
 START_NS: Final = 1_700_000_000_123_456_789
 TICK_NS: Final = 16_000_000

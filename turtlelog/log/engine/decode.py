@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from threading import Lock
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.channels import Catalogue, Decode, Selection, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, Decode, TopicPlan, measure_object
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.limits import COLUMNS, UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
@@ -48,6 +48,95 @@ _KINDS: Final = MappingProxyType({LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: 
 # to fill at first. Smaller columns of a topic share an array.
 _LARGE: Final = 2**22
 _LINE: Final = 64  # bytes; columns start at a multiple of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """A segment of consecutive messages.
+
+    Attributes:
+        rows: Rows of requested topics.
+        size: Number of bytes read.
+        counts: Number of messages by channel, requested or not.
+        rest: Other records of the block; only in the first piece of a block.
+    """
+
+    rows: Mapping[str, Rows]
+    size: int
+    counts: Mapping[int, int]
+    rest: tuple[Any, ...] = ()
+
+
+_MOST_REASONS: Final = 3
+"""Largest number of topics that an error lists with their reasons."""
+
+EVER: Final = 2**64
+"""A log time after all others [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """The requested messages.
+
+    Attributes:
+        topics: Names of the topics to read. None: every topic that can be decoded.
+        start_ns: Earliest log time [ns], inclusive.
+        end_ns: End of the log time [ns], exclusive.
+        is_lenient: Whether named topics may be missing or undecodable. All chunks are then read and
+            checked.
+        is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
+            messages take some hundred times their bytes in memory.
+        is_counted: Whether the memory of rows is limited in proportion to the file's size.
+        kept: Columns to keep, by topic, including the log time. Topics that are not listed keep all
+            columns.
+    """
+
+    topics: frozenset[str] | None = None
+    start_ns: int = 0
+    end_ns: int = EVER
+    is_lenient: bool = False
+    is_flat: bool = False
+    is_counted: bool = False
+    kept: Mapping[str, Collection[str]] = field(default_factory=dict)
+
+    @property
+    def is_ever(self) -> bool:
+        """Whether no message is left out because of its time."""
+        return self.start_ns <= 0 and self.end_ns >= EVER
+
+    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
+        """Return the plans of the requested topics that are known so far."""
+        known = catalogue.topics
+        names = sorted(known if self.topics is None else self.topics.intersection(known))
+        plans = ((topic, self.choose_plan(catalogue, topic)) for topic in names)
+        return {topic: plan for topic, plan in plans if plan is not None}
+
+    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
+        """Return the plan of a topic; None if it is not requested."""
+        if self.topics is not None and topic not in self.topics:
+            return None
+        plan = catalogue.find_plan(topic)
+        if plan.reason and self.topics is not None and not self.is_lenient:
+            raise LogError(plan.describe_reason())
+        if self.is_flat and plan.sequence is not None:
+            raise LogError(
+                f"topic {topic}: expected fields of numbers and texts, found the sequence"
+                f" {plan.sequence}"
+            )
+        if self.is_flat and plan.json is not None:
+            flat = tuple(field for field in plan.json if field.kind != "any")
+            plan = replace(plan, json=flat, row_size=measure_object(flat))
+        return None if plan.reason else plan
+
+    def require_topics(self, catalogue: Catalogue) -> None:
+        """Check that every topic requested by name exists, or that any topic can be decoded."""
+        if self.topics is None and not self.is_lenient:
+            plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
+            if plans and all(plan.reason for plan in plans):
+                raise LogError("; ".join(plan.describe_reason() for plan in plans[:_MOST_REASONS]))
+        missing = (self.topics or frozenset()).difference(catalogue.topics)
+        for topic in () if self.is_lenient else sorted(missing):
+            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
 
 
 def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
@@ -254,23 +343,6 @@ def _check_times(*columns: NDArray[np.uint64]) -> None:
     for times in columns:
         if len(times) and times.max() >= 2**63:
             raise LogError(f"expected times below 2^63 ns, found {times.max()}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
-    """A segment of consecutive messages.
-
-    Attributes:
-        rows: Rows of requested topics.
-        size: Number of bytes read.
-        counts: Number of messages by channel, requested or not.
-        rest: Other records of the block; only in the first piece of a block.
-    """
-
-    rows: Mapping[str, Rows]
-    size: int
-    counts: Mapping[int, int]
-    rest: tuple[Any, ...] = ()
 
 
 def read_piece(

@@ -22,7 +22,8 @@ from turtlelog.log.engine.blocks import (
     count_indexed,
     walk_blocks,
 )
-from turtlelog.log.engine.channels import EVER, Catalogue
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import EVER
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
 from turtlelog.log.engine.records import (
     MCAP0_MAGIC,

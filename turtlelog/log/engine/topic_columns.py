@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.channels import EVER, Selection
 from turtlelog.log.engine.decode import (
+    EVER,
     LOG_TIME,
     PUBLISH_TIME,
     SEQUENCE,
     FixedColumns,
     Piece,
     Rows,
+    Selection,
     make_empty_rows,
     pick_rows,
     read_piece,

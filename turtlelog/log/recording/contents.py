@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
-from turtlelog.log.engine.channels import Catalogue, Selection, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
     SEQUENCE,
     Rows,
+    Selection,
     make_empty_rows,
     read_piece,
 )

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import build_walked_block
-from turtlelog.log.engine.channels import Catalogue, Selection
-from turtlelog.log.engine.decode import Rows, read_piece
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import Rows, Selection, read_piece
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap

@@ -11,7 +11,7 @@ from typing import Final
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import find_definition
+from turtlelog.log.engine.channels import find_definition
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW
 
