@@ -28,7 +28,7 @@ from turtlelog.log.engine.message_types import (
 from turtlelog.log.engine.records import HEADING_FIELDS, RECORD
 from turtlelog.log.engine.topic_columns import TopicColumns
 
-HEAD: Final = Struct("<BQHIQQ4s")
+FRONT: Final = Struct("<BQHIQQ4s")
 """Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
 
 _HEAD: Final = np.dtype([*HEADING_FIELDS, ("encapsulation", "u1", (4,))])
@@ -149,7 +149,7 @@ def _encode_alike(
     }
     heads = np.zeros(rows, dtype=_HEAD)
     heads["opcode"], heads["channel"] = Opcode.MESSAGE, channel
-    heads["length"] = HEAD.size - RECORD.size + layout.size
+    heads["length"] = FRONT.size - RECORD.size + layout.size
     heads["encapsulation"] = np.frombuffer(ENCAPSULATION, np.uint8)
     for name, values in stamps.items():
         heads[name] = values
@@ -219,8 +219,8 @@ def encode_message(
     """
     body = bytearray()
     _append_fields(body, fields, values, "")
-    length = HEAD.size - RECORD.size + len(body)
-    return HEAD.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
+    length = FRONT.size - RECORD.size + len(body)
+    return FRONT.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
 
 
 def _append_fields(

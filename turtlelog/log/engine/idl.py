@@ -255,8 +255,8 @@ class _Types:
         """Return the wanted struct as `ros2msg`, followed by the structs that it uses."""
         wanted = self._name.replace("/", "::")
         if wanted not in self._structs:
-            known = ", ".join(self._structs)[:80]
-            found = known and f"; there is {known}"
+            others = ", ".join(self._structs)[:80]
+            found = others and f"; there is {others}"
             raise LogError(f"schema {self._name}: its definition is missing{found}")
         parts: list[str] = []
         known, waiting = {wanted}, [wanted]

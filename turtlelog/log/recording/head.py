@@ -15,8 +15,6 @@ from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import name_place
-from turtlelog.log.read_choice import CHOSEN, UNUSED
-from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Clock
 from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
@@ -100,31 +98,6 @@ class Head:
     notes: Mapping[str, str]
     clock: Clock | None = None
     simulated_by: Mapping[str, str] = field(default_factory=dict)
-
-
-def describe_run(run: "Run") -> Head:
-    """Return the metadata for the recording of a run."""
-    poses, shaped = run.poses, run.samples.shaped_speed_m_s
-    measured = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
-    more_topics = {
-        SENSED.name: poses.sensed_xy_m is not None,
-        SHAPED.name: shaped is not None,
-        MEASURED.name: any(values is not None for values in measured),
-    }
-    return Head(
-        format_version=_FORMAT_VERSION,
-        source=run.source,
-        name=run.name,
-        stop_reason=run.stop_reason,
-        goal_heading_rad=run.goal_heading_rad,
-        absent=run.absent,
-        nan_columns=frozenset(_list_nan_columns(run)),
-        more_topics=frozenset(name for name, is_there in more_topics.items() if is_there),
-        declaration=run.declaration,
-        clock=run.clock,
-        simulated_by=run.simulated_by,
-        notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
-    )
 
 
 def describe_scenario(
@@ -277,19 +250,6 @@ def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
 
 _keep_tables = lru_cache(maxsize=32)(_parse_tables)
 """Files of one experiment share their tables."""
-
-
-def _list_nan_columns(run: "Run") -> list[str]:
-    poses, samples = ["speed_m_s", "turn_rate_rad_s"], [*MAY_BE_ABSENT]
-    measured = [f"measured_{name}" for name in poses]
-    if any(getattr(run.poses, name) is not None for name in measured):
-        poses += measured
-    if run.declaration.has_reference:
-        samples += "reference_xy_m", "reference_heading_rad"
-    return [
-        *(f"poses.{name}" for name in poses if getattr(run.poses, name) is None),
-        *(f"samples.{name}" for name in samples if getattr(run.samples, name) is None),
-    ]
 
 
 def sum_up_record(record: Mapping[str, str]) -> str:

@@ -14,8 +14,17 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_write_error
 from turtlelog.log.mcap_writer import write_columns
 from turtlelog.log.message_encoding import PackedItems
+from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
-from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
+from turtlelog.log.recording.head import (
+    _FORMAT_VERSION,
+    HEAD,
+    MAY_BE_ABSENT,
+    Head,
+    format_head,
+    format_scenario_file,
+)
+from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
@@ -390,3 +399,41 @@ def _find_signs(poses: PoseColumns) -> NDArray[np.float64]:
         step_m * np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])
     ).sum(axis=1)
     return np.where(along_m < 0.0, -1.0, 1.0)
+
+
+def describe_run(run: "Run") -> Head:
+    """Return the metadata for the recording of a run."""
+    poses, shaped = run.poses, run.samples.shaped_speed_m_s
+    measured = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
+    more_topics = {
+        SENSED.name: poses.sensed_xy_m is not None,
+        SHAPED.name: shaped is not None,
+        MEASURED.name: any(values is not None for values in measured),
+    }
+    return Head(
+        format_version=_FORMAT_VERSION,
+        source=run.source,
+        name=run.name,
+        stop_reason=run.stop_reason,
+        goal_heading_rad=run.goal_heading_rad,
+        absent=run.absent,
+        nan_columns=frozenset(_list_nan_columns(run)),
+        more_topics=frozenset(name for name, is_there in more_topics.items() if is_there),
+        declaration=run.declaration,
+        clock=run.clock,
+        simulated_by=run.simulated_by,
+        notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
+    )
+
+
+def _list_nan_columns(run: "Run") -> list[str]:
+    poses, samples = ["speed_m_s", "turn_rate_rad_s"], [*MAY_BE_ABSENT]
+    measured = [f"measured_{name}" for name in poses]
+    if any(getattr(run.poses, name) is not None for name in measured):
+        poses += measured
+    if run.declaration.has_reference:
+        samples += "reference_xy_m", "reference_heading_rad"
+    return [
+        *(f"poses.{name}" for name in poses if getattr(run.poses, name) is None),
+        *(f"samples.{name}" for name in samples if getattr(run.samples, name) is None),
+    ]
