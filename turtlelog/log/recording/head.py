@@ -31,7 +31,7 @@ HEAD: Final = "turtlelog"
 CHECKSUM: Final = "checksum"
 """Name of the entry with the crc32 of all other entries, as JSON sorted by name, in hexadecimal."""
 
-_FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
 """Attachment with a complete scenario."""
 
@@ -113,7 +113,7 @@ def describe_scenario(
     from turtlelog.simulate import find_software  # only recorders load laws
 
     return Head(
-        format_version=_FORMAT_VERSION,
+        format_version=FORMAT_VERSION,
         source="simulation",
         name=scenario.name,
         stop_reason=stop_reason,
@@ -171,10 +171,10 @@ def parse_head(record: Mapping[str, str]) -> Head:
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
     version = _decode(record, "format_version", int)
-    if version > _FORMAT_VERSION:
-        raise LogError(f"format version {version}: this turtlelog reads up to {_FORMAT_VERSION}")
+    if version > FORMAT_VERSION:
+        raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
     if version < 1:
-        raise LogError(f"format version {version}: expected 1 to {_FORMAT_VERSION}")
+        raise LogError(f"format version {version}: expected 1 to {FORMAT_VERSION}")
     if _get(record, CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
     declaration = None
