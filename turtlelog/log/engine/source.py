@@ -1,4 +1,7 @@
-"""Reading of requested messages piece by piece, by the index or record by record."""
+"""An MCAP file: its ends and summary, and its chunks by the index or record by record.
+
+The mcap library checks chunks and the data section, but not the summary.
+"""
 
 import io
 import os
@@ -76,23 +79,6 @@ _KINDS: Final[Mapping[int, str]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ends:
-    """Offsets of the parts of a complete file.
-
-    Attributes:
-        data_end: Offset of the record that ends the data section [bytes].
-        data_crc: Checksum of all bytes before this record; 0 without a checksum.
-        summary_start: Offset of the summary section [bytes]; of the footer if the summary is empty.
-        summary: Records of the summary, including summary offsets.
-    """
-
-    data_end: int
-    data_crc: int
-    summary_start: int
-    summary: bytes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FileSummary:
     """Contents of the summary section.
 
@@ -121,20 +107,29 @@ class Source:
             read.
         is_indexed: Whether the summary indexes the complete file.
         statistics: Statistics record; None if the file has none.
-        ends: Offsets of the file's parts.
+        summary_start: Offset of the summary [bytes]; of the footer if the summary is empty.
         allowance: Remaining limits of the file.
         size: Size of the file [bytes].
     """
 
     def __init__(self, stream: BinaryIO) -> None:
+        """Check the ends and the summary.
+
+        Raises:
+            LogError: If the file is not MCAP.
+            DamageError: If the file is truncated, or its summary is damaged.
+        """
+        check_start(stream)
         self._stream = stream
-        self.ends: Ends = read_ends(stream)
+        footer, self.summary_start, checksum = _read_footer(stream)
+        self._data_end, self._data_crc = _read_data_end(stream, self.summary_start)
+        data = _read_summary(stream, footer, self.summary_start, checksum)
         self.size = stream.seek(0, os.SEEK_END)
         self.allowance = Allowance(measure_stored(stream))
-        summary = parse_summary(self.ends.summary, self.ends.summary_start, self.allowance)
+        summary = _parse_summary(data, self.summary_start, self.allowance)
         self.catalogue = Catalogue(self.allowance)
-        self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary_start)
-        lone = find_lone_records(stream, self.ends, summary, self.allowance)
+        self.catalogue.add((*summary.schemas, *summary.channels), self.summary_start)
+        lone = _find_lone_records(stream, self._data_end, summary, self.allowance)
         self.statistics, self.is_indexed = summary.statistics, lone is not None
         self._lone, self._summary = lone or (), summary
 
@@ -155,18 +150,14 @@ class Source:
             raise DamageError(f"byte {byte}: not the record named {name}")
 
     @property
-    def summary_start(self) -> int:
-        """The offset of the summary [bytes]."""
-        return self.ends.summary_start
-
-    @property
     def index_length(self) -> int:
         """The total size of all message indexes [bytes]."""
         return sum(entry.index_length for entry in self._summary.chunks)
 
     def check_data(self) -> None:
         """Check the checksum of the whole data section, in one pass over the file."""
-        check_data(self._stream, self.ends)
+        expecting = f"byte {self._data_end}: expected data"
+        check_sum(self._stream, 0, self._data_end, self._data_crc, expecting)
 
     def map_blocks(
         self,
@@ -261,28 +252,20 @@ def map_ahead(
                 future.cancel()
 
 
-def read_ends(stream: BinaryIO) -> Ends:
-    """Check the magic bytes at both ends, the footer and the summary.
-
-    Raises:
-        LogError: If the file is not MCAP.
-        DamageError: If the file is truncated, or its summary is damaged.
-    """
-    check_start(stream)
-    place, start, checksum = _read_footer(stream)
-    data_end, data_crc = _read_data_end(stream, start)
-    summary = _read_summary(stream, place, start, checksum)
-    return Ends(data_end=data_end, data_crc=data_crc, summary_start=start, summary=summary)
-
-
-def check_data(stream: BinaryIO, ends: Ends) -> None:
-    """Check the checksum of the data section, in one pass over the file."""
-    found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
-    if found != ends.data_crc:
-        raise DamageError(
-            f"byte {ends.data_end}: expected data of checksum {ends.data_crc:#010x},"
-            f" found {found:#010x}"
-        )
+def check_sum(stream: BinaryIO, start: int, end: int, expected: int, expecting: str) -> None:
+    """Check a part of a file step by step, if it has a checksum; `expecting` begins the error."""
+    if not expected:
+        return
+    stream.seek(start)
+    found, buffer = 0, memoryview(bytearray(min(_STEP, max(end - start, 0))))
+    while start < end:
+        count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
+        if not count:
+            break  # the file became shorter; the checksum will differ
+        found = zlib.crc32(buffer[:count], found)
+        start += count
+    if found != expected:
+        raise DamageError(f"{expecting} of checksum {expected:#010x}, found {found:#010x}")
 
 
 def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
@@ -305,24 +288,9 @@ def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
 def _read_summary(stream: BinaryIO, footer: int, start: int, expected: int) -> bytes:
     end = footer + _FOOTER.size - 4  # the checksum covers the footer up to itself
     # Checked before anything is read: a damaged footer may claim that the whole file is summary.
-    if expected and expected != (found := _compute_checksum(stream, start, end)):
-        raise DamageError(
-            f"byte {start}: expected a summary of checksum {expected:#010x}, found {found:#010x}"
-        )
+    check_sum(stream, start, end, expected, f"byte {start}: expected a summary")
     stream.seek(start)
     return stream.read(footer - start)
-
-
-def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
-    stream.seek(start)
-    found, buffer = 0, memoryview(bytearray(min(_STEP, max(end - start, 0))))
-    while start < end:
-        count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
-        if not count:
-            break  # the file became shorter; the checksum will differ
-        found = zlib.crc32(buffer[:count], found)
-        start += count
-    return found
 
 
 def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
@@ -334,7 +302,7 @@ def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
     return place, int(_DATA_END.unpack(record)[2])
 
 
-def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
+def _parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
     """Return the contents of the summary section; `byte` is its offset in the file."""
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
@@ -372,8 +340,8 @@ def _spend(allowance: Allowance, opcode: int, byte: int) -> None:
         raise DamageError(f"byte {byte}: {err}") from err
 
 
-def find_lone_records(
-    stream: BinaryIO, ends: Ends, summary: FileSummary, allowance: Allowance
+def _find_lone_records(
+    stream: BinaryIO, data_end: int, summary: FileSummary, allowance: Allowance
 ) -> tuple[Place, ...] | None:
     """Return the records between the chunks; None if the index is incomplete.
 
@@ -385,7 +353,7 @@ def find_lone_records(
     lone: list[Place] = []
     start = len(MCAP0_MAGIC)
     for entry in (*summary.chunks, None):
-        end = ends.data_end if entry is None else entry.start
+        end = data_end if entry is None else entry.start
         if entry and not (entry.channels and entry.index_length and entry.channels <= known):
             return None
         places = _find_between(stream, start, end, allowance)
@@ -445,7 +413,7 @@ def salvage_summary(stream: BinaryIO) -> FileSummary | None:
         if not checksum:  # without a checksum only this confirms the start
             _read_data_end(stream, start)
         data = _read_summary(stream, place, start, checksum)
-        summary = parse_summary(data, start, Allowance(measure_stored(stream)))
+        summary = _parse_summary(data, start, Allowance(measure_stored(stream)))
     except DamageError:
         return None
     schemas = {schema.id: schema for schema in summary.schemas}
