@@ -17,32 +17,10 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
+from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.framing import CHUNK_HEAD
-from turtlelog.log.engine.limits import (
-    DAMAGES,
-    DESCRIPTIONS,
-    LARGEST_CHUNK,
-    NOTES,
-    RECORDS,
-    Allowance,
-    measure_stored,
-    unpack_chunk,
-)
-from turtlelog.log.engine.records import (
-    COUNTED_HEAD,
-    MESSAGE_HEAD,
-    OF_CHUNKS,
-    RECORD,
-    Place,
-    RecordStretch,
-    check_start,
-    gather_heads,
-    iterate_places,
-    parse_record,
-    take_apart,
-    take_whole,
-)
+from turtlelog.log.engine.records import RECORD, Place, parse_record
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.file_access import DamageError, LimitError
 
@@ -108,7 +86,10 @@ class Block:
 
 
 def build_indexed_block(
-    entry: ChunkEntry, stored: bytes, described: Mapping[bytes, Any], largest: int = LARGEST_CHUNK
+    entry: ChunkEntry,
+    stored: bytes,
+    described: Mapping[bytes, Any],
+    largest: int = limits.LARGEST_CHUNK,
 ) -> Block:
     """Return a chunk as a block, given the bytes of the chunk and its indexes.
 
@@ -126,10 +107,10 @@ def build_indexed_block(
     offsets = _parse_indexes(memoryview(stored)[entry.length :], byte + entry.length)
     places = _check_tiling(data, offsets, byte)
     rest = tuple(
-        described.get(take_whole(data, place))
+        described.get(records.take_whole(data, place))
         or parse_record(place, data[place.start : place.end], byte)
         for place in places
-        if place.opcode in OF_CHUNKS
+        if place.opcode in records.OF_CHUNKS
     )
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
 
@@ -156,7 +137,7 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
             f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
         )
     try:
-        data = unpack_chunk(compression, body[data_start : data_start + data_size], size)
+        data = limits.unpack_chunk(compression, body[data_start : data_start + data_size], size)
     except LogError as err:
         raise DamageError(f"byte {byte}: chunk: {err}") from err
     if len(data) != size:
@@ -168,7 +149,9 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
     return data
 
 
-def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:
+def build_walked_block(
+    data: bytes, byte: int, allowance: limits.Allowance, *, is_chunk: bool
+) -> Block:
     """Return records as a block by reading their headers."""
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
     numbers = [heads["channel"] for _, heads in stretch.iterate_rows()]
@@ -190,7 +173,7 @@ def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offs
 def walk_blocks(
     stream: BinaryIO,
     catalogue: Catalogue,
-    allowance: Allowance,
+    allowance: limits.Allowance,
     *,
     damages: list[Loss] | None = None,
 ) -> Iterator[Block]:
@@ -214,8 +197,8 @@ def walk_through(
     Raises:
         DamageError: If something is damaged and no list for damages is given.
     """
-    check_start(stream)
-    allowance = Allowance(measure_stored(stream))
+    records.check_start(stream)
+    allowance = limits.Allowance(limits.measure_stored(stream))
     for section in walk_sections(stream):
         if isinstance(section, Loss):
             if damages is None:
@@ -227,26 +210,28 @@ def walk_through(
         except DamageError as err:
             if damages is None:
                 raise
-            is_last = isinstance(err, LimitError) or not allowance.count_left(DAMAGES)
+            is_last = isinstance(err, LimitError) or not allowance.count_left(limits.DAMAGES)
             end = stream.seek(0, 2) if is_last else section.start + len(section.data)
             reason = str(err).removeprefix(f"byte {section.start}: ")
             damages.append(Loss(start=section.start, end=end, reason=reason))
             if is_last:
                 return
-            allowance.spend(DAMAGES)
+            allowance.spend(limits.DAMAGES)
             continue
         yield found
 
 
-def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> RecordStretch:
+def take_walked(
+    data: bytes, byte: int, allowance: limits.Allowance, *, is_chunk: bool
+) -> records.RecordStretch:
     """Return the offsets of records that must all be valid."""
-    left = allowance.count_left(RECORDS)
-    stretch = take_apart(data, is_chunk=is_chunk, most_records=left)
+    left = allowance.count_left(limits.RECORDS)
+    stretch = records.take_apart(data, is_chunk=is_chunk, most_records=left)
     try:
-        allowance.spend(RECORDS, stretch.records)
+        allowance.spend(limits.RECORDS, stretch.records)
         notes = sum(opcode in _NOTES for _, opcode, _ in stretch.others)
-        allowance.spend(NOTES, notes)
-        allowance.spend(DESCRIPTIONS, len(stretch.others) - notes)
+        allowance.spend(limits.NOTES, notes)
+        allowance.spend(limits.DESCRIPTIONS, len(stretch.others) - notes)
     except LogError as err:
         raise LimitError(f"byte {byte}: {err}") from err
     if stretch.fault is not None:
@@ -254,7 +239,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
     return stretch
 
 
-def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
+def parse_others(stretch: records.RecordStretch, byte: int) -> tuple[Any, ...]:
     """Return all records of a segment that are not messages."""
     return tuple(
         parse_record(
@@ -279,7 +264,7 @@ def count_indexed(data: memoryview) -> Iterator[tuple[int, int]]:
 def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
     """Return the start of each channel's messages, from the message indexes of a chunk."""
     offsets = {}
-    for place in iterate_places(data, 0, len(data), byte):
+    for place in records.iterate_places(data, 0, len(data), byte):
         channel, size = _INDEX.unpack_from(data, place.start) if place.length >= 6 else (0, -1)
         if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size > place.length - 6:
             found = f"opcode {place.opcode} with {place.length}"
@@ -313,7 +298,7 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> lis
         gaps.append(0)
     rest, filled = list[Place](), int((ends - starts).sum())
     for gap in gaps:
-        for place in iterate_places(data, gap, len(data), byte):
+        for place in records.iterate_places(data, gap, len(data), byte):
             if place.opcode == Opcode.MESSAGE:
                 raise _mistrust(byte, f"a message at {gap} that is not in it")
             rest.append(place)
@@ -331,13 +316,13 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
     """Return the ends of messages. Each must be a message of its channel within the chunk."""
     if not len(starts):
         return starts
-    if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:
+    if starts.min() < 0 or starts.max() > len(data) - records.MESSAGE_HEAD:
         raise _mistrust(byte, f"offsets up to {starts.max()} in {len(data)} bytes")
-    heads = gather_heads(data, starts)
+    heads = records.gather_heads(data, starts)
     if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channels).any():
         raise _mistrust(byte, "another record than a message of the channel")
     lengths = heads["length"]
-    if lengths.min() < COUNTED_HEAD or lengths.max() > len(data):
+    if lengths.min() < records.COUNTED_HEAD or lengths.max() > len(data):
         raise _mistrust(byte, f"messages of {lengths.min()} to {lengths.max()} bytes")
     ends = starts + lengths.astype(np.int64) + RECORD.size
     if ends.max() > len(data):

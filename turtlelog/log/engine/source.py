@@ -18,6 +18,7 @@ from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statis
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.files.urls import expect_reads
+from turtlelog.log.engine import records
 from turtlelog.log.engine.blocks import (
     Block,
     ChunkEntry,
@@ -28,16 +29,7 @@ from turtlelog.log.engine.blocks import (
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.decode import EVER
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
-from turtlelog.log.engine.records import (
-    MCAP0_MAGIC,
-    RECORD,
-    Place,
-    check_start,
-    iterate_places,
-    parse_record,
-    read_record,
-    take_whole,
-)
+from turtlelog.log.engine.records import MCAP0_MAGIC, RECORD, Place
 from turtlelog.log.file_access import DamageError, UnfinishedError
 
 if TYPE_CHECKING:
@@ -119,7 +111,7 @@ class Source:
             LogError: If the file is not MCAP.
             DamageError: If the file is truncated, or its summary is damaged.
         """
-        check_start(stream)
+        records.check_start(stream)
         self._stream = stream
         footer, self.summary_start, checksum = _read_footer(stream)
         self._data_end, self._data_crc = _read_data_end(stream, self.summary_start)
@@ -140,7 +132,7 @@ class Source:
         for place in self._lone:
             if place.opcode not in opcodes:
                 continue
-            record, byte = read_record(self._stream, place), place.start - RECORD.size
+            record, byte = records.read_record(self._stream, place), place.start - RECORD.size
             # Metadata has no checksum; the summary has one, and shows which metadata must exist.
             found = place.opcode, getattr(record, "name", "")
             if named.pop(byte, found) != found:
@@ -307,14 +299,14 @@ def _parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
     chunks: list[ChunkEntry] = []
     statistics, named = None, dict[int, tuple[int, str]]()
     described: dict[bytes, Schema | Channel] = {}
-    for place in iterate_places(data, 0, len(data), byte):
+    for place in records.iterate_places(data, 0, len(data), byte):
         _spend(allowance, place.opcode, byte + place.start)
         if place.opcode == Opcode.CHUNK_INDEX:
             chunks.append(_parse_entry(data, place, byte))
             continue
-        found = parse_record(place, data[place.start : place.end], byte + place.start)
+        found = records.parse_record(place, data[place.start : place.end], byte + place.start)
         if isinstance(found, Schema | Channel):
-            described[take_whole(data, place)] = found
+            described[records.take_whole(data, place)] = found
         elif isinstance(found, Statistics):
             statistics = found
         elif isinstance(found, MetadataIndex):

@@ -13,20 +13,8 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import LogError
+from turtlelog.log.engine import decode
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.decode import (
-    EVER,
-    LOG_TIME,
-    PUBLISH_TIME,
-    SEQUENCE,
-    FixedColumns,
-    Piece,
-    Rows,
-    Selection,
-    make_empty_rows,
-    pick_rows,
-    read_piece,
-)
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.source import Source
@@ -80,7 +68,7 @@ class TopicColumns(Tabular):
             log_time_ns=self.log_time_ns[rows],
             publish_time_ns=self.publish_time_ns[rows],
             sequence=self.sequence[rows],
-            fields=pick_rows(self.fields, rows),
+            fields=decode.pick_rows(self.fields, rows),
         )
 
     def describe_missing(self, field: str) -> LogError:
@@ -139,7 +127,7 @@ def read_some_columns(
             messages.
     """
     with open_source(path) as source:
-        selection = Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
+        selection = decode.Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
         return _collect_columns(source, selection)
 
 
@@ -162,7 +150,7 @@ def iter_columns(
         raise LogError(f"{path}: expected batches of at least one row, found {rows!r:.60}")
     with open_source(path) as source:
         selection = _select_topics(topics, start_ns, end_ns)
-        batch: dict[str, list[Rows]] = {}
+        batch: dict[str, list[decode.Rows]] = {}
         size = 0
         for piece in iterate_pieces(source, selection, rows):
             if batch and (size + piece.size > _MOST_BYTES or _is_over(batch, piece, rows)):
@@ -176,20 +164,22 @@ def iter_columns(
 
 
 def _collect_columns(
-    source: Source | SqliteSource, selection: Selection
+    source: Source | SqliteSource, selection: decode.Selection
 ) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, including topics without messages."""
     found = collect_parts(source, selection)
     plans = selection.choose_plans(source.catalogue)
-    parts = {topic: found.get(topic) or [make_empty_rows(plan)] for topic, plan in plans.items()}
+    parts = {
+        topic: found.get(topic) or [decode.make_empty_rows(plan)] for topic, plan in plans.items()
+    }
     return build_columns(parts, source.catalogue.types)
 
 
 def collect_parts(
     source: Source | SqliteSource,
-    selection: Selection,
-    look: Callable[[Piece], object] = lambda _: None,
-) -> dict[str, list[Rows]]:
+    selection: decode.Selection,
+    look: Callable[[decode.Piece], object] = lambda _: None,
+) -> dict[str, list[decode.Rows]]:
     """Return the rows of topics with messages, in parts; `look` is called with each piece."""
     expected = count_rows(source, selection)
     wholes = _set_aside(source, selection, expected)
@@ -208,8 +198,8 @@ def collect_parts(
 
 
 def _set_aside(
-    source: Source | SqliteSource, selection: Selection, expected: Mapping[str, int]
-) -> Mapping[str, FixedColumns]:
+    source: Source | SqliteSource, selection: decode.Selection, expected: Mapping[str, int]
+) -> Mapping[str, decode.FixedColumns]:
     """Allocate columns for topics with messages of fixed size and a known count."""
     try:
         plans = selection.choose_plans(source.catalogue)
@@ -217,7 +207,7 @@ def _set_aside(
         return {}
     most = _SHARE * source.size + _SPARE
     return {
-        topic: FixedColumns(plan.layout, expected[topic], selection.kept.get(topic))
+        topic: decode.FixedColumns(plan.layout, expected[topic], selection.kept.get(topic))
         for topic, plan in plans.items()
         if plan.layout is not None
         and plan.json is None
@@ -227,7 +217,7 @@ def _set_aside(
 
 
 def build_columns(
-    parts: Mapping[str, list[Rows]], types: Mapping[str, str]
+    parts: Mapping[str, list[decode.Rows]], types: Mapping[str, str]
 ) -> Mapping[str, TopicColumns]:
     """Return rows of topics as columns, in order of topic names and of log time.
 
@@ -238,15 +228,15 @@ def build_columns(
         rows = found[0]
         if len(found) > 1:
             rows = {name: np.concatenate([part[name] for part in found]) for name in rows}
-        times = rows[LOG_TIME]
+        times = rows[decode.LOG_TIME]
         if len(times) > 1 and (times[1:] < times[:-1]).any():
-            rows = pick_rows(rows, np.argsort(times, kind="stable"))
+            rows = decode.pick_rows(rows, np.argsort(times, kind="stable"))
         topics[topic] = TopicColumns(
             topic=topic,
             type=types[topic],
-            log_time_ns=rows.pop(LOG_TIME),
-            publish_time_ns=rows.pop(PUBLISH_TIME),
-            sequence=rows.pop(SEQUENCE),
+            log_time_ns=rows.pop(decode.LOG_TIME),
+            publish_time_ns=rows.pop(decode.PUBLISH_TIME),
+            sequence=rows.pop(decode.SEQUENCE),
             fields=rows,
         )
     return topics
@@ -254,20 +244,22 @@ def build_columns(
 
 def _select_topics(
     topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
-) -> Selection:
+) -> decode.Selection:
     """Return a selection; None selects all."""
     names = [topics] if isinstance(topics, str) else topics
-    return Selection(
+    return decode.Selection(
         topics=None if names is None else frozenset(names),
         start_ns=0 if start_ns is None else start_ns,
-        end_ns=EVER if end_ns is None else end_ns,
+        end_ns=decode.EVER if end_ns is None else end_ns,
     )
 
 
-def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> bool:
+def _is_over(batch: Mapping[str, list[decode.Rows]], piece: decode.Piece, most_rows: int) -> bool:
     """Return whether this piece would give a topic more than `most_rows` rows."""
     return any(
-        sum(len(part[LOG_TIME]) for part in batch.get(topic, [])) + len(found[LOG_TIME]) > most_rows
+        sum(len(part[decode.LOG_TIME]) for part in batch.get(topic, []))
+        + len(found[decode.LOG_TIME])
+        > most_rows
         for topic, found in piece.rows.items()
     )
 
@@ -277,12 +269,12 @@ class _RowStore:
 
     def __init__(self, expected: int) -> None:
         self._expected, self._used = expected, 0
-        self._whole: Rows = {}
-        self._others: list[Rows] = []
+        self._whole: decode.Rows = {}
+        self._others: list[decode.Rows] = []
 
-    def take(self, part: Rows) -> None:
+    def take(self, part: decode.Rows) -> None:
         """Append rows."""
-        end = self._used + len(part[LOG_TIME])
+        end = self._used + len(part[decode.LOG_TIME])
         # In JSON, one block may have floats where another has whole numbers.
         is_new = any(
             name in self._whole and self._whole[name].dtype != values.dtype
@@ -304,18 +296,18 @@ class _RowStore:
         self._used = end
 
     @property
-    def parts(self) -> list[Rows]:
+    def parts(self) -> list[decode.Rows]:
         """All rows, as a single part if the expected number was right."""
-        whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
+        whole = [decode.pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]
 
 
 def iterate_pieces(
     source: Source | SqliteSource,
-    selection: Selection,
+    selection: decode.Selection,
     most_rows: int | None = None,
-    wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
-) -> Iterator[Piece]:
+    wholes: Mapping[str, decode.FixedColumns] = MappingProxyType({}),
+) -> Iterator[decode.Piece]:
     """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
 
     Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
@@ -333,9 +325,11 @@ def iterate_pieces(
             channels = {channel.id for channel in known if channel.topic in plans}
     counts: Counter[int] = Counter()
 
-    def read(block: Block) -> list[Piece]:
+    def read(block: Block) -> list[decode.Piece]:
         parts = _split(block.offsets, most_rows)
-        pieces = [read_piece(catalogue, selection, block, offsets, wholes) for offsets in parts]
+        pieces = [
+            decode.read_piece(catalogue, selection, block, offsets, wholes) for offsets in parts
+        ]
         return [replace(pieces[0], rest=block.rest), *pieces[1:]]
 
     for pieces in source.map_blocks(read, channels, selection.start_ns, selection.end_ns):
@@ -349,14 +343,14 @@ def iterate_pieces(
         _check_counts(source, counts, channels)
 
 
-def count_rows(source: Source | SqliteSource, selection: Selection) -> Mapping[str, int]:
+def count_rows(source: Source | SqliteSource, selection: decode.Selection) -> Mapping[str, int]:
     """Return the number of rows of each topic from the statistics; empty without statistics.
 
     If there are message indexes, their size limits the numbers.
     """
     if source.statistics is None or not selection.is_ever:
         return {}
-    room = source.index_length // 16 if source.is_indexed else EVER
+    room = source.index_length // 16 if source.is_indexed else decode.EVER
     counts: Counter[str] = Counter()
     for number, count in source.statistics.channel_message_counts.items():
         if number in source.catalogue:

@@ -13,37 +13,12 @@ from typing import BinaryIO, Final
 from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.framing import (
-    CHUNK_HEAD,
-    RUNS,
-    SUMMARY_ONLY,
-    FileWindow,
-    find_next_record,
-    find_record_end,
-    is_padding,
-    is_record_start,
-    measure_record,
-    skip_followed,
-)
-from turtlelog.log.engine.limits import (
-    CHUNKS,
-    DAMAGES,
-    LARGEST_CHUNK,
-    NOTES,
-    UNPACKED,
-    Allowance,
-    unpack_chunk,
-)
-from turtlelog.log.engine.records import (
-    MCAP0_MAGIC,
-    RECORD,
-    START_SIZE,
-    find_wrong_start,
-)
+from turtlelog.log.engine import framing, limits, records
+from turtlelog.log.engine.records import MCAP0_MAGIC, RECORD
 
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression
-_LONE: Final = RUNS | {Opcode.HEADER, Opcode.DATA_END}
+_LONE: Final = framing.RUNS | {Opcode.HEADER, Opcode.DATA_END}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +65,7 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     unfinished file ends in damage. The summary is not read. Memory is needed for one chunk at a
     time, packed and unpacked.
     """
-    window, damaged = FileWindow(stream), False
+    window, damaged = framing.FileWindow(stream), False
     for found in _walk_records(window):
         if isinstance(found, Loss):
             damaged = True
@@ -106,7 +81,7 @@ def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None,
     This function reads files that are being written, so it ends before the first incomplete record.
     After the end of the data, the place to continue is the end of the file.
     """
-    window = FileWindow(stream)
+    window = framing.FileWindow(stream)
     while place < window.size:
         try:
             found, after = _read_record(window, place, Opcode.CHUNK)
@@ -121,9 +96,9 @@ def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None,
             yield section, place
 
 
-def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
+def _walk_records(window: framing.FileWindow) -> Iterator[Section | Loss]:
     place: int | None = len(MCAP0_MAGIC)
-    reason = find_wrong_start(window.read(0, START_SIZE))
+    reason = records.find_wrong_start(window.read(0, records.START_SIZE))
     if reason is not None:
         yield Loss(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
     kind = 0  # first kind found: chunks, single messages, or 0 for records that precede both
@@ -132,17 +107,19 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
         try:
             found, place = _read_record(window, place, kind)
             losses = sum(isinstance(one, Loss) for one in found)
-            window.allowance.spend(DAMAGES, losses)
+            window.allowance.spend(limits.DAMAGES, losses)
             sections = [one for one in found if isinstance(one, Section)]
-            window.allowance.spend(CHUNKS, sum(one.is_chunk for one in sections))
+            window.allowance.spend(limits.CHUNKS, sum(one.is_chunk for one in sections))
             notes = [one for one in sections if _find_opcode(one) == Opcode.ATTACHMENT]
-            window.allowance.spend(NOTES, len(notes))
+            window.allowance.spend(limits.NOTES, len(notes))
         except LogError as err:
-            if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES, NOTES))):
+            if not all(
+                map(window.allowance.count_left, (limits.CHUNKS, limits.DAMAGES, limits.NOTES))
+            ):
                 yield Loss(start=start, end=window.size, reason=str(err))
                 return
-            window.allowance.spend(DAMAGES)
-            place = find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
+            window.allowance.spend(limits.DAMAGES)
+            place = framing.find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
             end = window.size if place is None else place
             yield Loss(start=start, end=end, reason=str(err))
             continue
@@ -156,7 +133,7 @@ def _find_opcode(section: Section) -> int:
 
 
 def _read_record(
-    window: FileWindow, place: int, kind: int
+    window: framing.FileWindow, place: int, kind: int
 ) -> tuple[list[Section | Loss], int | None]:
     """Return the record at `place` and the place to continue, if any."""
     if place >= window.size:
@@ -166,13 +143,13 @@ def _read_record(
         return _read_chunk(window, place)
     if window.read(place, 1)[0] == Opcode.ATTACHMENT:
         return _read_attachment(window, place)
-    opcode, end = find_record_end(window, place)
+    opcode, end = framing.find_record_end(window, place)
     # A wrong bit can turn a header or a message index into a message. No writer mixes chunks and
     # single messages.
     if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
         raise LogError("expected messages in chunks, found one that stands alone")
     # A wrong bit can turn metadata or an attachment into one of these.
-    if opcode in SUMMARY_ONLY:
+    if opcode in framing.SUMMARY_ONLY:
         raise LogError(f"expected data, found a record of the summary (opcode {opcode})")
     if opcode == Opcode.FOOTER:
         reason = "expected the end of the data, found that of the file"
@@ -184,14 +161,14 @@ def _read_record(
     return [section], None if opcode == Opcode.DATA_END else place + len(data)
 
 
-def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
+def _read_run(window: framing.FileWindow, place: int, opcode: int) -> bytes:
     """Return consecutive records of one kind from `place`, up to a batch."""
-    end = find_record_end(window, place)[1]
+    end = framing.find_record_end(window, place)[1]
     if opcode == Opcode.MESSAGE:
-        end = max(end, place + skip_followed(window.read(place, _BATCH)))
-    while opcode in RUNS and end - place < _BATCH:
+        end = max(end, place + framing.skip_followed(window.read(place, _BATCH)))
+    while opcode in framing.RUNS and end - place < _BATCH:
         try:
-            found, after = find_record_end(window, end)
+            found, after = framing.find_record_end(window, end)
         except LogError:
             break
         if found != opcode:
@@ -200,17 +177,20 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     return window.read(place, end - place)
 
 
-def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Loss], int]:
+def _read_attachment(window: framing.FileWindow, place: int) -> tuple[list[Section | Loss], int]:
     fault = None
-    last = measure_record(window, place, Opcode.ATTACHMENT, window.size)
+    last = framing.measure_record(window, place, Opcode.ATTACHMENT, window.size)
     try:
-        _, end = find_record_end(window, place)
+        _, end = framing.find_record_end(window, place)
     except LogError as err:
         if last > window.size or not window.spend(last - place):
             raise
         fault, end = err, last
     data = window.read(place, last - place)
-    checksum, found = int.from_bytes(data[-4:], "little"), zlib.crc32(data[RECORD.size : -4])
+    checksum, found = (
+        int.from_bytes(data[-4:], "little"),
+        zlib.crc32(data[RECORD.size : -4]),
+    )
     is_checked = checksum != 0 and found == checksum
     if fault is not None and not is_checked:
         raise fault
@@ -226,27 +206,33 @@ def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Los
     return [section, Loss(start=place, end=place, reason=str(fault))], end
 
 
-def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], int]:
-    front = RECORD.size + CHUNK_HEAD.size
+def _read_chunk(window: framing.FileWindow, place: int) -> tuple[list[Section | Loss], int]:
+    front = RECORD.size + framing.CHUNK_HEAD.size
     head = window.read(place, front)
     if len(head) < front:
         raise LogError("expected a chunk, found the end of the file within its header")
     _, length = RECORD.unpack_from(head)
-    _, _, size, checksum, name_size = CHUNK_HEAD.unpack_from(head, RECORD.size)
+    _, _, size, checksum, name_size = framing.CHUNK_HEAD.unpack_from(head, RECORD.size)
     if name_size > _LONGEST_NAME:
         raise LogError(f"expected a chunk, found a compression of {name_size} letters")
     rest = window.read(place + front, name_size + 8)
     start = place + front + name_size + 8
-    by_record, by_data = place + RECORD.size + length, start + int.from_bytes(rest[-8:], "little")
+    by_record, by_data = (
+        place + RECORD.size + length,
+        start + int.from_bytes(rest[-8:], "little"),
+    )
     agree = by_data == by_record or (
-        by_data < by_record <= window.size and is_padding(window, by_data, by_record, Opcode.CHUNK)
+        by_data < by_record <= window.size
+        and framing.is_padding(window, by_data, by_record, Opcode.CHUNK)
     )
     ends = [
         end
         for end in dict.fromkeys((by_data, by_record))
-        if start <= end <= min(window.size, start + LARGEST_CHUNK)
+        if start <= end <= min(window.size, start + limits.LARGEST_CHUNK)
     ]
-    after = [end for end in ends if agree or is_record_start(window, end, after=Opcode.CHUNK)]
+    after = [
+        end for end in ends if agree or framing.is_record_start(window, end, after=Opcode.CHUNK)
+    ]
     reason = f"the file ends {window.size - start} bytes into a chunk of {length}"
     for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
@@ -270,14 +256,14 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
     return [Loss(start=place, end=end, reason=reason)], end
 
 
-def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) -> bytes:
+def _unpack(allowance: limits.Allowance, compression: str, packed: bytes, size: int) -> bytes:
     largest = allowance.largest_chunk
     if compression and size > largest:
         raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
-    if compression and not allowance.count_left(UNPACKED):
-        allowance.spend(UNPACKED)
-    spend = partial(allowance.spend, UNPACKED)
-    return unpack_chunk(compression, packed, size, largest=largest, spend=spend)
+    if compression and not allowance.count_left(limits.UNPACKED):
+        allowance.spend(limits.UNPACKED)
+    spend = partial(allowance.spend, limits.UNPACKED)
+    return limits.unpack_chunk(compression, packed, size, largest=largest, spend=spend)
 
 
 def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
@@ -287,7 +273,7 @@ def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
         raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
 
 
-def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Loss]:
+def _check_data(window: framing.FileWindow, end: Section) -> Iterator[Section | Loss]:
     """Check the checksum of the data section, if there is one."""
     expected, found = int.from_bytes(end.data[-4:], "little"), 0
     for place in range(0, end.start if expected else 0, _BATCH):
