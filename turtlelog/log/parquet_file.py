@@ -257,8 +257,9 @@ _PAGE: Final[_Wanted] = {
 _KINDS: Final[Mapping[type, type]] = {type(None): int, dict: dict, list: list}
 """Python type of a field, by the type of its entry in `_Wanted`."""
 
-_BOOLEANS, _BYTE, _DOUBLE, _BINARY, _LISTS, _MAP, _STRUCT = (1, 2), 3, 7, 8, (9, 10), 11, 12
-_WHOLES: Final = (4, 5, 6)
+_BOOLEANS, _WHOLES, _BINARY, _LISTS, _MAP, _STRUCT = (1, 2), (4, 5, 6), 8, (9, 10), 11, 12
+_LENGTHS: Final = {1: 1, 2: 1, 3: 1, 7: 8}
+"""Bytes of other values by kind: truth values in lists, a byte, a number with a point."""
 
 
 def _damage(found: str) -> DamageError:
@@ -382,11 +383,9 @@ class _Thrift:
             return self.read_struct(wanted if isinstance(wanted, dict) else {}, depth + 1)
         if kind in _LISTS:
             return self._read_list(wanted[0] if isinstance(wanted, list) else None, depth + 1)
-        if kind == _MAP:
-            return self._skip_map(depth + 1)
         if kind in _BOOLEANS and is_field:
             return kind == 1
-        self._skip_bytes(kind)
+        self._skip(kind, depth + 1)
         return None
 
     def _read_list(self, wanted: Any, depth: int) -> list[Any]:
@@ -402,16 +401,15 @@ class _Thrift:
             self._read(kind, None, depth)
         return []
 
-    def _skip_map(self, depth: int) -> None:
-        count = self._take_varint()
-        kinds = self._take() if count else 0
-        for _ in range(min(count, len(self._data))):
-            self._read(kinds >> 4, None, depth)
-            self._read(kinds & 15, None, depth)
-
-    def _skip_bytes(self, kind: int) -> None:
-        lengths = {_BYTE: 1, 1: 1, 2: 1, _DOUBLE: 8}
-        length = self._take_varint() if kind == _BINARY else lengths.get(kind)
+    def _skip(self, kind: int, depth: int) -> None:
+        if kind == _MAP:
+            count = self._take_varint()
+            kinds = self._take() if count else 0
+            for _ in range(min(count, len(self._data))):
+                self._read(kinds >> 4, None, depth)
+                self._read(kinds & 15, None, depth)
+            return
+        length = self._take_varint() if kind == _BINARY else _LENGTHS.get(kind)
         if length is None:
             raise _damage("a value of no known kind")
         self.place += length
@@ -447,7 +445,15 @@ class _PageCounts:
     def count(self, chunks: Sequence[_Chunk], leaf: Any) -> bool:
         """Count the pages of a column, and return whether it is read as a dictionary of texts."""
         if leaf.physical_type == "BYTE_ARRAY":
-            return self._count_texts([page for one in chunks for page in self._list(one)])
+            pages = [page for one in chunks for page in self._list(one)]
+            encodings = {page.encoding for page in pages}
+            is_dictionary = not encodings & _NO_DICTIONARY  # it stores repeated texts once
+            repeating = encodings & _PLACES and not is_dictionary
+            values = max((page.values for page in pages), default=0)
+            for page in pages:
+                repeats = repeating or page.encoding == _SHARES_PREFIXES
+                self._spend_text(page.unpacked * (values if repeats else 1))
+            return is_dictionary
         base, share = _PAGE_BYTES
         if leaf.physical_type == "FIXED_LEN_BYTE_ARRAY":
             share += leaf.length
@@ -471,16 +477,6 @@ class _PageCounts:
                     f"{self._advice}"
                 )
             yield page
-
-    def _count_texts(self, pages: Sequence[_Page]) -> bool:
-        """Return whether texts are read as a dictionary, which stores repeated texts once."""
-        found = {page.encoding for page in pages}
-        is_dictionary = not found & _NO_DICTIONARY
-        values = max((page.values for page in pages), default=0)
-        for page in pages:
-            repeats = page.encoding == _SHARES_PREFIXES or (found & _PLACES and not is_dictionary)
-            self._spend_text(page.unpacked * (values if repeats else 1))
-        return is_dictionary
 
     def _spend_text(self, size: int) -> None:
         self._text_bytes -= size

@@ -221,8 +221,16 @@ class FixedColumns:
         with self._lock:
             self._used = max(self._used, end)
         if len(starts):
+            size = self._layout.little.itemsize
+            if starts[-1] > len(data) - size:
+                # The last message is too short; the check needs only the header and reports it.
+                _check_sizes(gather_heads(data, starts)["length"], self._layout)
+            records = gather_bytes(data, starts, size)
+            heads = records.view(self._layout.little)
+            _check_sizes(heads["#length"], self._layout)
+            _check_heads(heads)
             rows = {name: column[first:end] for name, column in self._columns.items()}
-            fill_columns(rows, self._layout, _gather_fixed(self._layout, data, starts))
+            fill_columns(rows, self._layout, records)
         return True
 
     @property
@@ -269,19 +277,6 @@ def pick_rows(
 ) -> Rows:
     """Return some of the rows."""
     return {name: values[chosen] for name, values in rows.items()}
-
-
-def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.void]:
-    """Return messages with their headers, one after the other."""
-    size = layout.little.itemsize
-    if starts[-1] > len(data) - size:
-        # The last message is too short; the check needs only the header and reports it.
-        _check_sizes(gather_heads(data, starts)["length"], layout)
-    rows = gather_bytes(data, starts, size)
-    heads = rows.view(layout.little)
-    _check_sizes(heads["#length"], layout)
-    _check_heads(heads)
-    return rows
 
 
 def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:

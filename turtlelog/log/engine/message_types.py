@@ -172,7 +172,11 @@ def read_type(name: str, definition: str) -> MessageType:
     if known is not None:
         return known
     fields, size = _parse_schema(name, definition)
-    layout = _lay_out(fields)
+    alike, layout = lay_out_alike(fields, {}), None
+    if alike is not None and not alike.constants and alike.size <= _LARGEST_RECORD:
+        kinds = {name: kind for name, kind, *_ in alike.numbers}
+        little, big = (_join(alike, order) for order in "<>")
+        layout = Layout(little=little, big=big, size=ENCAPSULATION + alike.size, kinds=kinds)
     row_size = ROW_HEAD + (_measure(fields) if layout is None else layout.size)
     sequence = _find_sequence(fields)
     found = MessageType(
@@ -309,19 +313,6 @@ def _find_sequence(fields: tuple[Field, ...]) -> str | None:
         if not isinstance(part.kind, str) and (found := _find_sequence(part.kind)) is not None:
             return f"{part.name}.{found}"
     return None
-
-
-def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
-    """Return the layout of a type; None if its messages differ in size."""
-    alike = lay_out_alike(fields, {})
-    if alike is None or alike.constants or alike.size > _LARGEST_RECORD:
-        return None
-    return Layout(
-        little=_join(alike, "<"),
-        big=_join(alike, ">"),
-        size=ENCAPSULATION + alike.size,
-        kinds={name: kind for name, kind, *_ in alike.numbers},
-    )
 
 
 def _join(alike: "AlikeLayout", order: str) -> np.dtype[np.void]:

@@ -151,12 +151,14 @@ def iter_columns(
     with open_source(path) as source:
         selection = _select_topics(topics, start_ns, end_ns)
         batch: dict[str, list[decode.Rows]] = {}
-        size = 0
+        size, counts = 0, Counter[str]()
         for piece in iterate_pieces(source, selection, rows):
-            if batch and (size + piece.size > _MOST_BYTES or _is_over(batch, piece, rows)):
+            new = Counter({topic: len(of[decode.LOG_TIME]) for topic, of in piece.rows.items()})
+            is_over = any(count > rows for count in (counts + new).values())
+            if batch and (size + piece.size > _MOST_BYTES or is_over):
                 yield build_columns(batch, source.catalogue.types)
-                batch, size = {}, 0
-            size += piece.size
+                batch, size, counts = {}, 0, Counter()
+            size, counts = size + piece.size, counts + new
             for topic, found in piece.rows.items():
                 batch.setdefault(topic, []).append(found)
         if batch:
@@ -251,16 +253,6 @@ def _select_topics(
         topics=None if names is None else frozenset(names),
         start_ns=0 if start_ns is None else start_ns,
         end_ns=decode.EVER if end_ns is None else end_ns,
-    )
-
-
-def _is_over(batch: Mapping[str, list[decode.Rows]], piece: decode.Piece, most_rows: int) -> bool:
-    """Return whether this piece would give a topic more than `most_rows` rows."""
-    return any(
-        sum(len(part[decode.LOG_TIME]) for part in batch.get(topic, []))
-        + len(found[decode.LOG_TIME])
-        > most_rows
-        for topic, found in piece.rows.items()
     )
 
 

@@ -70,7 +70,15 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
         if isinstance(found, Loss):
             damaged = True
         elif not damaged and _find_opcode(found) == Opcode.DATA_END:
-            yield from _check_data(window, found)
+            expected, checksum = int.from_bytes(found.data[-4:], "little"), 0
+            for place in range(0, found.start if expected else 0, _BATCH):
+                data = window.read(place, min(_BATCH, found.start - place))
+                checksum = zlib.crc32(data, checksum)
+            yield replace(found, is_checked=expected != 0 and checksum == expected)
+            if checksum != expected:
+                start = found.start
+                reason = f"expected data with the checksum {expected:#010x}, found {checksum:#010x}"
+                yield Loss(start=start, end=start, reason=reason)
             continue
         yield found
 
@@ -271,14 +279,3 @@ def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
         raise LogError(f"expected a chunk with the checksum {checksum:#010x}, found {found:#010x}")
     if not checksum and (len(data) != size or not agree):
         raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
-
-
-def _check_data(window: framing.FileWindow, end: Section) -> Iterator[Section | Loss]:
-    """Check the checksum of the data section, if there is one."""
-    expected, found = int.from_bytes(end.data[-4:], "little"), 0
-    for place in range(0, end.start if expected else 0, _BATCH):
-        found = zlib.crc32(window.read(place, min(_BATCH, end.start - place)), found)
-    yield replace(end, is_checked=expected != 0 and found == expected)
-    if found != expected:
-        reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"
-        yield Loss(start=end.start, end=end.start, reason=reason)
