@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.framing import CHUNK_HEAD
 from turtlelog.log.engine.records import RECORD, Place, parse_record
-from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.engine.walk import CHUNK_HEAD, Loss, Section, walk_sections
 from turtlelog.log.file_access import DamageError, LimitError
 
 T = TypeVar("T")

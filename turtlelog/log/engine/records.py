@@ -25,7 +25,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
+from turtlelog.log.engine.limits import LARGEST_CHUNK, LONGEST_DESCRIBED, MOST_DESCRIBED
 from turtlelog.log.file_access import DamageError
 
 Rare = TypeVar("Rare")
@@ -82,6 +82,10 @@ _ROWS: Final = 2**16  # messages processed together
 _BYTES: Final = 2**24  # bytes from the first to the last of these messages
 
 Places = NDArray[np.int64]
+
+
+LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
+"""Largest length of a record's body that is accepted [bytes]."""
 
 
 class Place(NamedTuple):
@@ -467,3 +471,24 @@ def _find_turn(steps: list[int]) -> int:
         if steps[-turn:] == steps[-2 * turn : -turn]:
             return turn
     return 0
+
+
+def skip_followed(data: bytes) -> int:
+    """Return the start of the last message in the unbroken series from the first byte on.
+
+    The last message may be truncated. The result is 0 without any message.
+    """
+    place, last, walk = 0, 0, MessageWalk(data)
+    end, unpack, message = len(data) - RECORD.size, RECORD.unpack_from, int(Opcode.MESSAGE)
+    while place <= end:
+        opcode, length = unpack(data, place)
+        if opcode != message or not COUNTED_HEAD <= length <= LARGEST_RECORD:
+            break
+        last = place
+        place += RECORD.size + length
+        walk.add(RECORD.size + length)
+        if walk.is_due:
+            starts, place = walk.go_on(place, end)
+            if len(starts):
+                last = int(starts[-1])
+    return last
