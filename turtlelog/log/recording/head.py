@@ -11,6 +11,7 @@ import numpy as np
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.log.engine.walk import Loss
@@ -22,7 +23,6 @@ from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from turtlelog.run import Run
-    from turtlelog.scenario import Scenario
 
 
 HEAD: Final = "turtlelog"
@@ -98,33 +98,6 @@ class Head:
     notes: Mapping[str, str]
     clock: Clock | None = None
     simulated_by: Mapping[str, str] = field(default_factory=dict)
-
-
-def describe_scenario(
-    scenario: "Scenario",
-    declaration: Declaration,
-    *,
-    stop_reason: str | None = None,
-    nan_columns: Collection[str] = (),
-    more_topics: Collection[str] = (),
-    notes: Mapping[str, str],
-) -> Head:
-    """Return the metadata for the recording of a scenario that is running or has run."""
-    from turtlelog.simulate import find_software  # only recorders load laws
-
-    return Head(
-        format_version=FORMAT_VERSION,
-        source="simulation",
-        name=scenario.name,
-        stop_reason=stop_reason,
-        goal_heading_rad=scenario.goal.heading_rad if declaration.uses_goal else None,
-        absent=(),
-        nan_columns=frozenset(nan_columns),
-        more_topics=frozenset(more_topics),
-        declaration=declaration,
-        simulated_by=find_software(scenario.law.kind),
-        notes=notes,
-    )
 
 
 def format_head(head: Head) -> dict[str, str]:
@@ -299,8 +272,6 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
 RECOVERY: Final = "turtlelog_recovery"
 """Name of the metadata record that distinguishes a recovered file from a complete one."""
 
-_NOTE: Final = "recovered"
-
 LOSS_NOTES: Final = ("partial", "recovered")
 """Notes of a run on the losses of its recording."""
 
@@ -317,10 +288,10 @@ def describe_damages(damages: Sequence[Loss]) -> str:
     """Return one line on the losses: their total, and the first place."""
     if not damages:
         return _SUMMARY_ALONE
-    lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
-    times = "1 place" if places == 1 else f"{places} places"
+    lost = sum(damage.end - damage.start for damage in damages)
     extent = f"{lost} bytes are lost in" if lost else "not whole in"
-    return f"{extent} {times}: byte {damages[0].start}: {damages[0].reason}"
+    places = describe_count(len(damages), "place")
+    return f"{extent} {places}: byte {damages[0].start}: {damages[0].reason}"
 
 
 def format_recovery(
@@ -338,15 +309,9 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
     Raises:
         LogError: If the record was changed after writing.
     """
-    found = [
-        record.metadata
-        for record in records
-        if isinstance(record, Metadata) and record.name == RECOVERY
-    ]
-    if not found:
-        return {}
-    losses = "; ".join(dict.fromkeys(map(_describe, found)))
-    return {_NOTE: f"{_FROM_DAMAGED}{losses}"}
+    notes = [found for found in records if isinstance(found, Metadata) and found.name == RECOVERY]
+    losses = "; ".join(dict.fromkeys(_describe(note.metadata) for note in notes))
+    return {"recovered": f"{_FROM_DAMAGED}{losses}"} if notes else {}
 
 
 def _describe(record: Mapping[str, str]) -> str:
@@ -362,7 +327,7 @@ def _describe(record: Mapping[str, str]) -> str:
         count = _NO_MESSAGE
     places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
     if len(lost) > 1:
-        places.append("1 more place" if len(lost) == 2 else f"{len(lost) - 1} more places")
+        places.append(describe_count(len(lost) - 1, "more place"))
     return f"{count} ({', and '.join(places)})" if places else count
 
 

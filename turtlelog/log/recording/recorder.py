@@ -30,13 +30,13 @@ from turtlelog.log.file_access import exit_on_terminate, hold_stop, mark_live, n
 from turtlelog.log.mcap_writer import ChunkRows, McapFile
 from turtlelog.log.message_encoding import ENCAPSULATION, FRONT, encode_message
 from turtlelog.log.recording import topics
-from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
+from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.run.stop_reasons import INTERRUPTED
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
-from turtlelog.simulate import SampleRow, Tick, declare_scenario
+from turtlelog.simulate import SampleRow, Tick, declare_scenario, find_software
 
 CHUNK_BYTES: Final = 2**16
 """Approximate chunk size in a live recording [bytes]."""
@@ -221,12 +221,18 @@ class Recorder:
             raise name_write_error(self._path, err) from err
 
     def _add_head(self, notes: Mapping[str, str]) -> None:
-        head = describe_scenario(
-            self._scenario,
-            self._declaration,
+        heading_rad = self._scenario.goal.heading_rad if self._declaration.uses_goal else None
+        head = Head(
+            format_version=FORMAT_VERSION,
+            source="simulation",
+            name=self._scenario.name,
             stop_reason=self._stop_reason,
+            goal_heading_rad=heading_rad,
+            absent=(),
             nan_columns=self._records.nan_columns,
             more_topics=self._records.more_topics,
+            declaration=self._declaration,
+            simulated_by=find_software(self._scenario.law.kind),
             notes=notes,
         )
         self._file.add_metadata(HEAD, format_head(head))
