@@ -23,11 +23,7 @@ from turtlelog.log.engine.message_types import (
     read_type,
     shorten_type,
 )
-from turtlelog.log.engine.object_messages import (
-    JsonField,
-    read_json_schema,
-    read_protobuf_type,
-)
+from turtlelog.log.engine.object_messages import JsonField, read_json_schema, read_protobuf_type
 from turtlelog.log.file_access import DamageError, LimitError
 
 _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(

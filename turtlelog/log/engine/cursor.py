@@ -41,7 +41,7 @@ def decode_messages(
         LogError: If a message is longer or shorter than its type, or a text is not UTF-8.
     """
     if order == "<" and len(starts) <= FEW_MESSAGES:
-        few = decode_few(fields, data, starts, ends, PADDING)
+        few = decode_few(fields, data, starts, ends)
         if few is not None:
             return few
     cursor = _Cursor(data, starts, ends, order)
@@ -247,22 +247,18 @@ _LENGTH: Final = 4  # bytes of the length before a text
 
 
 def decode_few(
-    fields: tuple[Field, ...],
-    data: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    padding: int,
+    fields: tuple[Field, ...], data: bytes, starts: Offsets, ends: Offsets
 ) -> dict[str, Column] | None:
     """Return the fields of little-endian messages, by dotted name.
 
     The result is None if the type has arrays or sequences, or if a message is invalid. Then
-    `decode_messages` gives the reason. `padding` bytes after the fields make a message too long.
+    `decode_messages` gives the reason.
     """
     lengths = np.ones_like(starts)
     found = take_few_lists(fields, data, starts, starts, ends, lengths)
     if found is None or ends.max(initial=0) > len(data):
         return None
-    if (ends - np.array(found[1], np.int64) >= padding).any():
+    if (ends - np.array(found[1], np.int64) >= PADDING).any():
         return None
     rows: list[Any] = [row for (row,) in found[0]]
     columns: dict[str, Column] = {}
@@ -275,10 +271,10 @@ def decode_few(
 def take_few_lists(
     kind: str | tuple[Field, ...],
     data: bytes,
-    starts: NDArray[np.int64],
-    places: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    lengths: NDArray[np.int64],
+    starts: Offsets,
+    places: Offsets,
+    ends: Offsets,
+    lengths: Offsets,
 ) -> tuple[list[list[object]], list[int]] | None:
     """Return the texts or messages nested in little-endian messages, and their ends.
 

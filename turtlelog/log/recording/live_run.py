@@ -17,13 +17,7 @@ from turtlelog.log.engine.decode import Rows, Selection, read_piece
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.records import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.file_access import (
-    StopRequest,
-    catch_stop,
-    is_live,
-    name_file,
-    open_file,
-)
+from turtlelog.log.file_access import StopRequest, catch_stop, is_live, name_file, open_file
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.reader import build_run, reconcile_contents
 from turtlelog.log.recording.topics import build_contents
