@@ -13,8 +13,8 @@ from tests.cli.conftest import Call, call as call
 from tests.log.ros1_bags import COMPRESSIONS, KINDS, STORE, say_drive, write_ros1, write_ros1_mcap
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_run, read_trajectory
+from turtlelog.log.engine.cdr import FRONT
 from turtlelog.log.engine.message_types import MESSAGE
-from turtlelog.log.message_encoding import FRONT
 from turtlelog.log.ros1 import convert_ros1, name_as_ros2, read_ros1_type
 
 

@@ -38,11 +38,12 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied, fit_numbers
+from turtlelog.log.engine.message_types import Field, lay_out_alike, name_parts, read_type
 from turtlelog.log.engine.records import MCAP0_MAGIC
 from turtlelog.log.engine.source import map_ahead
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_place, name_write_error, replace_when_complete
-from turtlelog.log.message_encoding import ChannelRecords, Numbers, encode_records
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.version import __version__
 
@@ -101,6 +102,30 @@ def write_columns(
         raise name_write_error(path, err) from err
 
 
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ChannelRecords:
+    """The message records of one channel, in order of log time.
+
+    Attributes:
+        schema: Schema of the channel.
+        channel: Channel of the records.
+        log_time_ns: Log time of each record [ns], shape (n,), not decreasing.
+        data: The records one after the other, shape (bytes,).
+        sizes: Size of each record [bytes], shape (n,).
+        ends: End of each record in `data` [bytes], shape (n,).
+    """
+
+    schema: Schema
+    channel: Channel
+    log_time_ns: Numbers
+    data: NDArray[np.uint8]
+    sizes: Numbers
+    ends: Numbers
+
+
 def _encode_topics(
     topics: Sequence[TopicColumns], definitions: Mapping[str, str]
 ) -> Iterator[ChannelRecords]:
@@ -132,28 +157,6 @@ class ChunkRows:
     index: Mapping[int, NDArray[np.uint64]]
     start_ns: int
     end_ns: int
-
-
-def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
-    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
-    if len(chunks) == 1:
-        return chunks[0]
-    channels: dict[int, tuple[Schema | None, Channel]] = {}
-    index: dict[int, list[NDArray[np.uint64]]] = {}
-    size = 0
-    for chunk in chunks:
-        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
-        for number, entries in chunk.index.items():
-            moved = entries + np.array([0, size], np.uint64)
-            index.setdefault(number, []).append(moved)
-        size += len(chunk.records)
-    return ChunkRows(
-        channels=[*channels.values()],
-        records=b"".join(chunk.records for chunk in chunks),
-        index={number: np.concatenate(entries) for number, entries in index.items()},
-        start_ns=min(chunk.start_ns for chunk in chunks),
-        end_ns=max(chunk.end_ns for chunk in chunks),
-    )
 
 
 @dataclass(slots=True)
@@ -423,3 +426,58 @@ def _scatter(
         return
     within = np.arange(len(data)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     np.frombuffer(buffer, np.uint8)[np.repeat(places, sizes) + within] = data
+
+
+def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> ChannelRecords:
+    """Return the messages of a topic as records in order of log time.
+
+    The columns may have any order of time. Missing fields are 0 or empty.
+
+    Raises:
+        LogError: If a column is not a field of the type, has another length, or does not fit its
+            field.
+    """
+    kind = read_type(columns.type, schema.data.decode())
+    fields, layout = kind.fields, kind.layout
+    has_rows = layout is None and len(columns) > 0
+    alike = lay_out_alike(fields, columns.fields) if has_rows else None
+    known = dict.fromkeys(_name_fields(fields, ""))
+    known |= {} if alike is None else dict.fromkeys(alike.names)
+    for name in columns.fields:
+        if name not in known:
+            raise LogError(f"{name}: expected a field of {columns.type}: {', '.join(known)}")
+    lengths = {"publish_time_ns": len(columns.publish_time_ns), "sequence": len(columns.sequence)}
+    lengths |= {name: len(values) for name, values in columns.fields.items()}
+    for name, rows in lengths.items():
+        if rows != len(columns):
+            raise LogError(f"{name}: expected {len(columns)} rows, found {rows}")
+    if (np.diff(columns.log_time_ns) < 0).any():
+        columns = columns.select(np.argsort(columns.log_time_ns, kind="stable"))
+    stamps = {
+        "log_time": fit_numbers("log_time_ns", columns.log_time_ns, "<u8"),
+        "publish_time": fit_numbers("publish_time_ns", columns.publish_time_ns, "<u8"),
+        "sequence": fit_numbers("sequence", columns.sequence, "<u4"),
+    }
+    if alike is not None:
+        data, sizes = encode_alike(alike, columns.fields, stamps, channel.id)
+    elif layout is None:
+        data, sizes = encode_varied(fields, columns.fields, stamps, channel.id)
+    else:
+        data, sizes = encode_fixed(layout, columns.fields, stamps, channel.id)
+    return ChannelRecords(
+        schema=schema,
+        channel=channel,
+        log_time_ns=columns.log_time_ns,
+        data=data,
+        sizes=sizes,
+        ends=np.cumsum(sizes),
+    )
+
+
+def _name_fields(fields: tuple[Field, ...], prefix: str) -> Iterator[str]:
+    for one in fields:
+        if isinstance(one.kind, str) or one.is_sequence:
+            yield prefix + one.name
+        else:
+            for part in name_parts(one):
+                yield from _name_fields(one.kind, f"{prefix}{part}.")

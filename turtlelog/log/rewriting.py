@@ -1,7 +1,7 @@
 """Copying of messages from one MCAP file to another, with new channel ids if necessary."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, Allowance
 from turtlelog.log.engine.records import RECORD, RecordStretch, parse_body
-from turtlelog.log.mcap_writer import LIBRARY, ChunkRows, McapFile, join_records, merge_chunks
+from turtlelog.log.mcap_writer import LIBRARY, ChunkRows, McapFile, join_records
 
 _CHANNEL: Final = 9  # offset of the channel number in a message record, u16
 _MOST_FAULTS: Final = 100  # errors reported for one segment
@@ -347,3 +347,25 @@ def _parse_exact_record(kind: type[Described], body: bytes) -> Described:
     elif not body.startswith(written):
         raise LogError(f"expected a sound {kind.__name__} record, found lengths that disagree")
     return record
+
+
+def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
+    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
+    if len(chunks) == 1:
+        return chunks[0]
+    channels: dict[int, tuple[Schema | None, Channel]] = {}
+    index: dict[int, list[NDArray[np.uint64]]] = {}
+    size = 0
+    for chunk in chunks:
+        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
+        for number, entries in chunk.index.items():
+            moved = entries + np.array([0, size], np.uint64)
+            index.setdefault(number, []).append(moved)
+        size += len(chunk.records)
+    return ChunkRows(
+        channels=[*channels.values()],
+        records=b"".join(chunk.records for chunk in chunks),
+        index={number: np.concatenate(entries) for number, entries in index.items()},
+        start_ns=min(chunk.start_ns for chunk in chunks),
+        end_ns=max(chunk.end_ns for chunk in chunks),
+    )

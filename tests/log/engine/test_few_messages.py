@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine import cursor
-from turtlelog.log.engine.cursor import FEW_MESSAGES, decode_few
+from turtlelog.log.engine import cdr
+from turtlelog.log.engine.cdr import FEW_MESSAGES, decode_few
 from turtlelog.log.engine.message_types import read_type
 
 DEFINITION = "uint8 level\nstring name\nfloat64 x\nbool on\nint16 low\nstring text\nfloat32 y\n"
@@ -31,7 +31,7 @@ def pack(*rows: tuple[Any, ...]) -> tuple[bytes, Any, Any]:
 
 
 def decode_all(data: bytes, starts: Any, ends: Any) -> dict[str, Any]:
-    taken, columns = cursor._Cursor(data, starts, ends, "<"), dict[str, Any]()
+    taken, columns = cdr._Cursor(data, starts, ends, "<"), dict[str, Any]()
     taken.take_fields(FIELDS, "", columns)
     return columns
 
@@ -69,7 +69,7 @@ def test_messages_that_are_not_sound_are_left_to_the_general_way(
     data, starts, ends = harm(data, starts[1:], ends[1:])
     assert decode_few(FIELDS, data, starts, ends) is None
     with pytest.raises(LogError):
-        cursor.decode_messages(FIELDS, data, starts, ends, "<")
+        cdr.decode_messages(FIELDS, data, starts, ends, "<")
 
 
 def test_up_to_three_bytes_of_padding_do_no_harm() -> None:

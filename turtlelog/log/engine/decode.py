@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
+from turtlelog.log.engine.cdr import PADDING, Order, decode_messages
 from turtlelog.log.engine.channels import Catalogue, Decode, TopicPlan, measure_object
-from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.limits import COLUMNS, UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.cdr import PackedItems
 from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_write_error
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.message_encoding import PackedItems
 from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (

@@ -1,21 +1,32 @@
-"""Decoding of messages that differ in size: field by field for many messages, one by one for few.
+"""CDR messages that differ in size: decoded by fields or one by one, and encoded.
 
 A typical recording has one goal and three events. For so few messages, about a hundred numpy calls
 take longer than reading them one by one.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Offsets
-from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
-from turtlelog.log.engine.records import gather_bytes
+from turtlelog.log.engine.message_types import (
+    LITTLE_ENDIAN,
+    MESSAGE,
+    TEXT,
+    AlikeLayout,
+    Column,
+    Field,
+    Layout,
+    name_parts,
+)
+from turtlelog.log.engine.records import RECORD, gather_bytes
 
 Order = Literal["<", ">"]
 
@@ -240,6 +251,11 @@ CODES: Final = MappingProxyType(
 )
 """`struct` codes of numbers by their type codes."""
 
+_PACKERS: Final = MappingProxyType(
+    {kind: struct.Struct(f"<{code}") for kind, code in CODES.items()}
+)
+
+
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
 """Name, size [bytes] and reader of a number. For a text: no reader, and the size of its length."""
 
@@ -284,7 +300,7 @@ def take_few_lists(
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")
         numbers = [
-            (name, size, None if code == TEXT else struct.Struct(f"<{CODES[code]}").unpack_from)
+            (name, size, None if code == TEXT else _PACKERS[code].unpack_from)
             for name, code, size in parts
         ]
         rows = zip(*(values.tolist() for values in (starts, places, ends, lengths)), strict=True)
@@ -338,3 +354,160 @@ def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str,
             yield prefix + field.name, field.kind, size
     if not fields:  # ROS gives a type without fields one byte
         raise _OtherKindError
+
+
+FRONT: Final = struct.Struct("<BQHIQQ4s")
+"""Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
+
+ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+"""Encapsulation of plain CDR, little-endian."""
+
+
+@dataclass(frozen=True, slots=True)
+class PackedItems:
+    """Items of a sequence, encoded one after another from a multiple of 8 bytes on."""
+
+    count: int
+    data: bytes
+
+
+def encode_fixed(
+    layout: Layout, columns: Mapping[str, Column], stamps: Mapping[str, Column], channel: int
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """Return the records of messages of one size, and the size of each record [bytes]."""
+    rows = len(stamps["log_time"])
+    records = np.zeros(rows, dtype=layout.little)
+    _fill_front(records, records.itemsize, stamps, channel)
+    for name, values in columns.items():
+        column = layout.little[name]
+        if values.shape[1:] != column.shape:
+            shape = (rows, *column.shape)
+            raise LogError(f"{name}: expected shape {shape}, found {values.shape}")
+        records[name] = fit_numbers(name, values, column.base.str)
+    return records.view(np.uint8), np.full(rows, records.itemsize)
+
+
+def encode_alike(
+    layout: AlikeLayout, columns: Mapping[str, Column], stamps: Mapping[str, Column], channel: int
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """Return the records of messages that differ only in numbers, and their sizes [bytes]."""
+    rows = len(stamps["log_time"])
+    numbers = {
+        name: fit_numbers(name, columns[name], f"<{kind.replace('?', 'u1')}")
+        for name, kind, *_ in layout.numbers
+        if name in columns
+    }
+    fronts = np.zeros(rows, dtype=MESSAGE)
+    _fill_front(fronts, MESSAGE.itemsize + layout.size, stamps, channel)
+    parts = fronts.view(np.uint8).reshape(rows, -1), layout.fill(rows, numbers)
+    found = np.concatenate(parts, axis=1)
+    return found.reshape(-1), np.full(rows, found.shape[1], dtype=np.int64)
+
+
+def _fill_front(
+    records: NDArray[np.void], size: int, stamps: Mapping[str, Column], channel: int
+) -> None:
+    records["#opcode"], records["#length"] = Opcode.MESSAGE, size - RECORD.size
+    records["#channel"], records["#encapsulation"] = channel, LITTLE_ENDIAN
+    for name, values in stamps.items():
+        records[f"#{name}"] = values
+
+
+def encode_varied(
+    fields: tuple[Field, ...],
+    columns: Mapping[str, Column],
+    stamps: Mapping[str, Column],
+    channel: int,
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """Return the records of messages one by one, because messages with texts are rarely many."""
+    data, sizes = bytearray(), []
+    times = zip(*(values.tolist() for values in stamps.values()), strict=True)
+    for row, (log_time, publish_time, sequence) in enumerate(times):
+        values = {name: column[row] for name, column in columns.items()}
+        try:
+            record = encode_message(fields, values, channel, (sequence, log_time, publish_time))
+        except UnicodeEncodeError:
+            raise
+        except (struct.error, TypeError, ValueError, AttributeError) as err:
+            raise LogError(f"row {row}: expected values of the type's kinds, found: {err}") from err
+        data += record
+        sizes.append(len(record))
+    return np.frombuffer(data, np.uint8), np.array(sizes, dtype=np.int64)
+
+
+def fit_numbers(name: str, values: Column, kind: str) -> Column:
+    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
+    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
+    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
+        expected = "numbers" if target.kind == "f" else "whole numbers"
+        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
+    if target.kind != "f" and values.size:
+        limits = np.iinfo(target)
+        for value in (int(values.min()), int(values.max())):
+            if not limits.min <= value <= limits.max:
+                raise LogError(
+                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
+                )
+    with np.errstate(over="ignore"):
+        return values.astype(target, copy=False)
+
+
+def encode_message(
+    fields: tuple[Field, ...], values: Mapping[str, Any], channel: int, stamp: tuple[int, int, int]
+) -> bytes:
+    """Return the record of one message; `stamp` is its sequence, log and publish time [ns].
+
+    Values have dotted names, like a row of `TopicColumns`. Missing values are 0 or empty.
+
+    Raises:
+        struct.error, TypeError, ValueError: If a value does not have the kind of its field.
+    """
+    body = bytearray()
+    _append_fields(body, fields, values, "")
+    length = FRONT.size - RECORD.size + len(body)
+    return FRONT.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
+
+
+def _append_fields(
+    body: bytearray, fields: tuple[Field, ...], values: Mapping[str, Any], prefix: str
+) -> None:
+    for field in fields:
+        if not isinstance(field.kind, str) and not field.is_sequence:
+            for part in name_parts(field):
+                _append_fields(body, field.kind, values, f"{prefix}{part}.")
+            continue
+        value = values.get(prefix + field.name)
+        if field.is_sequence or field.length is not None:
+            _append_items(body, field, value)
+        else:
+            _append_item(body, field.kind, value)
+    if not fields:  # ROS gives a type without fields one byte
+        body.append(0)
+
+
+def _append_items(body: bytearray, field: Field, items: Any) -> None:
+    if isinstance(items, PackedItems):
+        _append_item(body, "u4", items.count)
+        body += bytes(-len(body) % 8) + items.data
+        return
+    if items is None:
+        items = [None] * (field.length or 0)
+    if field.is_sequence:
+        _append_item(body, "u4", len(items))
+    elif len(items) != field.length:
+        raise ValueError(f"{field.name}: {len(items)} values instead of {field.length}")
+    for item in items:
+        _append_item(body, field.kind, item)
+
+
+def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> None:
+    if not isinstance(kind, str):
+        _append_fields(body, kind, value, "")
+    elif kind == TEXT:
+        text = ("" if value is None else value).encode() + b"\x00"
+        _append_item(body, "u4", len(text))
+        body += text
+    else:
+        packer = _PACKERS[kind]
+        body += bytes(-len(body) % packer.size)
+        body += packer.pack(0 if value is None else value)
