@@ -250,7 +250,7 @@ def _copy_records(
             faults = rewriter.take_stretch(stretch, place, is_checked=found.is_checked)
         for reason in faults:
             copied.lose(Loss(start=place, end=place, reason=reason))
-        if not found.is_chunk and found.data[0] == Opcode.DATA_END:
+        if found.opcode == Opcode.DATA_END:
             copied.data_end, copied.is_vouched = place + len(found.data), found.is_checked
     return copied
 

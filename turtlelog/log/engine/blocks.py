@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, BinaryIO, Final, TypeVar
 
@@ -148,14 +149,15 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
     return data
 
 
-def build_walked_block(
-    data: bytes, byte: int, allowance: limits.Allowance, *, is_chunk: bool
-) -> Block:
-    """Return records as a block by reading their headers."""
-    stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
+def build_walked_block(catalogue: Catalogue, section: Section) -> Block:
+    """Return records as a block by reading their headers, and add them to the catalogue."""
+    byte = section.start
+    stretch = take_walked(section.data, byte, catalogue.allowance, is_chunk=section.is_chunk)
     numbers = [heads["channel"] for _, heads in stretch.iterate_rows()]
     offsets = group_starts(np.concatenate(numbers), stretch.starts) if numbers else {}
-    return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
+    rest = parse_others(stretch, byte)
+    catalogue.add(rest, byte)
+    return Block(data=section.data, byte=byte, offsets=offsets, rest=rest)
 
 
 def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offsets]:
@@ -170,22 +172,10 @@ def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offs
 
 
 def walk_blocks(
-    stream: BinaryIO,
-    catalogue: Catalogue,
-    allowance: limits.Allowance,
-    *,
-    damages: list[Loss] | None = None,
+    stream: BinaryIO, catalogue: Catalogue, *, damages: list[Loss] | None = None
 ) -> Iterator[Block]:
     """Yield a complete file as blocks, in file order, and fill the catalogue."""
-
-    def build(section: Section) -> Block:
-        block = build_walked_block(
-            section.data, section.start, allowance, is_chunk=section.is_chunk
-        )
-        catalogue.add(block.rest, block.byte)
-        return block
-
-    yield from walk_through(stream, build, damages=damages)
+    yield from walk_through(stream, partial(build_walked_block, catalogue), damages=damages)
 
 
 def walk_through(

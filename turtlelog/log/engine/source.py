@@ -197,7 +197,7 @@ class Source:
     def _walk_blocks(self) -> Iterator[Block]:
         counts: Counter[str] = Counter()
         known = self.catalogue.channels
-        for block in walk_blocks(self._stream, self.catalogue, self.allowance):
+        for block in walk_blocks(self._stream, self.catalogue):
             yield replace(block, before=dict(counts))
             for channel, starts in block.offsets.items():
                 if channel in known:

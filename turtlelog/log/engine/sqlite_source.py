@@ -225,9 +225,8 @@ class SqliteSource:
         if not isinstance(timestamp, int) or timestamp < 0:
             found = timestamp if isinstance(timestamp, int) else _name_kind(timestamp)
             return f"timestamp: expected nanoseconds from 0 on, found {found}"
-        return (
-            None if isinstance(data, bytes) else f"data: expected a blob, found {_name_kind(data)}"
-        )
+        is_blob = isinstance(data, bytes)
+        return None if is_blob else f"data: expected a blob, found {_name_kind(data)}"
 
     def _find_fault(self) -> DamageError:
         """Return the error of the first invalid row of `messages`."""

@@ -93,6 +93,11 @@ class Section:
     is_chunk: bool
     is_checked: bool
 
+    @property
+    def opcode(self) -> int:
+        """Kind of the records; for records outside chunks, that of the first."""
+        return Opcode.CHUNK if self.is_chunk else self.data[0]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loss:
@@ -122,7 +127,7 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     for found in _walk_records(window):
         if isinstance(found, Loss):
             damaged = True
-        elif not damaged and _find_opcode(found) == Opcode.DATA_END:
+        elif not damaged and found.opcode == Opcode.DATA_END:
             expected, checksum = int.from_bytes(found.data[-4:], "little"), 0
             for place in range(0, found.start if expected else 0, _BATCH):
                 data = window.read(place, min(_BATCH, found.start - place))
@@ -171,7 +176,7 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
             window.allowance.spend(limits.DAMAGES, losses)
             sections = [one for one in found if isinstance(one, Section)]
             window.allowance.spend(limits.CHUNKS, sum(one.is_chunk for one in sections))
-            notes = [one for one in sections if _find_opcode(one) == Opcode.ATTACHMENT]
+            notes = [one for one in sections if one.opcode == Opcode.ATTACHMENT]
             window.allowance.spend(limits.NOTES, len(notes))
         except LogError as err:
             counted = limits.CHUNKS, limits.DAMAGES, limits.NOTES
@@ -186,10 +191,6 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
         yield from found
         if kind not in {Opcode.CHUNK, Opcode.MESSAGE} and start < window.size:
             kind = window.read(start, 1)[0]
-
-
-def _find_opcode(section: Section) -> int:
-    return Opcode.CHUNK if section.is_chunk else section.data[0]
 
 
 def _read_record(

@@ -179,8 +179,7 @@ class RecordingTail:
         """
         self.is_finished = False
         self._path, self._place = Path(path), len(MCAP0_MAGIC)
-        self._allowance = Allowance(_ANY_SIZE)
-        self._catalogue = Catalogue(self._allowance)
+        self._catalogue = Catalogue(Allowance(_ANY_SIZE))
         self._records: list[Any] = []
         self._parts: dict[str, list[Rows]] = {}
         with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
@@ -230,13 +229,10 @@ class RecordingTail:
 
     def _take(self, section: Section) -> bool:
         """Add a section, and return whether it contains new data for a run."""
-        if not section.is_chunk and section.data[0] == Opcode.DATA_END:
+        if section.opcode == Opcode.DATA_END:
             self.is_finished = True
             return False
-        block = build_walked_block(
-            section.data, section.start, self._allowance, is_chunk=section.is_chunk
-        )
-        self._catalogue.add(block.rest, block.byte)
+        block = build_walked_block(self._catalogue, section)
         self._records += block.rest
         piece = read_piece(self._catalogue, _EVERYTHING, block, block.offsets)
         for topic, rows in piece.rows.items():

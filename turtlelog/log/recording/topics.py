@@ -377,14 +377,13 @@ def _keep_notes(records: Iterable[Any]) -> list[Any]:
 
 def salvage_contents(stream: BinaryIO) -> Contents:
     """Return the readable contents of a damaged or unfinished recording."""
-    allowance, damages = Allowance(measure_stored(stream)), list[Loss]()
-    catalogue = Catalogue(allowance)
+    catalogue, damages = Catalogue(Allowance(measure_stored(stream))), list[Loss]()
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
     summary = salvage_summary(stream)
     if summary is not None:
         catalogue.add((*summary.schemas, *summary.channels), 0)
-    for block in walk_blocks(stream, catalogue, allowance, damages=damages):
+    for block in walk_blocks(stream, catalogue, damages=damages):
         found += _keep_notes(block.rest)
         known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
         try:
