@@ -189,10 +189,15 @@ class _Cursor:
         is_tried = False
         for number in range(int(lengths.max(initial=0))):
             rows = np.flatnonzero(lengths > number)
-            if len(rows) <= FEW_MESSAGES and not is_tried:
-                if self._take_rest(kind, lists, rows, lengths[rows] - number):
-                    break
+            if len(rows) <= FEW_MESSAGES and self._order == "<" and not is_tried:
                 is_tried = True
+                within = self._starts[rows], self.places[rows], self._ends[rows]
+                found = take_few_lists(kind, self._data, *within, lengths[rows] - number)
+                if found is not None:
+                    for row, values in zip(rows.tolist(), found[0], strict=True):
+                        lists[row] += values
+                    self.places[rows] = found[1]
+                    break
             if number >= _MOST_STEPS:
                 raise LogError(
                     f"message {self._numbers[rows[0]]}: expected up to {_MOST_STEPS:,} values, each"
@@ -200,30 +205,11 @@ class _Cursor:
                 )
             inner = _Cursor(self._data, self._starts[rows], self._ends[rows], self._order)
             inner.places, inner._numbers = self.places[rows], self._numbers[rows]
-            for row, value in zip(rows, inner.take_values(kind), strict=True):
+            for row, value in zip(rows.tolist(), inner.take_values(kind), strict=True):
                 lists[row].append(value)
             self.places[rows] = inner.places
             self.overestimates[rows] += inner.overestimates
         return lists
-
-    def _take_rest(
-        self,
-        kind: str | tuple[Field, ...],
-        lists: NDArray[np.object_],
-        rows: Offsets,
-        lengths: Offsets,
-    ) -> bool:
-        """Read all remaining values of some messages; return whether this was possible."""
-        if self._order != "<":
-            return False
-        within = self._starts[rows], self.places[rows], self._ends[rows], lengths
-        found = take_few_lists(kind, self._data, *within)
-        if found is None:
-            return False
-        for row, values in zip(rows.tolist(), found[0], strict=True):
-            lists[row] += values
-        self.places[rows] = found[1]
-        return True
 
     def take_values(self, kind: str | tuple[Field, ...]) -> list[object]:
         """Read one text, or one message as a dictionary, from every message."""

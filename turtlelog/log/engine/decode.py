@@ -200,15 +200,22 @@ class FixedColumns:
     def __init__(self, layout: Layout, count: int, kept: Collection[str] | None = None) -> None:
         """Allocate `count` rows for the columns named in `kept`; None: all columns."""
         self._layout, self._count, self._used = layout, count, 0
-        self._lock = Lock()
-        kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
-        for name in (*_KINDS, *layout.kinds):
-            if kept is not None and name not in kept:
-                continue
-            stored = layout.little.fields[name][0]  # type: ignore[index]
-            kind = _KINDS.get(name) or layout.kinds[name].replace("?", "u1")
-            kinds[name] = np.dtype(kind), (count, *stored.shape)
-        self._columns = _allocate(kinds)
+        self._lock, self._columns = Lock(), Rows()
+        codes = {**_KINDS, **{name: code.replace("?", "u1") for name, code in layout.kinds.items()}}
+        kinds = {name: np.dtype(codes[name]) for name in codes if kept is None or name in kept}
+        shapes = {name: (count, *layout.little[name].shape) for name in kinds}
+        sizes = {name: kind.itemsize * math.prod(shapes[name]) for name, kind in kinds.items()}
+        # Small columns share one array.
+        shared, end = (
+            np.empty(sum(size + _LINE for size in sizes.values() if size < _LARGE), "u1"),
+            0,
+        )
+        for name, kind in kinds.items():
+            if sizes[name] < _LARGE:
+                self._columns[name] = np.ndarray(shapes[name], kind, shared, end)
+                end += sizes[name] + -sizes[name] % _LINE
+            else:
+                self._columns[name] = np.empty(shapes[name], kind)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
         """Copy messages into the rows from `first` on; return whether there was enough room.
@@ -247,23 +254,6 @@ class FixedColumns:
             else column[: self._used]
             for name, column in self._columns.items()
         }
-
-
-def _allocate(kinds: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> Rows:
-    """Allocate columns of these types and shapes; small columns share one array."""
-    sizes = {name: kind.itemsize * math.prod(shape) for name, (kind, shape) in kinds.items()}
-    places, end = {}, 0
-    for name, size in sizes.items():
-        if size < _LARGE:
-            places[name] = end
-            end += size + -size % _LINE
-    shared = np.empty(end, np.uint8)
-    return {
-        name: np.ndarray(shape, kind, shared, places[name])
-        if name in places
-        else np.empty(shape, kind)
-        for name, (kind, shape) in kinds.items()
-    }
 
 
 def make_empty_rows(plan: TopicPlan) -> Rows:
