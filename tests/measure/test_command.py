@@ -4,7 +4,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from turtlelog.measure.metric import Found, Missing
-from turtlelog.measure.metrics.commands import (
+from turtlelog.measure.metrics.commands_and_theory import (
     measure_effort,
     measure_largest_jump,
     measure_largest_slew_rate,

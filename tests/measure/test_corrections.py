@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from turtlelog.measure.corrections import find_corrections
+from turtlelog.measure.breaks import find_corrections
 from turtlelog.run import PoseColumns
 from turtlelog.run.angles import wrap_angle
 

@@ -34,13 +34,18 @@ def draw(count: int) -> tuple[NDArray[Any], NDArray[Any]]:
 def list_calls(count: int) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
     """Return what each reduction is asked; of what takes two rows or more only then."""
     time_s, values = draw(count)
-    step_s = np.diff(time_s)
+    step_s, step_error = np.diff(time_s), values[::-1]
     calls: list[tuple[Any, tuple[Any, ...]]] = [
         *((reductions.find_furthest_row, (values, way)) for way in (1.0, -1.0)),
         *((reductions.find_first_beyond, (values, 1.5, way)) for way in (1.0, -1.0)),
         (reductions.find_last_outside, (values, -0.5, 0.5)),
         (reductions.find_last_outside, (values, -1e9, 1e9)),
+        (reductions.find_bounds, (values,)),
         (reductions.find_largest, (values,)),
+        *(
+            (reductions.find_furthest_between, (time_s, values, low, 0.1, way))
+            for low, way in ((0.0, 1.0), (0.02, -1.0), (0.2, 1.0))
+        ),
         (reductions.find_rise_behind_peak, (values,)),
         (reductions.count_beyond, (values, 1.0)),
         (reductions.find_crossing_rows, (values, 0.1, MEMORY)),
@@ -49,6 +54,10 @@ def list_calls(count: int) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
         (reductions.add_values, (values, MEMORY)),
         (reductions.integrate, (step_s, values, MEMORY)),
         (reductions.add_triples, (values, values + 0.1, time_s)),
+        *(
+            (reductions.compute_misfit, (time_s, values, step_error, shift_s, every, MEMORY))
+            for shift_s, every in ((0.0, 1), (0.03, 1), (-0.02, 3))
+        ),
         (reductions.measure_way, (time_s, values, MEMORY)),
     ]
     return calls if count == 1 else [*calls, (reductions.find_largest_change, (values,))]

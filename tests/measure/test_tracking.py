@@ -7,8 +7,9 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.measure import Status
-from turtlelog.measure.metrics.tracking import find_corner, find_shift
+from turtlelog.measure.metrics.loop_metrics import find_corner
 from turtlelog.measure.response import Track, list_corners
+from turtlelog.measure.step_response import find_shift
 from turtlelog.scenario import build_scenario
 
 SQUARE: dict[str, Any] = {

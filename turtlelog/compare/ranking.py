@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError, describe_unknown
-from turtlelog.measure.context import SETTLING_BAND
+from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.goal_end import allow_position

@@ -5,13 +5,11 @@ from .breaks import (
     find_gaps as find_gaps,
     find_jumps as find_jumps,
 )
-from .context import (
-    MeasureSettings as MeasureSettings,
-)
 from .dead_time import (
     DeadTime as DeadTime,
     DeadTimeChange as DeadTimeChange,
     find_dead_time as find_dead_time,
+    model_run_loops as model_run_loops,
 )
 from .metric import (
     MIRRORED as MIRRORED,
@@ -23,12 +21,11 @@ from .metric import (
     Numeric as Numeric,
     Status as Status,
 )
-from .metric_kinds import (
-    MetricKind as MetricKind,
-)
+from .metric_kinds import MetricKind as MetricKind
 from .metric_list import (
     ANY_LOOP as ANY_LOOP,
     METRICS as METRICS,
+    MeasureSettings as MeasureSettings,
     choose_metrics as choose_metrics,
     describe_no_metric as describe_no_metric,
     find_metric_kind as find_metric_kind,
@@ -38,9 +35,6 @@ from .metric_list import (
     list_metrics as list_metrics,
     measure_run as measure_run,
     miss_metric as miss_metric,
-)
-from .metrics.theories import (
-    model_run_loops as model_run_loops,
 )
 from .rates import (
     Outlier as Outlier,
@@ -52,9 +46,7 @@ from .references import (
     read_reference as read_reference,
     read_reference_path as read_reference_path,
 )
-from .response import (
-    find_first_stretch as find_first_stretch,
-)
+from .response import find_first_stretch as find_first_stretch
 from .signals import (
     COMMANDED as COMMANDED,
     SIGNALS as SIGNALS,

@@ -2,8 +2,19 @@
 
 For turtlesim, whose poses contain the applied command, a replay through the plant shows more.
 
-Between two poses a robot moves about as far as just before and just after. A correction of its pose
-adds a step that neither neighbouring step has: the excess. This holds at any speed.
+Between two poses a robot moves about as far as just before and just after. A jump of its pose adds
+a step that neither neighbouring step has: the excess. This holds at any speed.
+
+A localisation that corrects itself moves all later poses. The size of a step is the mean of the
+poses after it minus the mean of the poses before it, minus the motion in between. The rate of this
+motion comes from poses further away. A step is a correction under four conditions:
+
+- The step is beyond the rates on both sides, so that speeding up or braking does not explain it.
+- Its size is many times the noise of this estimate. The noise has two parts, which the variances
+  over one step and over two steps separate: noise of each pose (a filter), and noise of each step
+  (a wheel).
+- It is larger than the motion of a robot that speeds up and brakes between these poses.
+- It is in one step alone, and the poses on either side agree. A stray pose, in contrast, returns.
 """
 
 from collections.abc import Sequence
@@ -15,11 +26,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, join_words
-from turtlelog.measure.corrections import ACCELERATION, LATE, find_corrections, measure_steps
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.rates import NEIGHBOURS
 from turtlelog.measure.reductions import compute_median
 from turtlelog.run import PoseColumns, Run, take_rows
+from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
 
@@ -45,6 +56,13 @@ side."""
 
 _ROUNDING: Final = 1e-5
 """Largest effect of the 32-bit rounding of two poses on a step [m, rad]."""
+
+ACCELERATION: Final = (2.0, 10.0)
+"""Largest acceleration of a robot from rest [m/s2, rad/s2]."""
+
+LATE: Final = 1.5
+"""Duration of a step, in usual steps, from which poses were lost: the robot may have stopped in
+it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +135,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = _find_changing_rows(poses)
     if len(rows) < len(poses):
-        is_kept = np.zeros(len(poses), dtype=np.bool_)
-        is_kept[rows] = True
-        poses = take_rows(poses, is_kept)
+        poses = take_rows(poses, rows)
     if len(poses) < 3:
         return ()
     steps = measure_steps(poses)
@@ -134,13 +150,17 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     ways = zip((moved, turned), together, applied, ACCELERATION, strict=True)
     for way, net, seen, acceleration in ways:
         is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
-    beyond_ahead_m, beyond_aside_m, beyond_turned_rad = _find_excess_steps(poses)
-    beyond_m, beyond_rad = np.hypot(beyond_ahead_m, beyond_aside_m), np.abs(beyond_turned_rad)
+    is_late = step_ns > LATE * compute_median(step_ns)
+    ahead_m, aside_m, turned_rad = (_find_excess(step, step_ns, is_late) for step in steps)
+    beyond_m, beyond_rad = np.hypot(ahead_m, aside_m), np.abs(turned_rad)
     for row in np.flatnonzero(is_jump & (beyond_rad > _TURNED_RAD)).tolist():
         # The axes turned with the robot, so only the size of the displacement is compared.
         near = moved[row - NEIGHBOURS : row + NEIGHBOURS + 1]
         beyond_m[row] = abs(moved[row] - np.median(near))
-    steps = _face_before(steps, beyond_turned_rad)
+    # A jump that includes a turn is measured along the heading before it.
+    off_rad = np.where(beyond_rad > _TURNED_RAD, 0.5 * turned_rad, 0.0)
+    cos, sin = np.cos(off_rad), np.sin(off_rad)
+    moved_m, moved_aside_m = steps[0] * cos - steps[1] * sin, steps[0] * sin + steps[1] * cos
     # At either end nothing tells what of a step is driving.
     for beyond, whole in ((beyond_m, moved), (beyond_rad, turned)):
         beyond[:NEIGHBOURS], beyond[-NEIGHBOURS:] = whole[:NEIGHBOURS], whole[-NEIGHBOURS:]
@@ -148,8 +168,8 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
         PoseJump(
             row=int(rows[row + 1]),
             time_ns=int(poses.time_ns[row + 1]),
-            moved_m=float(steps[0][row]),
-            aside_m=float(steps[1][row]),
+            moved_m=float(moved_m[row]),
+            aside_m=float(moved_aside_m[row]),
             turned_rad=float(steps[2][row]),
             excess_m=float(beyond_m[row]),
             excess_rad=float(beyond_rad[row]),
@@ -161,16 +181,6 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
 def _has_courses(run: Run) -> bool:
     """Return whether headings are courses over ground, as of a satellite receiver."""
     return "heading" in run.notes
-
-
-def _face_before(
-    steps: tuple[Values, Values, Values], beyond_rad: Values
-) -> tuple[Values, Values, Values]:
-    """Return jumps that include a turn, with the displacement along the heading before the jump."""
-    off_rad = np.where(np.abs(beyond_rad) > _TURNED_RAD, 0.5 * beyond_rad, 0.0)
-    cos, sin = np.cos(off_rad), np.sin(off_rad)
-    ahead_m, aside_m, turned_rad = steps
-    return ahead_m * cos - aside_m * sin, ahead_m * sin + aside_m * cos, turned_rad
 
 
 def describe_breaks(run: Run) -> dict[str, str]:
@@ -193,7 +203,8 @@ def describe_breaks(run: Run) -> dict[str, str]:
 def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool) -> str:
     largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
     which = "" if len(jumps) == 1 else "the largest "
-    names = ("m east", "m west", "m north", "m south") if is_north else _WAYS
+    names = ("m ahead", "m back", "m to the left", "m to the right")
+    names = ("m east", "m west", "m north", "m south") if is_north else names
     signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
     way_m = float(np.hypot(largest.moved_m, largest.aside_m))
     least_m = _ROUNDING
@@ -211,20 +222,12 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
     return f"{count}, {which}{join_words(parts)} at {at_s:.1f} s{beyond}"
 
 
-_WAYS: Final = ("m ahead", "m back", "m to the left", "m to the right")
-
-
 def _find_far_steps(
     way: Values, net: Values, usual_ns: Values, *, seen: Values | None, acceleration: float
 ) -> NDArray[np.bool_]:
     """Return which steps are far beyond the greatest rate that lasts for two of them.
 
-    Args:
-        way: Magnitude of each step [m or rad], shape (n,).
-        net: Magnitude of each two steps together, shape (n - 1,).
-        usual_ns: Time that each step takes, or more [ns], shape (n,).
-        seen: Rates applied by the plant [m/s or rad/s]; None if unknown.
-        acceleration: Rate that the robot reaches from rest in 1 s [m/s^2 or rad/s^2].
+    `net` are the magnitudes of each two steps together, `seen` the rates applied by the plant.
     """
     both = np.minimum(way[1:], way[:-1])
     # A stray pose gives two steps, out and back, which together lead no further.
@@ -238,29 +241,16 @@ def _find_far_steps(
     return is_far
 
 
-def _find_excess_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
-    """Return the excess of steps over their neighbours: ahead and aside [m], turned [rad]."""
-    steps = measure_steps(poses)
-    step_ns = np.diff(poses.time_ns)
-    if len(step_ns) <= 2 * NEIGHBOURS:
-        ahead_m, aside_m, turned_rad = (np.zeros(len(step_ns)) for _ in steps)
-        return ahead_m, aside_m, turned_rad
-    is_late = step_ns > LATE * compute_median(step_ns)
-    ahead_m, aside_m, turned_rad = (_find_excess(step, step_ns, is_late) for step in steps)
-    return ahead_m, aside_m, turned_rad
-
-
 def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
     """Return the rows of poses that differ from the previous pose, if most poses repeat it.
 
     Some programs publish each pose several times. In other recordings, a repeated pose shows that
     the robot is at rest, and it counts.
     """
-    every = np.arange(len(poses))
     moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
     changing = np.flatnonzero(moved) + 1
     if len(changing) < 2 or compute_median(np.diff(changing)) < 2:
-        return every
+        return np.arange(len(poses))
     return np.concatenate([[0], changing])
 
 
@@ -270,13 +260,237 @@ def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.b
     For steps with lost poses, the excess is the part that neither a rate of the neighbours nor a
     stop explains.
     """
+    excess = np.zeros(len(step))
+    if len(step) <= 2 * NEIGHBOURS:
+        return excess
     windows = sliding_window_view(step / step_ns, 2 * NEIGHBOURS + 1)
     near = np.delete(windows, NEIGHBOURS, axis=1)
     inside = slice(NEIGHBOURS, -NEIGHBOURS)
     way, took_ns = step[inside], step_ns[inside]
     low = np.minimum(near.min(axis=1), 0.0) * took_ns
     high = np.maximum(near.max(axis=1), 0.0) * took_ns
-    excess = np.zeros(len(step))
     plain = way - np.median(near, axis=1) * took_ns
     excess[inside] = np.where(is_late[inside], way - np.clip(way, low, high), plain)
     return excess
+
+
+def measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
+    """Return each step along and across the mean heading of its poses [m], and turned [rad]."""
+    turned_rad = subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])
+    mean_rad = poses.heading_rad[:-1] + 0.5 * turned_rad
+    x_m, y_m = np.diff(poses.xy_m, axis=0).T
+    cos, sin = np.cos(mean_rad), np.sin(mean_rad)
+    return x_m * cos + y_m * sin, y_m * cos - x_m * sin, turned_rad
+
+
+_AVERAGED: Final = (2, 4)
+"""Number of poses that are averaged on either side: two, or four of a fast sensor."""
+
+_LONGEST_S: Final = 0.1
+"""Longest time of more than two averaged poses on one side [s]. In a longer time, the robot may
+speed up by as much as a correction adds."""
+
+_NOISES: Final = 6.0
+"""Size of a correction in standard deviations. Of normal values in the plane one in 65 million is
+as large; of runs with 3,000 poses, one in 20,000 at 5 standard deviations."""
+
+_ASIDE: Final = 0.25
+"""Sideways acceleration of a robot as a share of its acceleration, because wheels do not slip
+far."""
+
+_SHARP: Final = 0.4
+"""Largest excess of the two neighbouring steps as a share of the correction: a peak of the speed
+takes several steps."""
+
+_OWN: Final = 0.7
+"""Smallest share of the correction in the step alone."""
+
+_AGREED: Final = 0.4
+"""Smallest distance between each of two poses after the step and each of two before it, as a share
+of the correction."""
+
+_TIMER_S: Final = 0.002
+"""Resolution of time [s]: timers run in whole milliseconds, and two stamps may both be off by
+one."""
+
+_OFF: Final = 2.5
+"""Deviation of a mean rate from the median, in standard deviations, at which the mean contains
+another correction."""
+
+_AROUND: Final = 5
+
+_BLOCK: Final = 12
+"""Number of steps on either side whose median is the motion without noise. The same number is the
+size of a block of noise, which with its neighbouring blocks is a second at 36 Hz."""
+
+_EXACT: Final = 1e-9
+"""Size below which a step is 64-bit rounding [m, rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Motion:
+    """Steps of the position [m] or of the heading [rad] from pose to pose, along each axis."""
+
+    time_s: Values  # of each pose, shape (n + 1,)
+    step_s: Values
+    steps: Values  # shape (n, axes)
+    way: Values  # sums of the steps, shape (n + 1, axes)
+    usual_s: float
+    pose_variance: Values  # shape (n,)
+    step_variance: Values  # in addition to that of its poses, shape (n,)
+    acceleration: Values  # from rest [m/s2 or rad/s2], shape (axes,)
+
+
+def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
+    """Return which steps between poses are corrections of the position or the heading."""
+    found = np.zeros(max(len(poses) - 1, 0), dtype=np.bool_)
+    if len(found) <= 2 * _AROUND:
+        return found
+    ahead_m, aside_m, turned_rad = measure_steps(poses)
+    time_s = (poses.time_ns - poses.time_ns[0]) / 1e9
+    step_s = np.diff(time_s)
+    usual_s = compute_median(step_s)
+    in_plane, turning = ACCELERATION
+    for steps, acceleration in (
+        (np.column_stack([ahead_m, aside_m]), np.array([in_plane, _ASIDE * in_plane])),
+        (turned_rad[:, np.newaxis], np.array([turning])),
+    ):
+        with np.errstate(over="ignore", invalid="ignore"):  # of noise that no robot has
+            pose_variance, step_variance = _measure_noise(steps, step_s)
+        motion = _Motion(
+            time_s=time_s,
+            step_s=step_s,
+            steps=steps,
+            way=np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)]),
+            usual_s=usual_s,
+            pose_variance=pose_variance,
+            step_variance=step_variance,
+            acceleration=acceleration,
+        )
+        for count in _AVERAGED:
+            if count == _AVERAGED[0] or count * usual_s <= _LONGEST_S:
+                found |= _find_by_means(motion, count)
+    return np.asarray(found & (step_s <= LATE * usual_s))
+
+
+def _measure_noise(steps: Values, step_s: Values) -> tuple[Values, Values]:
+    """Return the variance of the poses, and the additional variance of the steps, at each step.
+
+    If the steps vary, two steps together have twice the variance of one step. If the poses vary,
+    both variances are equal. The larger of two values is used: the variance around each step, and
+    the variance of all steps.
+    """
+    rates = np.pad(steps / step_s[:, np.newaxis], ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    near = np.median(sliding_window_view(rates, 2 * _AROUND + 1, axis=0), axis=2)
+    off = steps - near * step_s[:, np.newaxis]
+    two = off + np.vstack([off[1:], off[-1:]])
+    one_variance, two_variance = (_measure_spread(values) ** 2 for values in (off, two))
+    step_variance = np.clip(two_variance - one_variance, 0.0, one_variance)
+    return 0.5 * (one_variance - step_variance), step_variance
+
+
+_MEDIANS: Final = (0.6745, 1.1774)
+"""Ratio of median magnitude to standard deviation of normal values, on a line and in the plane."""
+
+
+def _measure_spread(values: Values) -> Values:
+    """Return the standard deviation per axis around each row, from medians."""
+    size = _measure_length(values)
+    blocks = -(-len(size) // _BLOCK)
+    padded = np.pad(size, (_BLOCK, (blocks + 1) * _BLOCK - len(size)), mode="reflect")
+    around = sliding_window_view(padded, 3 * _BLOCK)[::_BLOCK][:blocks]
+    local = np.repeat(np.median(around, axis=1), _BLOCK)[: len(size)]
+    return np.asarray(np.maximum(local, compute_median(size)) / _MEDIANS[values.shape[1] - 1])
+
+
+def _find_by_means(motion: _Motion, count: int) -> NDArray[np.bool_]:
+    """Return which steps are corrections by the means of some poses on either side."""
+    width = 3 * count // 2  # steps that tell a rate: short enough for a correction every second
+    outer = count - 1 + width
+    found = np.zeros(len(motion.steps), dtype=np.bool_)
+    rows = np.arange(max(outer, 2), len(found) - max(outer, 2))
+    if not len(rows):
+        return found
+    noise = _weigh_noise(motion, count, width)[rows]
+    before = _measure_rates(motion, width)[rows - outer]
+    after = _measure_rates(motion, width)[rows + count]
+    mean, spread = 0.5 * (before + after), 0.5 * np.abs(after - before)
+    moved, took_s = (_subtract_means(values, rows, count) for values in (motion.way, motion.time_s))
+    beyond = _shrink(
+        moved - mean * took_s[:, np.newaxis],
+        np.maximum(spread * took_s[:, np.newaxis] - noise[:, np.newaxis], 0.0),
+    )
+    size = _measure_length(beyond)
+    rests_s = (count - 0.5) * motion.usual_s  # to speed up as long, and to brake as long
+    least = motion.acceleration * rests_s**2 + _TIMER_S * np.abs(mean) + _EXACT
+    is_large = (size > _NOISES * noise) & (_measure_length(beyond / least) > 1.0)
+    rows, unit = rows[is_large], beyond[is_large] / size[is_large, np.newaxis]
+    size, mean, spread = size[is_large], mean[is_large], spread[is_large]
+    is_kept = _stand_alone(motion, rows, unit, size, (mean, spread))
+    # Each of two poses before must be apart from each of two poses after.
+    for first in (rows - 1, rows):
+        for last in (rows + 1, rows + 2):
+            took_s = (motion.time_s[last] - motion.time_s[first])[:, np.newaxis]
+            moved = motion.way[last] - motion.way[first] - mean * took_s
+            is_kept &= np.sum(moved * unit, axis=1) > _AGREED * size
+    found[rows[is_kept]] = True
+    return found
+
+
+def _weigh_noise(motion: _Motion, count: int, width: int) -> Values:
+    """Return the standard deviation of a correction's size at each step, per axis."""
+    weights = np.zeros(2 * (count + width))
+    middle, share = count + width, 0.5 * count / width
+    weights[middle : middle + count], weights[middle - count : middle] = 1.0 / count, -1.0 / count
+    # The ends of the steps that tell the rates before and after.
+    for place, sign in ((-count, -1), (-count - width, 1), (count - 1 + width, -1), (count - 1, 1)):
+        weights[middle + place] += sign * share
+    of_poses, of_steps = np.sum(weights**2), np.sum(np.cumsum(weights) ** 2)
+    return np.sqrt(of_poses * motion.pose_variance + of_steps * motion.step_variance)
+
+
+def _measure_rates(motion: _Motion, width: int) -> Values:
+    """Return the rate over several steps from each pose on: the mean, or a differing median."""
+    took_s = (motion.time_s[width:] - motion.time_s[:-width])[:, np.newaxis]
+    mean = (motion.way[width:] - motion.way[:-width]) / took_s
+    windows = sliding_window_view(motion.steps / motion.step_s[:, np.newaxis], width, axis=0)
+    median = np.median(windows, axis=2)
+    variance = 2.0 * motion.pose_variance + motion.step_variance
+    deviation = np.sqrt(width * variance[: len(mean)])[:, np.newaxis]
+    is_off = np.abs(mean - median) * width * motion.usual_s > _OFF * deviation + _EXACT
+    return np.where(is_off, median, mean)
+
+
+def _subtract_means(values: Values, rows: NDArray[np.int64], count: int) -> Values:
+    sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+    after = sums[rows + 1 + count] - sums[rows + 1]
+    return np.asarray((after - (sums[rows + 1] - sums[rows + 1 - count])) / count)
+
+
+def _measure_length(values: Values) -> Values:
+    """Return the length of each row without overflow: the square of 1e300 is not finite."""
+    return np.asarray(np.abs(np.hypot.reduce(values, axis=1)))
+
+
+def _shrink(values: Values, by: Values) -> Values:
+    return np.asarray(np.sign(values) * np.maximum(np.abs(values) - by, 0.0))
+
+
+def _stand_alone(
+    motion: _Motion,
+    rows: NDArray[np.int64],
+    unit: Values,
+    size: Values,
+    rates: tuple[Values, Values],
+) -> NDArray[np.bool_]:
+    """Return which corrections are in one step alone, by their steps, directions and magnitudes."""
+    mean, spread = rates  # of the rates before and after each: their mean, and half the difference
+
+    def measure(row: NDArray[np.int64]) -> Values:
+        took_s = motion.step_s[row][:, np.newaxis]
+        beyond = _shrink(motion.steps[row] - mean * took_s, spread * took_s)
+        return np.asarray(np.sum(beyond * unit, axis=1))
+
+    own = measure(rows)
+    beside = np.array([measure(rows + place) for place in (-2, -1, 1, 2)])
+    return np.asarray((own > _OWN * size) & (np.abs(beside) < _SHARP * own).all(axis=0))

@@ -1,8 +1,9 @@
-"""The dead time of a loop in a log."""
+"""The dead time of a loop in a log, and a run's loops as models of theory."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,17 @@ from turtlelog.measure.motion import (
     is_within_steps,
     read_loop_motion,
 )
-from turtlelog.measure.reductions import subtract_neighbours
-from turtlelog.measure.response import describe_no_phase
+from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.response import describe_no_phase, find_loop_samples
 from turtlelog.plants import LAGGED, find_plant
-from turtlelog.run import Run
-from turtlelog.run.loops import ControlLoop, Declaration, read_number
+from turtlelog.run import Parameter, Run, take_rows
+from turtlelog.run.loops import ControlLoop, read_number
+
+if TYPE_CHECKING:
+    from turtlelog.theory import LoopModel, MeasuredTiming
+
+MOST_TICKS: Final = 1000
+"""Largest dead time for which the delayed ideal loop is computed [ticks]."""
 
 LARGEST_TICKS: Final = 40
 """Largest dead time that is searched [ticks]."""
@@ -135,7 +142,10 @@ def find_dead_time(
     if not len(run.samples):
         return Missing(Status.ABSENT, "no samples of a controller were read")
     if isinstance(loop, str):
-        loop = _require_loop(run.declaration, loop)
+        known = {one.name: one for one in run.declaration.loops}
+        if loop not in known:
+            raise MeasureError(f"loop {loop!r}: expected {suggest_names(loop, [*known])}")
+        loop = known[loop]
     motion = read_loop_motion(run, loop)
     if motion is None:
         return Missing(Status.NO_PHASE, describe_no_phase(run, loop))
@@ -164,15 +174,6 @@ def _find_doubt(run: Run, loop: ControlLoop) -> str:
     if find_plant(run).name == LAGGED:
         return f"no whole number of periods up to {LARGEST_TICKS} explains every step"
     return ""
-
-
-def _require_loop(declaration: Declaration, name: str) -> ControlLoop:
-    """Return a loop by name; MeasureError if the law declares no such loop."""
-    loop = declaration.find_loop(name)
-    if loop is None:
-        known = suggest_names(name, [known.name for known in declaration.loops])
-        raise MeasureError(f"loop {name!r}: expected {known}")
-    return loop
 
 
 def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
@@ -299,14 +300,16 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         listed = _list_ticks(alike)
         reason = f"the poses have coarse steps: dead times of {listed} ticks fit alike"
         return Missing(Status.UNDETERMINED, reason)
-    is_rounding = bool(size[best] <= motion.rounding.max())
+    own, whiteness = left[best], 1.0
+    if size[best] > motion.rounding.max():
+        whiteness = float(np.mean(subtract_neighbours(own) ** 2) / (2.0 * np.mean(own**2)))
     return DeadTime(
         ticks=best,
         residual=float(size[best]),
         margin=margin,
         rows=len(rows),
         is_exact=False,
-        whiteness=1.0 if is_rounding else _measure_whiteness(left[best]),
+        whiteness=whiteness,
         least_ticks=least_ticks,
     )
 
@@ -314,10 +317,6 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
 def shows_lag(found: DeadTime | Missing) -> bool:
     """Return whether the dead time is missing because a time constant explains the motion."""
     return isinstance(found, Missing) and _EXPLAINS_BETTER in found.reason
-
-
-def _measure_whiteness(left: Values) -> float:
-    return float(np.mean(subtract_neighbours(left) ** 2) / (2.0 * np.mean(left**2)))
 
 
 def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
@@ -333,3 +332,82 @@ def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
 def _compute_margin(size: Values, best: int) -> float:
     second = float(np.delete(size, best).min())
     return second / float(size[best]) if size[best] > 0.0 else float("inf")
+
+
+_MOST_SAMPLES: Final = 20_000
+"""Largest number of samples of a loop in which its dead time is searched: five minutes of ticks."""
+
+_EARLIER_SAMPLES: Final = 1000
+"""Samples before the segment that are kept: more than can wait in any queue."""
+
+
+def take_beginning(run: Run, loop: ControlLoop) -> Run:
+    """Return the beginning of a run with at most 20,000 samples of a loop; or the whole run."""
+    samples = run.samples
+    if len(samples) <= _MOST_SAMPLES:
+        return run
+    stretch = find_loop_samples(run, loop)
+    first = 0 if stretch is None else stretch.start
+    rows = slice(max(first - _EARLIER_SAMPLES, 0), first + _MOST_SAMPLES)
+    read = samples.pose_sequence[rows]
+    poses = slice(int(read.min()), int(read.max()) + 1)
+    kept = take_rows(samples, rows)
+    return replace(
+        run,
+        poses=take_rows(run.poses, poses),
+        samples=replace(kept, pose_sequence=np.asarray(read - poses.start)),
+    )
+
+
+_MEASURED = "measured in the recording"
+
+
+def model_run_loops(
+    run: Run, *, identified: Mapping[str, Parameter] | None = None
+) -> "tuple[LoopModel, ...]":
+    """Return the loops of a run as `theory` models them, one per declared loop.
+
+    Gains and plant come from the scenario, period and dead time from the samples and poses. A time
+    constant looks like dead time. Therefore the timing comes from the scenario for a robot with a
+    time constant, or a law triggered by a timer.
+
+    Args:
+        run: Any run.
+        identified: Identified parameters for keys that the run lacks.
+    """
+    parameters = {**(identified or {}), **run.parameters}
+    return tuple(_model(run, loop, parameters) for loop in run.declaration.loops)
+
+
+def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> "LoopModel":
+    from turtlelog.theory import model_loop  # it loads the laws
+
+    sources = {}
+    if loop.gain not in run.parameters:
+        sources["gains"] = "identified from the commands"
+    if "loop.period_ticks" not in run.parameters and "plant.kind" not in parameters:
+        sources["plant"] = "assumed, as the recording names no plant"
+    is_plain = parameters.get("plant.kind", "turtlesim") == "turtlesim"
+    is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
+    timing = _measure_timing(run, loop) if is_plain else None
+    return model_loop(loop, parameters, timing=timing, sources=sources)
+
+
+def _measure_timing(run: Run, loop: ControlLoop) -> "MeasuredTiming | str":
+    periods_ns = np.diff(run.samples.time_ns)
+    periods_ns = periods_ns[periods_ns > 0]  # without those of a burst
+    if not len(periods_ns) or len(run.poses) < 2:
+        return "the recording holds no two samples at different times"
+    found = find_dead_time(run, loop)
+    if isinstance(found, Missing):
+        return f"the dead time cannot be measured: {found.reason}"
+    from turtlelog.theory import MeasuredTiming
+
+    tick_s = compute_median(np.diff(run.poses.time_ns)) / 1e9
+    changes = " at the end" if found.changes else ""
+    words = f"{_MEASURED}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
+    return MeasuredTiming(
+        period_s=compute_median(periods_ns) / 1e9,
+        dead_time_s=found.ticks * tick_s,
+        sources={"period_s": _MEASURED, "dead_time_s": words + changes},
+    )

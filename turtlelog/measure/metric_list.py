@@ -1,20 +1,22 @@
-"""The metrics of a run by id: the one table for measuring, comparison and checks."""
+"""The metrics of a run by id: the one table for measuring and checks; and their settings."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
-from typing import Final
+from typing import Final, Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, describe_unknown
-from turtlelog.measure.context import MeasureSettings, RunContext
+from turtlelog.measure.dead_time import MOST_TICKS
 from turtlelog.measure.metric import NO_POSES, Found, Metric, Metrics, Missing, Result, Status
-from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, MetricKind
+from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, MetricKind, RunContext
+from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import ControlLoop, Declaration, is_loop_name
 
@@ -35,6 +37,7 @@ _ESSENTIAL_OF_LOOP: Final = (
     *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error"),
     *("largest_error", "lag", "corner_overshoot", "iae", "saturated_share", "dead_time"),
 )
+
 _OF_MOVING: Final = frozenset({"rms_error", "largest_error", "lag", "corner_overshoot"})
 """Metrics that are essential only if there are no metrics of a step, which show more."""
 
@@ -51,7 +54,6 @@ _ESSENTIAL_WITHOUT_GOAL: Final = (
     "run.largest_gap",
 )
 """Essential metrics of laws without goal and path: distance and commands."""
-
 
 _ESSENTIAL_OF_MOTION: Final = (
     *("run.duration", "run.path_length", "run.total_turning", "run.rest_share"),
@@ -75,6 +77,7 @@ _ESSENTIAL_OF_COMMANDS: Final = (
 
 _ESSENTIAL_WITH_GOAL: Final = ("final.position_error", "run.time_to_goal")
 _ESSENTIAL_WITH_PATH: Final = ("run.cross_track_max", "run.cross_track_rms")
+
 _ESSENTIAL_WITH_COMMANDS: Final = (
     *("run.speed_tracking_rms", "run.speed_lag", "run.speed_steps", "run.speed_rise_time"),
     *("run.turn_rate_tracking_rms", "run.turn_rate_lag", "run.turn_rate_steps"),
@@ -222,6 +225,107 @@ def _matches_any_loop(pattern: str) -> bool:
 def describe_no_metric(pattern: str, known: Iterable[str]) -> str:
     """Return an error line for a name that is not a metric, with the nearest ids."""
     return describe_unknown("metric", pattern, known, place="turtlelog list metrics")
+
+
+Target = float | Literal["reference", "last"]
+"""Final value of a loop's step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasureSettings:
+    """Settings of the metrics. Values of a loop are in rad (heading) or m.
+
+    Attributes:
+        band: Half-width of the settling band, as a fraction of the step, > 0 and < 1.
+        initial: Start value of the step of a loop: None for the first value of its segment, a
+            number, or a number by loop (`{"translate": 0.0}`).
+        final: Final value of the step: `reference` (as the law declares), `last` (the last value of
+            the segment), a number, or one of these by loop.
+        reference_path_xy_m: Path for cross-track errors, a line through points in the world frame
+            [m], shape (n, 2), n >= 2; None for the line from start to goal.
+        goal_tolerance_m: Distance from the goal within which the robot has arrived [m], > 0; None
+            for `band` times the initial distance.
+        dead_time_ticks: Dead time of the delayed ideal loop, in samples of its period, 0 to 1000;
+            None for the dead time found in the recording.
+
+    Raises:
+        MeasureError: If a setting is wrong; one line with the setting, the valid values and the
+            given one.
+    """
+
+    band: float = SETTLING_BAND
+    initial: float | Mapping[str, float] | None = None
+    final: Target | Mapping[str, Target] = "reference"
+    reference_path_xy_m: NDArray[np.float64] | None = None
+    dead_time_ticks: int | None = None
+    goal_tolerance_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (_is_number(self.band) and 0.0 < self.band < 1.0):
+            raise MeasureError(
+                "band: must be a fraction of the step from 0 to 1, as 0.02 for 2 %, not"
+                f" {self.band!r}"
+            )
+        _require_length(self.goal_tolerance_m)
+        for value in _list_values(self.initial):
+            if value is not None and not _is_number(value):
+                raise MeasureError(f"initial: expected a number, found {value!r}")
+        for value in _list_values(self.final):
+            if value not in ("reference", "last") and not _is_number(value):
+                raise MeasureError(
+                    f"final: expected 'reference', 'last' or a number, found {value!r}"
+                )
+        ticks = self.dead_time_ticks
+        if ticks is not None and not (isinstance(ticks, int) and 0 <= ticks <= MOST_TICKS):
+            raise MeasureError(
+                f"dead_time_ticks: expected a whole number from 0 to {MOST_TICKS}, found {ticks!r}"
+            )
+        if self.reference_path_xy_m is not None:
+            path_xy_m = _require_path(self.reference_path_xy_m)
+            object.__setattr__(self, "reference_path_xy_m", path_xy_m)
+
+    def require_loops(self, declaration: Declaration) -> None:
+        """Raise an error if a value is given for a loop that the law does not declare.
+
+        Raises:
+            MeasureError: If there is such a loop; the message lists the declared loops.
+        """
+        known = [loop.name for loop in declaration.loops]
+        for name, value in (("initial", self.initial), ("final", self.final)):
+            for loop in value if isinstance(value, Mapping) else ():
+                if loop not in known:
+                    listed = " or ".join(known) or "no loop, for the run declares none"
+                    raise MeasureError(f"{name}: expected a loop {listed}, found {loop!r}")
+
+
+def _require_length(near_m: float | None) -> None:
+    if near_m is not None and not (_is_number(near_m) and near_m > 0.0):
+        raise MeasureError(f"goal_tolerance_m: expected metres > 0, found {near_m!r}")
+
+
+def _is_number(value: object) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and math.isfinite(cast("float", value))
+
+
+def _list_values(value: object) -> list[object]:
+    return list(value.values()) if isinstance(value, Mapping) else [value]
+
+
+def _require_path(path_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    try:
+        path = np.array(path_xy_m, dtype=np.float64)
+    except (TypeError, ValueError) as err:
+        raise MeasureError("reference_path_xy_m: expected points, found something else") from err
+    if path.ndim != 2 or path.shape[1] != 2 or len(path) < 2:
+        raise MeasureError(
+            f"reference_path_xy_m: expected two points or more, shape (n, 2), found {path.shape}"
+        )
+    if not np.isfinite(path).all():
+        row = int((~np.isfinite(path)).any(axis=1).argmax())
+        raise MeasureError(f"reference_path_xy_m[{row}]: expected finite numbers, found others")
+    path.flags.writeable = False
+    return path
 
 
 def measure_run(

@@ -16,8 +16,8 @@ from turtlelog.arithmetic import compiled_as, inlined
 
 Values = NDArray[np.float64]
 Rows = NDArray[np.int64]
-
 _BLOCK = 128
+
 _LANES = 8
 """Number of values that numpy's `sum` adds at once, each into its own partial sum."""
 
@@ -27,6 +27,7 @@ _BUFFER = 8192
 USES = 4
 """Number of rows of `memory.numbers` used here; each has twice as many numbers as there are
 rows."""
+
 PIECES, _TIMES, _SIZES, _STEPS = range(USES)
 
 
@@ -98,6 +99,19 @@ def find_last_outside(values: Values, low: float, high: float) -> int:
     return row if outside[row] else -1
 
 
+def _find_bounds(values: Any) -> tuple[float, float]:
+    low = high = values[0]
+    for row in range(1, len(values)):
+        low, high = min(low, values[row]), max(high, values[row])
+    return low, high
+
+
+@compiled_as(_find_bounds)
+def find_bounds(values: Values) -> tuple[float, float]:
+    """Return the least and the largest of some values."""
+    return float(values.min()), float(values.max())
+
+
 def _find_largest(error: Any) -> tuple[float, int]:
     low = high = 0
     for row in range(1, len(error)):
@@ -115,6 +129,27 @@ def find_largest(error: Values) -> tuple[float, int]:
     low, high = int(error.argmin()), int(error.argmax())
     row = low if -error[low] > error[high] else high
     return abs(float(error[row])), row
+
+
+def _find_furthest_between(
+    arcs_m: Any, error: Any, begin_m: float, end_m: float, direction: float
+) -> int:
+    found = -1
+    for row in range(len(arcs_m)):
+        if begin_m <= arcs_m[row] < end_m and (
+            found < 0 or error[row] * direction > error[found] * direction
+        ):
+            found = row
+    return found
+
+
+@compiled_as(_find_furthest_between)
+def find_furthest_between(
+    arcs_m: Values, error: Values, begin_m: float, end_m: float, direction: float
+) -> int:
+    """Return the first row with the largest error in a direction between two arc lengths, or -1."""
+    rows = np.flatnonzero((arcs_m >= begin_m) & (arcs_m < end_m))
+    return int(rows[int((error[rows] * direction).argmax())]) if len(rows) else -1
 
 
 def _find_largest_change(error: Any) -> float:
@@ -374,6 +409,47 @@ def sum_products(*columns: NDArray[Any]) -> float:
     """
     rows = ",".join("i" for _ in columns)
     return float(np.einsum(f"{rows}->", *columns))
+
+
+def _compute_misfit(
+    time_s: Any, reference: Any, error: Any, shift_s: float, every: int, memory: Any
+) -> float:
+    pieces, count = memory.numbers[PIECES], (len(time_s) - 1) // every + 1
+    after = 0
+    for place in range(count):
+        row = place * every
+        at_s = time_s[row] - shift_s
+        while after < count and time_s[after * every] <= at_s:
+            after += 1
+        end, begin = after * every, (after - 1) * every
+        if after == 0:
+            fitted = reference[0]
+        elif after == count or time_s[begin] == at_s:
+            fitted = reference[begin]
+        else:
+            slope = (reference[end] - reference[begin]) / (time_s[end] - time_s[begin])
+            fitted = slope * (at_s - time_s[begin]) + reference[begin]
+        off = reference[row] - error[row] - fitted
+        pieces[place] = off * off
+    return add_up(pieces, count) / count
+
+
+@compiled_as(_compute_misfit)
+def compute_misfit(
+    time_s: Values,
+    reference: Values,
+    error: Values,
+    shift_s: float,
+    every: int,
+    memory: Any,  # noqa: ARG001
+) -> float:
+    """Return the mean square of the signal minus the shifted reference, on every n-th row.
+
+    The signal is the reference minus the error; between rows the reference is a line.
+    """
+    time_s, reference, error = time_s[::every], reference[::every], error[::every]
+    fitted = np.interp(time_s - shift_s, time_s, reference)
+    return float(np.mean((reference - error - fitted) ** 2))
 
 
 def _measure_way(x_m: Any, y_m: Any, memory: Any) -> float:

@@ -22,7 +22,7 @@ from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT
 
 if TYPE_CHECKING:
-    from turtlelog.measure.context import MeasureSettings
+    from turtlelog.measure.metric_list import MeasureSettings
 
 Values = NDArray[np.float64]
 

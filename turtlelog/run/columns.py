@@ -247,7 +247,9 @@ class Clock:
 AnyColumns = TypeVar("AnyColumns", PoseColumns, CommandColumns, SampleColumns)
 
 
-def take_rows(columns: AnyColumns, rows: slice | NDArray[np.bool_]) -> AnyColumns:
+def take_rows(
+    columns: AnyColumns, rows: slice | NDArray[np.bool_] | NDArray[np.int64]
+) -> AnyColumns:
     """Return the selected rows of every column."""
     taken = {
         field.name: values[rows]

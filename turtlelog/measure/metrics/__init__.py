@@ -3,5 +3,5 @@
 # ruff: noqa: F401
 # isort: skip_file
 
-from turtlelog.measure.metrics import loop_metrics, tracking, commands, theories
+from turtlelog.measure.metrics import loop_metrics, commands_and_theory
 from turtlelog.measure.metrics import whole, travel, following, clock

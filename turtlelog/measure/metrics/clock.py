@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.arithmetic import compiled_as
-from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
     FOUND,
     ONE_POSE,
@@ -26,7 +25,7 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.metric_kinds import course_metric, run_metric
+from turtlelog.measure.metric_kinds import RunContext, course_metric, run_metric
 from turtlelog.measure.reductions import (
     PIECES,
     compute_median,

@@ -1,4 +1,8 @@
-"""Step and error metrics of a loop, each a function of its curve that runs plain and compiled."""
+"""Metrics of a loop's response, each a function of its curve that runs plain and compiled.
+
+Of a step: times, overshoot, settling and stability; of any error: integrals and extremes; of a
+moving reference: the delay, and the overshoot at corners.
+"""
 
 import math
 from typing import Final
@@ -8,12 +12,14 @@ from turtlelog.measure.metric import FOUND, Outcome, Status, add_reason
 from turtlelog.measure.metric_kinds import curve_metric, has_sides, has_step, step_metric
 from turtlelog.measure.reductions import (
     Values,
+    find_bounds,
     find_crossing_rows,
+    find_furthest_between,
     find_largest,
     fold_at_zero,
     integrate,
 )
-from turtlelog.measure.response import Response
+from turtlelog.measure.response import Response, Track
 from turtlelog.measure.step_response import (
     PASSING,
     RESTS,
@@ -28,12 +34,14 @@ from turtlelog.measure.step_response import (
     find_peak_row,
     find_rise,
     find_settling_time,
+    find_shift,
     find_swing_period,
     find_undershoot,
     integrate_square,
     integrate_time_weighted,
     judge_swings,
 )
+from turtlelog.run.loops import ControlLoop
 
 _NEVER_HALF: Final = add_reason(Status.NOT_REACHED, "the response never reaches 50 % of the step")
 _NEVER_NEAR: Final = add_reason(Status.NOT_REACHED, "the response never reaches 90 % of the step")
@@ -293,3 +301,107 @@ def compute_itae(curve: Response) -> Outcome:
     """See `integrate_time_weighted`."""
     time_s, step_s, sizes = fold_error(curve)
     return integrate_time_weighted(time_s, step_s, sizes), math.nan, FOUND
+
+
+_STANDS_STILL: Final = add_reason(Status.NO_STEP, "the reference does not move")
+_NO_CORNER: Final = add_reason(Status.NO_STEP, "the path has no corner")
+_NOT_PASSED: Final = add_reason(Status.NOT_REACHED, "no corner of the path was passed")
+
+_LEAST_MOVED: Final = 1e-6
+"""Motion below which a reference is at rest [rad or m]; poses are rounded to 32 bits."""
+
+_BEYOND_M: Final = 0.1
+"""Distance beyond a corner of a later lap from which the corner counts [m]. A run that ends with
+its lap goes one sample beyond the next lap's first corner: 16 mm at 1 m/s."""
+
+
+def _has_lag(loop: ControlLoop) -> bool:
+    """Return whether the reference depends on time. The reference of a distance does not."""
+    return loop.moves and loop.signal != "distance" and not _has_corners(loop)
+
+
+def _has_corners(loop: ControlLoop) -> bool:
+    return (loop.signal, loop.reference) == ("cross_track", "path")
+
+
+@curve_metric(
+    "lag",
+    "s",
+    "Shift of the {goal} in time that fits the {signal} best: positive where the {signal} is late.",
+    floor=0.0,
+    applies=_has_lag,
+)
+def compute_lag(curve: Response) -> Outcome:
+    """See `find_shift`."""
+    reference = curve.track.reference
+    if len(reference) == 0:
+        return math.nan, math.nan, _STANDS_STILL
+    low, high = find_bounds(reference)
+    if high - low <= _LEAST_MOVED:
+        return math.nan, math.nan, _STANDS_STILL
+    return find_shift(curve.time_s, reference, curve.error, curve.memory), math.nan, FOUND
+
+
+@curve_metric(
+    "corner_overshoot",
+    "m",
+    "Largest distance past a corner on its outer side, up to half way to the next corner; negative"
+    " on the inner side.",
+    floor=0.0,
+    grows=True,
+    applies=_has_corners,
+)
+def measure_corner_overshoot(curve: Response) -> Outcome:
+    """Return the largest distance outside of a corner that was reached, and its time."""
+    track = curve.track
+    if len(track.corners) == 0:
+        return math.nan, math.nan, _NO_CORNER
+    low_m, high_m = find_bounds(track.arcs_m)
+    # With a time law, the path ends after its first lap.
+    to_m = 0.0 if track.has_speed else high_m - _BEYOND_M
+    is_lapped = track.is_closed and to_m >= track.length_m
+    last_m = max(to_m, track.length_m)
+    largest_m, at_s, number = -math.inf, math.nan, 0
+    while is_lapped or number < len(track.corners):
+        arc_m, turn_rad, leg_m = find_corner(track, number, is_lapped)
+        if is_lapped and arc_m > last_m:
+            break
+        number += 1
+        if arc_m < low_m:
+            continue
+        side = -1.0 if turn_rad > 0.0 else 1.0
+        end_m = arc_m + leg_m / 2.0
+        row = find_furthest_between(track.arcs_m, curve.error, arc_m, end_m, -side)
+        if row < 0:
+            continue
+        outside_m, time_s = -curve.error[row] * side, curve.time_s[row]
+        if outside_m > largest_m or (outside_m == largest_m and time_s > at_s):
+            largest_m, at_s = outside_m, time_s
+    if math.isnan(at_s):
+        return math.nan, math.nan, _NOT_PASSED
+    return largest_m, curve.start_s + at_s, FOUND
+
+
+def find_corner(track: Track, number: int, is_lapped: bool) -> tuple[float, float, float]:  # noqa: FBT001
+    """Return arc length [m], turn [rad] and leg [m] of a corner, as `Path.list_corners` does.
+
+    The leg leads to the next corner, or to the end of the path. If a run has more than one lap, the
+    point between two laps is a corner too where the direction jumps.
+    """
+    if not is_lapped:
+        return track.corners[number, 0], track.corners[number, 1], track.corners[number, 2]
+    arc_m, turn_rad = _find_lapped(track, number)
+    after_m, _ = _find_lapped(track, number + 1)
+    return arc_m, turn_rad, after_m - arc_m
+
+
+def _find_lapped(track: Track, number: int) -> tuple[float, float]:
+    """Return arc length [m] and turn [rad] of a corner of any lap."""
+    lap, place, count = 0, number, len(track.corners)
+    if number >= count:
+        seam = 1 if track.seam_rad != 0.0 else 0
+        lap = 1 + (number - count) // (count + seam)
+        place = (number - count) % (count + seam) - seam
+    if place < 0:
+        return lap * track.length_m, track.seam_rad
+    return track.corners[place, 0] + lap * track.length_m, track.corners[place, 1]

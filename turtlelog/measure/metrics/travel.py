@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
-from turtlelog.measure.metric_kinds import run_metric
+from turtlelog.measure.metric_kinds import RunContext, run_metric
 from turtlelog.measure.rates import AXES, Axis, Rates, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
 

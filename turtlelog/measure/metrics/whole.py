@@ -9,7 +9,6 @@ from numpy import hypot
 from numpy.typing import NDArray
 
 from turtlelog.arithmetic import compiled_as
-from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import (
     FOUND,
     GOAL_UNKNOWN,
@@ -24,8 +23,8 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
-from turtlelog.measure.metric_kinds import course_metric, loop_metric, run_metric
-from turtlelog.measure.metrics.commands import (
+from turtlelog.measure.metric_kinds import RunContext, course_metric, loop_metric, run_metric
+from turtlelog.measure.metrics.commands_and_theory import (
     measure_effort,
     measure_largest_jump,
     measure_largest_slew_rate,

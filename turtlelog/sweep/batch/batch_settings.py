@@ -12,7 +12,7 @@ from turtlelog.arithmetic import to_float32
 from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.laws.sequential import SequentialNumbers
-from turtlelog.measure.context import SETTLING_BAND
+from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import CUT_SHORT

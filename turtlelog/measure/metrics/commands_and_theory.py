@@ -1,9 +1,19 @@
-"""Metrics of a command that is held from one row to the next, and their algorithms.
+"""Metrics of the held commands of a loop, and of the deviation of its response from theory.
 
-`time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value is held until
-`end_s`. Commands of a burst share one time: all but the last have no duration. Such commands count
-for variation, jumps and reversals, but not for effort, saturation and slew rate, which need
-durations.
+A command is held from one row to the next. `time_s` and `values` have shape (n,), n >= 1, times not
+decreasing; the last value is held until `end_s`. Commands of a burst share one time: all but the
+last have no duration. Such commands count for variation, jumps and reversals, but not for effort,
+saturation and slew rate, which need durations.
+
+All three theories describe an integrator under proportional feedback with the gain of the run and
+without a limit on the command. Each leads from the response's own initial value to its reference:
+
+- ideal: dy/dt = Kp (r - y), so y = r + (y0 - r) exp(-Kp t);
+- sampled: the command is held for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
+- delayed: each pose is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
+
+Between samples, a sampled loop moves along a line, because the command is held. The deviation is
+the measured value minus the theory, which is linearly interpolated at the times of the response.
 """
 
 import math
@@ -11,8 +21,9 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.measure.context import RunContext
+from turtlelog.measure.dead_time import MOST_TICKS
 from turtlelog.measure.metric import (
     FOUND,
     REASONS,
@@ -23,10 +34,17 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.metric_kinds import curve_metric, loop_metric
-from turtlelog.measure.reductions import count_beyond, subtract_neighbours, sum_products
+from turtlelog.measure.metric_kinds import RunContext, curve_metric, loop_metric
+from turtlelog.measure.reductions import (
+    count_beyond,
+    find_largest,
+    subtract_neighbours,
+    sum_products,
+)
 from turtlelog.measure.response import CommandStretch, Response
+from turtlelog.measure.step_response import compute_rms
 
+Values = NDArray[np.float64]
 OfCommands = Callable[[CommandStretch], Result]
 
 
@@ -189,3 +207,105 @@ def measure_longest_saturation(commands: CommandStretch) -> Result:
     lengths_s = until_s[ends] - until_s[starts]
     longest = int(lengths_s.argmax())
     return Found(float(lengths_s[longest]), float(commands.time_s[starts[longest]]))
+
+
+_MOST_SAMPLES: Final = 20_000_000
+
+_SAMPLES_AT_ONCE: Final = Missing(Status.TOO_SHORT, "the samples share one time")
+
+
+@loop_metric(
+    "dead_time",
+    "s",
+    "Time from reading a pose until its {command} moves the turtle, less the plant's smallest"
+    " delay.",
+    needs_whole=False,
+)
+def compute_dead_time(context: RunContext, response: Response) -> Result:
+    """See `dead_time.find_dead_time`. The value is ticks times the time between poses."""
+    ticks = context.find_dead_time_ticks(response.loop)
+    if isinstance(ticks, Missing):
+        return ticks
+    return _SAMPLES_AT_ONCE if context.tick_s is None else Found(ticks * context.tick_s)
+
+
+def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Result]:
+    """Return the metric `max` or `rms` of the deviation from a theory."""
+
+    def compute(context: RunContext, response: Response) -> Result:
+        found = context.recall(
+            (theory, response.loop.name), lambda: _deviate(theory, context, response)
+        )
+        if isinstance(found, Missing):
+            return found
+        if figure == "rms":
+            return Found(compute_rms(response.step_s, found, None))
+        largest, row = find_largest(found)
+        return Found(largest, response.start_s + float(response.time_s[row]))
+
+    return compute
+
+
+def _deviate(theory: str, context: RunContext, response: Response) -> Values | Missing:
+    from turtlelog.theory import compute_step_response  # only `metrics --all` needs these
+    from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
+
+    kp = response.loop.read_gain(context.run.parameters)
+    if kp is None:
+        return Missing(Status.ABSENT, "the recording does not hold the gain")
+    if theory == "ideal":
+        return response.values - compute_step_response(
+            kp, response.time_s, initial=response.initial, reference=response.reference
+        )
+    period_s = context.loop_period_s
+    if period_s is None:
+        return _SAMPLES_AT_ONCE
+    dead_time = _find_dead_time_samples(theory, context, response, period_s)
+    if isinstance(dead_time, Missing):
+        return dead_time
+    predicted = interpolate_sampled_response(
+        kp,
+        response.time_s,
+        period_s=period_s,
+        dead_time_ticks=dead_time,
+        initial=response.initial,
+        reference=response.reference,
+    )
+    if predicted is None:
+        limit = f"beyond {LARGEST_DEVIATION:g} steps before the phase ends"
+        return Missing(Status.TOO_LARGE, f"theory's loop is unstable: {limit}")
+    return response.values - predicted
+
+
+def _find_dead_time_samples(
+    theory: str, context: RunContext, response: Response, period_s: float
+) -> int | Missing:
+    """Return the dead time of a theory in samples: 0, the setting, or found in the run."""
+    if response.time_s[-1] / period_s > _MOST_SAMPLES:
+        return Missing(Status.TOO_LARGE, "the sampling period is too short")
+    if theory == "sampled":
+        return 0
+    asked = context.settings.dead_time_ticks
+    if asked is not None:
+        return asked
+    ticks = context.find_dead_time_ticks(response.loop)
+    if isinstance(ticks, Missing) or context.tick_s is None:
+        return ticks if isinstance(ticks, Missing) else _SAMPLES_AT_ONCE
+    return min(round(ticks * context.tick_s / period_s), MOST_TICKS)
+
+
+for _theory, _described in (
+    ("ideal", "the ideal loop"),
+    ("sampled", "the ideal loop with sampling"),
+    ("delayed", "the ideal loop with sampling and dead time"),
+):
+    for _figure, _start in (("max", "Largest deviation"), ("rms", "RMS deviation")):
+        loop_metric(
+            f"{_theory}_deviation_{_figure}",
+            "{value}",
+            f"{_start} of the {{signal}} from {_described}, at the same gain.",
+            # The dead time of the third theory is estimated from all rows.
+            grows=_figure == "max" and _theory != "delayed",
+            needs_whole=False,
+            applies=lambda loop: loop.has_theory and not loop.moves,
+        )(_deviate_by(_theory, _figure))
