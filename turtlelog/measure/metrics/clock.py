@@ -177,7 +177,7 @@ def tell_sample(course: RunContext, row: int) -> float:
 @course_metric(
     "run.largest_gap", "s", "Longest time without a sample.", grows=True, needs_poses=False
 )
-def measure_largest_gap(course: RunContext) -> Outcome:
+def _measure_largest_gap(course: RunContext) -> Outcome:
     """Return the longest period. The time of the metric is the beginning of the period."""
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
@@ -235,8 +235,6 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
 
 
 def _read_note(name: str) -> Callable[[RunContext], Result]:
-    """Return a metric that the importer has counted; empty if no importer counted it."""
-
     def read(context: RunContext) -> Result:
         note = context.run.notes.get(name, "0")
         if not (note.isascii() and note.isdecimal()):

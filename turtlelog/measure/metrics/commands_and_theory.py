@@ -51,8 +51,6 @@ OfCommands = Callable[[CommandStretch], Result]
 def _command_metric(
     name: str, unit: str, meaning: str, **more: Any
 ) -> Callable[[OfCommands], OfCommands]:
-    """Enter a function of a loop's commands in the registry."""
-
     def enter(compute: OfCommands) -> OfCommands:
         def compute_of_loop(_: RunContext, response: Response) -> Result:
             return compute(response.commands)
@@ -144,8 +142,7 @@ def measure_reversals(commands: CommandStretch) -> Result:
 
 
 @_command_metric("largest_wanted", "{command}/s", "Largest {command} before clipping.", grows=True)
-def measure_largest_wanted(commands: CommandStretch) -> Result:
-    """Return the largest magnitude before clipping."""
+def _measure_largest_wanted(commands: CommandStretch) -> Result:
     wanted = commands.wanted
     if wanted is None:
         return _NO_WANTED
@@ -159,7 +156,7 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
     "Share of the samples whose {command} is at its limit.",
     needs_whole=False,
 )
-def measure_saturated_share(curve: Response) -> Outcome:
+def _measure_saturated_share(curve: Response) -> Outcome:
     """Return the fraction of samples at the limit, and the time of the first one."""
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
@@ -174,7 +171,7 @@ def measure_saturated_share(curve: Response) -> Outcome:
     "Share of the time during which the {command} is at its limit.",
     needs_whole=False,
 )
-def measure_saturated_time_share(commands: CommandStretch) -> Result:
+def _measure_saturated_time_share(commands: CommandStretch) -> Result:
     """Return the fraction of time at the limit, and the time of the first saturated sample."""
     saturated = commands.is_saturated
     if saturated is None:
@@ -221,7 +218,7 @@ _SAMPLES_AT_ONCE: Final = Missing(Status.TOO_SHORT, "the samples share one time"
     " delay.",
     needs_whole=False,
 )
-def compute_dead_time(context: RunContext, response: Response) -> Result:
+def _compute_dead_time(context: RunContext, response: Response) -> Result:
     """See `dead_time.find_dead_time`. The value is ticks times the time between poses."""
     ticks = context.find_dead_time_ticks(response.loop)
     if isinstance(ticks, Missing):
@@ -230,8 +227,6 @@ def compute_dead_time(context: RunContext, response: Response) -> Result:
 
 
 def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Result]:
-    """Return the metric `max` or `rms` of the deviation from a theory."""
-
     def compute(context: RunContext, response: Response) -> Result:
         found = context.recall(
             (theory, response.loop.name), lambda: _deviate(theory, context, response)

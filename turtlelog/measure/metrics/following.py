@@ -109,7 +109,6 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
 
 
 def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
-    """Return whether the command changes with enough time before and after."""
     inside_s = np.array([begin_s + _INSIDE_S, end_s - _INSIDE_S])
     first, last = np.searchsorted(commands.time_s, inside_s, side="right")
     held = np.concatenate([[commands.before], commands.values])[first : last + 1]
@@ -161,7 +160,6 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
 
 
 def _has_second(found: Values, best: int) -> bool:
-    """Return whether a second, separate shift fits equally well."""
     for side in (found[best:], found[best::-1]):
         low = np.flatnonzero(side < _VALLEY * found[best])
         if len(low) and side[low[0] :].max() >= _ALIKE * found[best]:
@@ -359,8 +357,6 @@ def _count_steps(axis: Axis) -> Callable[[RunContext], Result]:
 
 
 def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunContext], Result]:
-    """Return a metric that is the median of one figure over all answered steps."""
-
     def compute(context: RunContext) -> Result:
         steps, rates = _find_steps(context, axis), context.get_rates(axis)
         if isinstance(steps, Missing) or rates is None:

@@ -69,8 +69,7 @@ _UNKNOWN: Final = add_reason(
 
 
 @curve_metric("duration", "s", "Length of the segment in which the loop acts.", is_awaited=True)
-def find_duration(curve: Response) -> Outcome:
-    """Return the time of the last pose."""
+def _find_duration(curve: Response) -> Outcome:
     return curve.time_s[-1], math.nan, FOUND
 
 
@@ -81,8 +80,7 @@ def find_duration(curve: Response) -> Outcome:
     is_awaited=True,
     needs_whole=False,
 )
-def find_delay_time(curve: Response) -> Outcome:
-    """Return the time at which half of the step is reached."""
+def _find_delay_time(curve: Response) -> Outcome:
     half_s = find_level_time(curve.time_s, curve.values, 0.5, curve.initial, curve.reference)
     if math.isnan(half_s):
         return math.nan, math.nan, _NEVER_HALF
@@ -96,7 +94,7 @@ def find_delay_time(curve: Response) -> Outcome:
     is_awaited=True,
     needs_whole=False,
 )
-def find_rise_time(curve: Response) -> Outcome:
+def _find_rise_time(curve: Response) -> Outcome:
     """Return the time from 10 % to 90 % of the step. The time of the metric is the end."""
     if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
         return math.nan, math.nan, _BEGINS_BEYOND
@@ -109,8 +107,7 @@ def find_rise_time(curve: Response) -> Outcome:
 @step_metric(
     "peak", "{value}", "Furthest value of the {signal} in the direction of the step.", better=None
 )
-def find_peak(curve: Response) -> Outcome:
-    """Return the furthest value in the direction of the step."""
+def _find_peak(curve: Response) -> Outcome:
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return curve.values[row], curve.start_s + curve.time_s[row], FOUND
 
@@ -118,8 +115,7 @@ def find_peak(curve: Response) -> Outcome:
 @step_metric(
     "peak_time", "s", "Time until the {signal} is at its peak.", better=None, is_awaited=True
 )
-def find_peak_time(curve: Response) -> Outcome:
-    """Return the time of the furthest value."""
+def _find_peak_time(curve: Response) -> Outcome:
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return curve.time_s[row], curve.start_s + curve.time_s[row], FOUND
 
@@ -133,7 +129,7 @@ def find_peak_time(curve: Response) -> Outcome:
     grows=True,
     applies=has_sides,
 )
-def measure_overshoot(curve: Response) -> Outcome:
+def _measure_overshoot(curve: Response) -> Outcome:
     """See `find_overshoot`. The time of the metric is the peak."""
     share = find_overshoot(curve.values, curve.initial, curve.reference)
     row = find_peak_row(curve.values, curve.initial, curve.reference)
@@ -148,8 +144,7 @@ def measure_overshoot(curve: Response) -> Outcome:
     floor=0.0,
     grows=True,
 )
-def measure_undershoot(curve: Response) -> Outcome:
-    """See `find_undershoot`."""
+def _measure_undershoot(curve: Response) -> Outcome:
     share, row = find_undershoot(curve.values, curve.initial, curve.reference)
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
@@ -161,7 +156,7 @@ def measure_undershoot(curve: Response) -> Outcome:
     is_awaited=True,
     needs_whole=False,
 )
-def measure_settling_time(curve: Response) -> Outcome:
+def _measure_settling_time(curve: Response) -> Outcome:
     """See `find_settling_time`. A response ended from outside must have stayed in the band."""
     time_s, values, reference = curve.time_s, curve.values, curve.reference
     settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
@@ -190,7 +185,7 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
     grows=True,
     applies=has_sides,
 )
-def count_crossings(curve: Response) -> Outcome:
+def _count_crossings(curve: Response) -> Outcome:
     """Return the number of crossings. The time of the metric is the first crossing."""
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
     at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
@@ -204,8 +199,7 @@ def count_crossings(curve: Response) -> Outcome:
     needs_whole=False,
     applies=has_sides,
 )
-def measure_decay_ratio(curve: Response) -> Outcome:
-    """See `find_decay_ratio`."""
+def _measure_decay_ratio(curve: Response) -> Outcome:
     ratio, row = find_decay_ratio(curve.error, curve.initial, curve.reference, curve.memory)
     if math.isnan(ratio):
         return math.nan, math.nan, _NOT_TWICE
@@ -220,7 +214,7 @@ def measure_decay_ratio(curve: Response) -> Outcome:
     needs_whole=False,
     applies=has_sides,
 )
-def judge_stability(curve: Response) -> Outcome:
+def _judge_stability(curve: Response) -> Outcome:
     """See `judge_swings`; poses after the last answered one are ignored."""
     error = curve.error[: curve.answered]
     if len(error) < 2:
@@ -237,8 +231,7 @@ def judge_stability(curve: Response) -> Outcome:
 
 
 @curve_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
-def find_final_error(curve: Response) -> Outcome:
-    """Return the magnitude of the last error."""
+def _find_final_error(curve: Response) -> Outcome:
     return abs(curve.error[-1]), curve.start_s + curve.time_s[-1], FOUND
 
 
@@ -249,22 +242,19 @@ def find_final_error(curve: Response) -> Outcome:
     better=None,
     applies=has_step,
 )
-def find_steady_state_error(curve: Response) -> Outcome:
-    """Return the last error, signed in the direction of the step."""
+def _find_steady_state_error(curve: Response) -> Outcome:
     direction = 1.0 if curve.reference >= curve.initial else -1.0
     return curve.error[-1] * direction, curve.start_s + curve.time_s[-1], FOUND
 
 
 @curve_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
-def find_largest_error(curve: Response) -> Outcome:
-    """Return the largest magnitude of the error."""
+def _find_largest_error(curve: Response) -> Outcome:
     largest, row = find_largest(curve.error)
     return largest, curve.start_s + curve.time_s[row], FOUND
 
 
 @curve_metric("rms_error", "{value}", "Root of the mean square of the error over time.")
-def compute_rms_error(curve: Response) -> Outcome:
-    """See `compute_rms`."""
+def _compute_rms_error(curve: Response) -> Outcome:
     return compute_rms(curve.step_s, curve.error, curve.memory), math.nan, FOUND
 
 
@@ -279,15 +269,13 @@ def fold_error(curve: Response) -> tuple[Values, Values, Values]:
 
 
 @curve_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
-def compute_iae(curve: Response) -> Outcome:
-    """See `integrate`."""
+def _compute_iae(curve: Response) -> Outcome:
     _, step_s, sizes = fold_error(curve)
     return integrate(step_s, sizes, curve.memory), math.nan, FOUND
 
 
 @curve_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
-def compute_ise(curve: Response) -> Outcome:
-    """See `integrate_square`."""
+def _compute_ise(curve: Response) -> Outcome:
     return integrate_square(curve.step_s, curve.error), math.nan, FOUND
 
 
@@ -297,8 +285,7 @@ def compute_ise(curve: Response) -> Outcome:
     "Integral of time in the segment times the magnitude of the error.",
     grows=True,
 )
-def compute_itae(curve: Response) -> Outcome:
-    """See `integrate_time_weighted`."""
+def _compute_itae(curve: Response) -> Outcome:
     time_s, step_s, sizes = fold_error(curve)
     return integrate_time_weighted(time_s, step_s, sizes), math.nan, FOUND
 
@@ -331,8 +318,7 @@ def _has_corners(loop: ControlLoop) -> bool:
     floor=0.0,
     applies=_has_lag,
 )
-def compute_lag(curve: Response) -> Outcome:
-    """See `find_shift`."""
+def _compute_lag(curve: Response) -> Outcome:
     reference = curve.track.reference
     if len(reference) == 0:
         return math.nan, math.nan, _STANDS_STILL
@@ -351,8 +337,7 @@ def compute_lag(curve: Response) -> Outcome:
     grows=True,
     applies=_has_corners,
 )
-def measure_corner_overshoot(curve: Response) -> Outcome:
-    """Return the largest distance outside of a corner that was reached, and its time."""
+def _measure_corner_overshoot(curve: Response) -> Outcome:
     track = curve.track
     if len(track.corners) == 0:
         return math.nan, math.nan, _NO_CORNER

@@ -27,8 +27,6 @@ _IN_PLANE: Final = Missing(
 def _on_space(
     column: str, compute: Callable[[Values, Values], Result]
 ) -> Callable[[RunContext], Result]:
-    """Return a metric computed from finite heights or tilts and the positions of their poses."""
-
     def compute_on_space(context: RunContext) -> Result:
         values = getattr(context.run.poses, column)
         if values is None or not np.isfinite(values).any():

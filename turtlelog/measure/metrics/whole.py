@@ -75,8 +75,7 @@ def get_heading_error(course: RunContext) -> float:
 @course_metric(
     "final.heading_error", "deg", "Magnitude of the reference heading minus the heading at the end."
 )
-def measure_heading_error(course: RunContext) -> Outcome:
-    """Return the magnitude of the heading error."""
+def _measure_heading_error(course: RunContext) -> Outcome:
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
         return math.nan, math.nan, _NO_HEADING if course.is_lawless_with_goal else _NO_BEARING
@@ -84,8 +83,7 @@ def measure_heading_error(course: RunContext) -> Outcome:
 
 
 @course_metric("final.position_error", "m", "Distance to the goal at the end.")
-def measure_position_error(course: RunContext) -> Outcome:
-    """Return the distance of the last pose to the goal."""
+def _measure_position_error(course: RunContext) -> Outcome:
     x_m, y_m, _ = course.goal
     if math.isnan(x_m):
         return math.nan, math.nan, GOAL_UNKNOWN
@@ -98,8 +96,7 @@ def measure_position_error(course: RunContext) -> Outcome:
     "Distance of the last pose from the line from start to goal, positive to the left.",
     better=None,
 )
-def measure_last_cross_track(course: RunContext) -> Outcome:
-    """Return the signed cross-track distance of the last pose."""
+def _measure_last_cross_track(course: RunContext) -> Outcome:
     offset_m = course.last_cross_track_m
     if math.isnan(offset_m):
         return math.nan, math.nan, _NO_BEARING
@@ -111,8 +108,7 @@ def measure_last_cross_track(course: RunContext) -> Outcome:
     "deg",
     "Magnitude of the goal's heading minus the heading at the end.",
 )
-def measure_goal_heading_error(course: RunContext) -> Outcome:
-    """Return the magnitude of the heading error relative to the goal's heading."""
+def _measure_goal_heading_error(course: RunContext) -> Outcome:
     wanted_rad = course.goal[2]
     if math.isnan(wanted_rad):
         return math.nan, math.nan, _NO_WANTED_HEADING
@@ -206,16 +202,13 @@ NO_LINE: Final = REASONS[_LINE_UNKNOWN]
     is_awaited=True,
     needs_poses=False,
 )
-def measure_duration(course: RunContext) -> Outcome:
-    """Return the duration of the run."""
+def _measure_duration(course: RunContext) -> Outcome:
     return course.duration_s, math.nan, FOUND
 
 
 def _on_distance(
     compute: Callable[[RunContext, Values, Values], Result],
 ) -> Callable[[RunContext], Result]:
-    """Compute on the distance to the goal, from the first sample on."""
-
     def compute_on_distance(context: RunContext) -> Result:
         signal = context.get_signal("distance")
         if signal is None:
@@ -252,8 +245,7 @@ def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Value
 
 
 @course_metric("run.path_length", "m", "Length of the line through all poses.", grows=True)
-def measure_path_length(course: RunContext) -> Outcome:
-    """See `measure_way`."""
+def _measure_path_length(course: RunContext) -> Outcome:
     return measure_way(course.x_m, course.y_m, course.memory), math.nan, FOUND
 
 
@@ -318,7 +310,7 @@ def tell_pose(course: RunContext, row: int) -> float:
     "Largest distance from the line from start to goal, or from the path given.",
     grows=True,
 )
-def measure_largest_cross_track(course: RunContext) -> Outcome:
+def _measure_largest_cross_track(course: RunContext) -> Outcome:
     """Return the largest magnitude from the first sample (time zero of the run) on."""
     offset_m, first = get_cross_track(course), course.first_row
     if len(offset_m) == 0:
@@ -417,7 +409,6 @@ for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_r
 
 
 def _moves_along(loop: ControlLoop) -> bool:
-    """Return whether a loop moves the robot along the line, unlike a loop that turns the robot."""
     return loop.command == "speed"
 
 
