@@ -23,9 +23,8 @@ from turtlelog.cli.identify_answer import format_robot
 from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import fit_axis, list_ends
 from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_softly
+from turtlelog.identify.held_response import LaggedResponse, Structure, hold_commands, limit_softly
 from turtlelog.identify.robot_noise import StepNoise, Whitening, fit_noise
-from turtlelog.identify.robot_structure import Structure
 from turtlelog.identify.structure_choice import is_rival
 from turtlelog.run import Run
 

@@ -12,9 +12,9 @@ from tests.identify.robots import Log, Truth, Values, make_run
 from tests.known import known
 from turtlelog.cli.identify import build_identify_answer
 from turtlelog.cli.identify_answer import format_robot
-from turtlelog.identify import doubts
+from turtlelog.identify import refused_axes
 from turtlelog.identify.axis_motion import AxisMotion, read_axis_motion
-from turtlelog.identify.doubts import find_correlation_delay
+from turtlelog.identify.refused_axes import find_correlation_delay
 
 NOISY = Log(duration_s=25.0, poses_hz=20.0, noise_rad=2e-3, turn_rate=Truth(lag_s=0.3))
 """Of steps that hold for 0.5 to 3 s: the best delay in the long run is 0.28 s."""
@@ -80,7 +80,7 @@ def test_a_range_wider_than_its_best_delay_names_none(
     def find_end(_: Callable[[float], bool], __: float, step_s: float) -> float:
         return 0.0 if step_s < 0.0 else width_s * best_s
 
-    monkeypatch.setattr(doubts, "_find_end", find_end)
+    monkeypatch.setattr(refused_axes, "_find_end", find_end)
     assert (find_correlation_delay([motion])[0] is not None) is is_told
 
 

@@ -27,11 +27,9 @@ from turtlelog.identify import (
 )
 from turtlelog.identify.axis_fit import fit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.doubts import cover_rivals
-from turtlelog.identify.fit_results import describe_fit
-from turtlelog.identify.held_response import LaggedResponse, hold_commands, limit_within
+from turtlelog.identify.fit_values import cover_rivals, describe_fit
+from turtlelog.identify.held_response import LaggedResponse, Structure, hold_commands, limit_within
 from turtlelog.identify.refused_axes import refuse_fit
-from turtlelog.identify.robot_structure import Structure
 from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.run import Run
 

@@ -11,7 +11,7 @@ from tests.identify.robots import Log, Truth, make_run
 from tests.known import known
 from turtlelog.identify.axis_fit import EXTRA, AxisFit, fit_axis, refit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.robot_structure import SECOND_ORDER
+from turtlelog.identify.held_response import SECOND_ORDER
 from turtlelog.identify.structure_choice import is_distinct as judge_distinct, measure_effect
 
 CLEAR = Log(poses_hz=50.0, noise_rad=1e-5, jitter_s=0.0, duration_s=15.0)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import turtlelog as tl
 from turtlelog.identify import AxisModel, Estimate, format_delay, format_gain
-from turtlelog.identify.doubts import describe_rivals
-from turtlelog.identify.robot_structure import Structure
+from turtlelog.identify.fit_values import describe_rivals
+from turtlelog.identify.held_response import Structure
 
 DRIVEN = AxisModel(
     axis="speed",

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import HeldResponse, Values
+from turtlelog.identify.held_response import FIRST_ORDER, HeldResponse, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
-from turtlelog.identify.robot_structure import FIRST_ORDER, Structure
 
 _GRID_S: Final = 0.04
 """Distance of the dead times in the first search [s]: a quarter of a usual delay."""

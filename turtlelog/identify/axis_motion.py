@@ -24,6 +24,7 @@ Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
 UNITS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "m/s", "turn_rate": "rad/s"})
 
+OTHER: Final[Mapping[Axis, Axis]] = MappingProxyType({"speed": "turn_rate", "turn_rate": "speed"})
 NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rate": "turn rate"})
 """Names of the axes in sentences."""
 
@@ -148,7 +149,7 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     stands = _stands(moved[earlier], (ends_s - begins_s)[earlier], np.abs(command).max())
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
-    other = get_commands(run, "turn_rate" if axis == "speed" else "speed")
+    other = get_commands(run, OTHER[axis])
     direction_rad = 0.0 * moved
     if axis == "speed":
         heading_rad = np.unwrap(run.poses.heading_rad)

@@ -1,31 +1,31 @@
-"""Reasons why commands and motion do not identify an axis, and advice."""
+"""Reasons why commands and motion do not identify an axis, advice, and a second estimate.
 
-from collections.abc import Mapping, Sequence
+The second estimate uses no model: it is the delay with the largest correlation of commands and
+motion. A flat correlation gives no single delay. Therefore the result is a range: the delays that
+explain the motion as well as the best delay, within the differences between parts of the log.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+import scipy
 
-from turtlelog.identify.axis_fit import (
-    DEAD_TIME,
-    LAG,
-    AxisFit,
-    NoGainError,
-    fit_axis,
-)
+from turtlelog.identify.axis_fit import DEAD_TIME, LAG, AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
     LARGEST_DEAD_TIME_S,
     NAMES,
+    OTHER,
     UNITS,
     Axis,
     AxisMotion,
     get_commands,
 )
-from turtlelog.identify.fit_results import describe_fit
-from turtlelog.identify.held_response import Values
+from turtlelog.identify.fit_values import describe_fit
+from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate
-from turtlelog.identify.robot_structure import COUPLED
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
@@ -139,7 +139,7 @@ def refuse_fit(
     most = found.bound.value / found.gain.value
     how = f"also to less than {most:.2g} {UNITS[axis]}"
     if found.bound_acts in COUPLED:
-        how = f"while the {NAMES['turn_rate' if axis == 'speed' else 'speed']} rests"
+        how = f"while the {NAMES[OTHER[axis]]} rests"
     return replace(refused, advice=f"{refused.advice}, {how}")
 
 
@@ -190,9 +190,7 @@ def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
 def refuse_wide(found: AxisModel, how: str) -> AxisModel | None:
     """Return an axis without values if an interval is wider than its value; else None.
 
-    Args:
-        found: Axis with its values.
-        how: How else to drive, to know it.
+    `how` says how else to drive, to know it.
     """
     reason = _find_wide(found, 0.0)
     if not reason:
@@ -271,30 +269,18 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
     return None
 
 
-def _list_twins(fit: AxisFit, shift_s: float, sign: int) -> list[tuple[float, int, float | None]]:
-    """Return the alternative dead times of periodic commands [s], each with the sign of its gain.
-
-    The last value of each alternative is the ratio of the fit's residual to the alternative's
-    residual; None if the models hardly differ.
-    """
-    gain, dead_time_s, lag_s, *extra = fit.parameters.tolist()
-    twins = []
-    count = int(LARGEST_DEAD_TIME_S / shift_s) + 1
-    for number in range(-count, count + 1):
-        other_s = dead_time_s + number * shift_s
-        if number and 0.0 <= other_s < LARGEST_DEAD_TIME_S:
-            parameters = np.array([sign**number * gain, other_s, lag_s, *extra])
-            twins.append((other_s, sign**number, _compare(fit, parameters)))
-    return twins
-
-
 def _tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
     """Return why a dead time is ambiguous, and whether the other sign explains the motion better.
 
     The reason is empty if the motion resolves the ambiguity.
     """
-    gain, dead_time_s = fit.parameters[: DEAD_TIME + 1].tolist()
-    for other_s, its_sign, ratio in _list_twins(fit, shift_s, sign):
+    gain, dead_time_s, lag_s, *extra = fit.parameters.tolist()
+    count = int(LARGEST_DEAD_TIME_S / shift_s) + 1
+    for number in range(-count, count + 1):
+        other_s, its_sign = dead_time_s + number * shift_s, sign**number
+        if not number or not 0.0 <= other_s < LARGEST_DEAD_TIME_S:
+            continue
+        ratio = _compare(fit, np.array([its_sign * gain, other_s, lag_s, *extra]))
         if ratio is not None and ratio <= _BETTER:
             continue
         how = f"repeat every {shift_s:.3g} s" + (" with the other sign" if sign < 0 else "")
@@ -325,6 +311,7 @@ def _correlate(commands: Sequence[Values], mean: float, lag: int) -> float:
 
 
 def _compare(fit: AxisFit, twin: Values) -> float | None:
+    """Return the ratio of the residuals of a fit and its twin; None if they hardly differ."""
     moved = fit.model.moved
     one, other = (fit.model.linearise(parameters)[0] for parameters in (fit.parameters, twin))
     decide = np.abs(one - other) > _DIFFERS * float(np.abs(one).max())
@@ -332,3 +319,143 @@ def _compare(fit: AxisFit, twin: Values) -> float | None:
         return None
     left = [float(np.abs(moved - model)[decide].sum()) for model in (one, other)]
     return left[0] / max(left[1], np.finfo(float).tiny)
+
+
+_LARGEST_S: Final = 3.0
+"""Largest delay that is searched [s]: the largest dead time and an equal time constant."""
+
+_COARSE_S, _FINE_S = 0.05, 0.005
+"""Distances of tried delays [s]: first over the whole range, then near the best delay and the
+ends."""
+
+_MOST_STEPS: Final = 20_000
+
+_PART_S: Final = 1.0
+"""Length of parts of the log that count as independent [s]: a usual time constant has faded."""
+
+_FEWEST_PARTS: Final = 8
+"""Smallest number of parts whose scatter is meaningful."""
+
+_CHANCE: Final = 0.05
+"""Probability that the range does not contain the true best delay."""
+
+_NEAR: Final = 0.6
+"""Factor of Student's t from which a delay is worse than the best. The excess residual grows with
+the square of the distance, its scatter with the distance. Therefore half of t is sufficient near
+the best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
+
+
+def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:
+    """Return the delay of the motion after the commands, as the best value and a range [s].
+
+    Commands are averaged over each step between poses, so that nothing is resampled.
+
+    Returns:
+        The delay and an empty text. If the correlation shows no delay, None and a sentence with the
+        reason.
+    """
+    motions = [motion for motion in motions if len(motion.moved)]
+    most = _MOST_STEPS // max(len(motions), 1)
+    misfit = _Misfit([motion.take(slice(most)) for motion in motions])
+    if misfit.parts < _FEWEST_PARTS:
+        return None, (
+            "the log is too short for a correlation of commands and motion, which needs"
+            f" {_FEWEST_PARTS * _PART_S:g} s of motion"
+        )
+    if repetition := find_repetition(motions):
+        shift_s, sign = repetition
+        # Commands that repeat with opposite sign repeat equally after twice that time.
+        period_s = shift_s if sign > 0 else 2.0 * shift_s
+        return None, (
+            f"the correlation of commands and motion says nothing: the commands repeat every"
+            f" {period_s:.3g} s, and delays so far apart correlate alike"
+        )
+    coarse = np.arange(0.0, _LARGEST_S, _COARSE_S)
+    near_s = float(coarse[np.argmin([misfit.measure(delay_s) for delay_s in coarse.tolist()])])
+    fine = np.arange(max(near_s - _COARSE_S, 0.0), near_s + _COARSE_S, _FINE_S)
+    best_s = float(fine[np.argmin([misfit.measure(delay_s) for delay_s in fine.tolist()])])
+    if not misfit.is_worse(None, best_s):
+        return None, "commands and motion do not clearly correlate"
+    alike = [
+        delay_s for delay_s in (*coarse.tolist(), best_s) if not misfit.is_worse(delay_s, best_s)
+    ]
+    low_s, high_s = (
+        _find_end(lambda delay_s: misfit.is_worse(delay_s, best_s), end_s, step_s)
+        for end_s, step_s in ((min(alike), -_FINE_S), (max(alike), _FINE_S))
+    )
+    usual_s = float(np.median(misfit.duration_s))
+    if high_s - low_s > max(best_s, usual_s):
+        return None, (
+            "the correlation of commands and motion says nothing: it does not tell delays from"
+            f" {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms apart"
+        )
+    return Estimate(value=best_s, low=low_s, high=high_s), ""
+
+
+def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) -> float:
+    """Return the first worse delay from a start on, in steps, or the end of the range."""
+    end_s = begin_s
+    while 0.0 < end_s < _LARGEST_S and abs(end_s - begin_s) < _COARSE_S:
+        end_s += step_s
+        if is_worse(end_s):
+            break
+    return max(end_s, 0.0)
+
+
+class _Misfit:
+    """Residual of the steps' rates for delayed commands, each with the best gain and offset.
+
+    The residual is smallest at the delay with the largest correlation.
+    """
+
+    def __init__(self, motions: Sequence[AxisMotion]) -> None:
+        self._motions = motions
+        self.duration_s = np.concatenate([motion.duration_s for motion in motions])
+        rate = np.concatenate([motion.moved for motion in motions]) / self.duration_s
+        # Clipped, so that a single jump does not decide.
+        rate = np.clip(rate, *np.quantile(rate, [0.01, 0.99]))
+        self._rate = rate - rate.mean()
+        counts = [int(motion.duration_s.sum() / _PART_S) for motion in motions]
+        first = np.cumsum([0, *counts])
+        # The rest at the end of a run belongs to its last part.
+        parts = [
+            begin + np.minimum(np.cumsum(motion.duration_s) // _PART_S, max(count, 1) - 1)
+            for begin, count, motion in zip(first.tolist(), counts, motions, strict=False)
+        ]
+        self._part = np.unique(np.concatenate(parts), return_inverse=True)[1]
+        self.parts = sum(counts)
+        self._squares: dict[float, Values] = {}
+
+    def measure(self, delay_s: float) -> float:
+        """Return the residual sum of squares for a delay."""
+        return float(self._list_squares(delay_s).sum())
+
+    def is_worse(self, delay_s: float | None, best_s: float) -> bool:
+        """Return whether a delay is significantly worse; None stands for no commands.
+
+        The excess is summed over parts of the log, whose scatter shows its uncertainty.
+        """
+        more = self._list_squares(delay_s) - self._list_squares(best_s)
+        sums = np.bincount(self._part, weights=more)
+        error = float(np.std(sums, ddof=1)) * float(np.sqrt(len(sums)))
+        most = float(scipy.special.stdtrit(len(sums) - 1, 1.0 - 0.5 * _CHANCE))
+        return float(sums.sum()) > _NEAR * most * error
+
+    def _list_squares(self, delay_s: float | None) -> Values:
+        if delay_s is None:
+            return np.asarray(self._rate**2)
+        if delay_s not in self._squares:
+            self._squares[delay_s] = self._leave(delay_s)
+        return self._squares[delay_s]
+
+    def _leave(self, delay_s: float) -> Values:
+        ways = []
+        for motion in self._motions:
+            way = motion.commands.place(motion.time_s - delay_s).way
+            ways.append(way[motion.first + 1] - way[motion.first])
+        asked = np.concatenate(ways) / self.duration_s
+        asked -= asked.mean()
+        size, along = float(asked @ asked), float(asked @ self._rate)
+        # A motion against the commands is not a correlation.
+        gain = along / size if size > 0.0 and along > 0.0 else 0.0
+        return np.asarray((self._rate - gain * asked) ** 2)

@@ -13,22 +13,18 @@ from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, fit_axi
 from turtlelog.identify.axis_motion import (
     AXES,
     NAMES,
+    OTHER,
     UNITS,
     Axis,
     count_steps,
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.doubts import (
-    cover_parts,
-    cover_rivals,
-    cover_waiting,
-    find_correlation_delay,
-)
-from turtlelog.identify.fit_results import describe_fit
+from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiting, describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.refused_axes import (
     find_absurd,
+    find_correlation_delay,
     find_no_excitation,
     find_opposite,
     refuse_axis,
@@ -242,7 +238,7 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     Wheels that reach their limit together show only this one gain; other commands may have a larger
     gain.
     """
-    other: Axis = "turn_rate" if model.axis == "speed" else "speed"
+    other = OTHER[model.axis]
     own, beside = (
         np.abs(np.concatenate([get_commands(run, axis) for run in runs]))
         for axis in (model.axis, other)

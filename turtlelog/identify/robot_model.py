@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, SupportsFloat
 from turtlelog.display import fit_line, format_html, format_notebook, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
-from turtlelog.identify.robot_structure import Bound, Order, Structure
+from turtlelog.identify.held_response import Bound, Order, Structure
 from turtlelog.run import Clock
 from turtlelog.theory.process import Process, build_delayed
 

@@ -12,7 +12,7 @@ import numpy as np
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
-from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
+from turtlelog.identify.axis_motion import AXES, NAMES, OTHER, UNITS, Axis, get_commands
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
 from turtlelog.plants import LAGGED
@@ -223,7 +223,7 @@ def _tell_plant(axis: AxisModel) -> Iterator[str]:
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
-    other: Axis = "turn_rate" if axis.axis == "speed" else "speed"
+    other = OTHER[axis.axis]
     if axis.rate_limit_beside is not None:
         yield (
             f"{_NOTE}The wheels limit the acceleration of both axes together. A {NAMES[other]} that"

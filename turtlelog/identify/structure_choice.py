@@ -17,19 +17,21 @@ from turtlelog.identify.axis_fit import (
     EXTRA,
     GAIN,
     LAG,
+    NORMAL_95,
+    ROUNDED,
+    SOFT,
+    UNSEEN,
     AxisFit,
+    StepModel,
+    find_outlying_steps,
+    finish_fit,
     refit_axis,
     restart_axis,
+    sum_softly,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.fit_results import (
-    compare_predictions,
-    measure_near,
-    measure_reductions,
-)
-from turtlelog.identify.held_response import Values
-from turtlelog.identify.robot_noise import LEAST_STEP
-from turtlelog.identify.robot_structure import COUPLED, LIMITED_WHEELS, Order, Structure
+from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
+from turtlelog.identify.robot_noise import LEAST_STEP, Whitening, fit_noise
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest of the log is predicted, once its end, once its
@@ -46,10 +48,6 @@ robots."""
 _MATTERS: Final = 0.02
 """Required change of some step between poses, as a share of the largest rate: 2 % counts as
 settled. A smaller change is invisible, even if a log without noise shows it."""
-
-_SEEN: Final = 1.96
-"""Number of standard deviations by which a further parameter must differ from 0, so that its 95 %
-interval excludes 0."""
 
 _PREDICTED: Final = 1.0
 """Required decrease of twice the negative log-likelihood for the predicted steps, with the
@@ -111,7 +109,6 @@ one by one."""
 _LEAST_LAG_S: Final = 0.02
 """Time constant at which the search for a second one starts, if the first is nearly 0 [s]."""
 
-
 Parts = tuple[list[AxisMotion], list[AxisMotion]]
 """Some steps of each run, which are fitted, and its other steps, which are predicted."""
 
@@ -129,7 +126,12 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
     found = _search(fit, tried, splits, _list_neighbours)
     if found.model.structure.has_friction:
         smooth = {one: other for one, other in tried.items() if not one.has_friction}
-        other = _search(fit, smooth, splits, _list_smooth_neighbours)
+        other = _search(
+            fit,
+            smooth,
+            splits,
+            lambda fit: (pair for pair in _list_neighbours(fit) if not pair[0].has_friction),
+        )
         tried |= smooth
         if measure_score(other) < measure_score(found) and _is_better(found, other, splits):
             found = other
@@ -176,7 +178,6 @@ def _try_neighbours(
 
 
 def _is_better(fit: AxisFit, other: AxisFit, splits: Sequence[Parts]) -> bool:
-    """Return whether a structure with a better score is chosen."""
     if other.model.structure.size <= fit.model.structure.size:
         return True
     return is_distinct(fit, other) and (
@@ -205,7 +206,7 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
     errors = np.sqrt(np.maximum(np.diag(other.covariance), 0.0))
     for place, name in enumerate(other.model.structure.names, EXTRA):
         off = abs(float(other.parameters[place]) - nothing.get(name, 0.0))
-        if name not in fit.model.structure.names and off <= _SEEN * float(errors[place]):
+        if name not in fit.model.structure.names and off <= NORMAL_95 * float(errors[place]):
             return False
     is_clear = fit.badness - other.badness >= _CLEARLY
     if not is_clear or other.parameters[GAIN] <= 0.0:
@@ -261,20 +262,18 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         return tuple((known | value)[name] for name in other.names)
 
     yield from _list_orders(fit, known, commands)
-    bounded, stopped, reverse, rubbing = (
-        replace(structure, bound="command"),
-        replace(structure, bound="rate"),
-        replace(structure, has_reverse=True),
-        replace(structure, has_friction=True),
-    )
     largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
     bounds = [known["tightness"]] if "tightness" in known else []
     bounds += [1.0 / (share * largest) for share in _BOUNDS]
     for other, name, values in (
-        (bounded, "tightness", bounds),
-        (stopped, "tightness", bounds),
-        (reverse, "reverse", [1.0] if turns_back else []),
-        (rubbing, "friction", [share * largest for share in _FRICTIONS]),
+        (replace(structure, bound="command"), "tightness", bounds),
+        (replace(structure, bound="rate"), "tightness", bounds),
+        (replace(structure, has_reverse=True), "reverse", [1.0] if turns_back else []),
+        (
+            replace(structure, has_friction=True),
+            "friction",
+            [share * largest for share in _FRICTIONS],
+        ),
     ):
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
@@ -285,15 +284,9 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         yield other, [start(other)]
 
 
-def _list_smooth_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
-    """Yield the neighbouring structures without friction."""
-    yield from (pair for pair in _list_neighbours(fit) if not pair[0].has_friction)
-
-
 def _list_orders(
     fit: AxisFit, known: dict[str, float], commands: Values
 ) -> Iterator[tuple[Structure, Starts]]:
-    """Yield structures of another order."""
     structure = fit.model.structure
     lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
     span = max(float(np.ptp(commands)), LEAST_STEP)
@@ -364,7 +357,7 @@ def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
         for row in rows:
             if row not in left:
                 other = replace(structure, deadband=float(levels[row]))
-                left[row] = measure_near(fit, other, extras)
+                left[row] = _measure_near(fit, other, extras)
         best = min(left, key=lambda row: left[row])
         near = sorted(left)
         place = near.index(best)
@@ -390,7 +383,7 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
         )
         for extras in starts
     ]
-    gains = measure_reductions(fit, structure, moved)
+    gains = _measure_reductions(fit, structure, moved)
     rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
     return [starts[row] for row in sorted(rows) if gains[row][0] >= _ASKS]
 
@@ -411,3 +404,77 @@ def _split(motions: Sequence[AxisMotion]) -> list[Parts]:
                 pairs.append(sides if is_first else sides[::-1])
         splits.append(([known for known, _ in pairs], [ahead for _, ahead in pairs]))
     return splits
+
+
+def _measure_reductions(
+    fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
+) -> list[tuple[float, float]]:
+    """Return by how much further parameters could reduce the sum of squares, to first order.
+
+    The second number is the reduction by the start values themselves: of starts whose effects
+    differ in size alone, one is nearest.
+    """
+    modelled, slopes = fit.model.linearise(fit.parameters)
+    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    other = StepModel(fit.model.motions, structure)
+    bent = [
+        gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
+        for extras in starts
+    ]
+    slopes = fit.whitening.apply(slopes)
+    white = np.clip(fit.white, -SOFT, SOFT)
+    columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
+    white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
+    sums = [(float(white @ one), max(float(one @ one), LEAST_STEP)) for one in bent]
+    return [(along**2 / size, 2.0 * along - size) for along, size in sums]
+
+
+def _measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
+    """Return the cost of another structure near the parameters of a fit, after one linear step."""
+    other = StepModel(fit.model.motions, structure)
+    near = np.append(fit.parameters[: LAG + 1], extras)
+    modelled, slopes = other.linearise(near)
+    white, slopes = (fit.whitening.apply(one) for one in (other.moved - modelled, slopes))
+    return sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
+
+
+def compare_predictions(
+    fit: AxisFit, other: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]
+) -> float:
+    """Return by how much another structure predicts the rest of the steps better than a fit.
+
+    Both are fitted to the first part. The difference is that of twice the negative log-likelihoods,
+    by the noise of the rest for the other one: if neither explains the rest, the one with less
+    noise before is not the worse.
+    """
+    predicted = []
+    for one in (fit, other):
+        known = finish_fit(StepModel(first, one.model.structure), one.parameters)
+        ahead = StepModel(rest, one.model.structure)
+        modelled, slopes = ahead.linearise(known.parameters)
+        predicted.append((known, ahead.moved - modelled, slopes))
+    residual = predicted[1][1]
+    outlier = find_outlying_steps(residual)
+    whitening = fit_noise(residual, ahead.duration_s, ahead.shared, outlier)
+    badness, other_badness = (_measure_ahead(*one, whitening) for one in predicted)
+    return badness - other_badness
+
+
+def _measure_ahead(known: AxisFit, residual: Values, slopes: Values, whitening: Whitening) -> float:
+    """Return the misfit of a prediction with the uncertainty of the first part.
+
+    If that part shows no delay, no structure is to blame for a wrong one. A parameter that it does
+    not show at all is as uncertain as one step leaves it.
+    """
+    white, slopes = whitening.apply(residual), whitening.apply(slopes)
+    earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
+    before, after = earlier.T @ earlier, slopes.T @ slopes
+    before = before + (before + after) / (len(earlier) + len(slopes))
+    size = np.maximum(np.sqrt(np.diag(before + after)), UNSEEN)
+    before, after = (
+        matrix / np.outer(size, size) + ROUNDED * np.eye(len(size)) for matrix in (before, after)
+    )
+    slopes = slopes / size
+    step = np.linalg.solve(before + after, slopes.T @ np.clip(white, -SOFT, SOFT))
+    spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
+    return sum_softly(white - slopes @ step) + float(step @ before @ step + spread)

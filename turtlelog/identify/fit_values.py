@@ -1,0 +1,437 @@
+"""The values of an axis from its fit, with intervals, and doubts that widen the intervals.
+
+Doubts are structures that the log cannot distinguish, and parts of the motion that differ. They
+widen the intervals until they cover the alternatives, and are reported.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import join_words
+from turtlelog.identify.axis_fit import (
+    DEAD_TIME,
+    EXTRA,
+    GAIN,
+    LAG,
+    NORMAL_95,
+    TOTAL,
+    AxisFit,
+    fit_without_lag,
+    solve_part,
+)
+from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis
+from turtlelog.identify.held_response import FIRST_ORDER, Structure, Values
+from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_noise import LEAST_STEP
+
+_SHORT_LAG: Final = 2.0
+"""Time constant in steps between poses up to which it may be 0."""
+
+_FINEST: Final = 1e-4
+"""Smallest standard error of a limit, as a share of the limit: the change over which its effect on
+the motion is measured. For smaller changes the effect may be different."""
+
+_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag", "at_wheels"]](
+    {
+        "limited_before": "before_lag",
+        "limited_softly": "before_lag",
+        "limited_within": "within_lag",
+        "limited_wheels": "at_wheels",
+    }
+)
+
+
+def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
+    """Return the values of an axis; `changes` is the number of changes of its command."""
+    parameters, covariance = fit.parameters, fit.covariance
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    counted = ~fit.is_outlier
+    moved, white = fit.model.moved[counted], fit.white[counted]
+    took_s = fit.model.duration_s[counted]
+    left = float(np.sum(fit.residual[counted] ** 2))
+    # Steps over lost poses are longer at any speed, and a model must do better than one speed.
+    spread = float(np.sum((moved - moved.sum() / took_s.sum() * took_s) ** 2))
+    spread = spread if spread > _ROUNDING * float(np.sum(moved**2)) else 0.0
+    structure = fit.model.structure
+    names = {name: place for place, name in enumerate(structure.names, EXTRA)}
+    total = _estimate_delay(fit, float(parameters[DEAD_TIME] + parameters[LAG]), (1.0, 0.0))
+    dead_time, lag = _allow_no_lag(
+        fit,
+        _estimate_delay(fit, float(parameters[DEAD_TIME]), (1.0, -1.0)),
+        _estimate_delay(fit, float(parameters[LAG]), (0.0, 1.0)),
+    )
+    # Dead time and time constant are not negative, so neither exceeds their sum.
+    return AxisModel(
+        axis=axis,
+        status="ok",
+        model="second_order" if structure.order == "second_order" else "first_order",
+        gain=_estimate(float(parameters[GAIN]), float(errors[GAIN]), "1"),
+        dead_time_s=replace(dead_time, high=min(dead_time.high, total.high)),
+        lag_s=replace(lag, high=min(lag.high, total.high)),
+        total_delay_s=total,
+        lag_product_s2=_take(fit, names.get("product"), "s^2"),
+        limit_acts=_ACTS.get(structure.order, ""),
+        rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
+        rate_limit_beside=_invert(fit, names.get("slowness_beside"), f"{UNITS[OTHER[axis]]}^2"),
+        jerk_time_s=_take(fit, names.get("jerk_time"), "s"),
+        bound=_divide(fit, names.get("tightness"), UNITS[axis]),
+        bound_acts=structure.bound,
+        bound_beside=_invert(fit, names.get("coupling"), UNITS[OTHER[axis]]),
+        reverse_gain=_multiply(fit, names.get("reverse")),
+        friction=_take(fit, names.get("friction"), UNITS[axis]),
+        deadband=_estimate_deadband(fit, UNITS[axis]),
+        explained=1.0 - left / spread if spread > 0.0 else None,
+        whiteness=_measure_whiteness(white),
+        outliers=int(np.count_nonzero(fit.is_outlier)),
+        steps=len(fit.residual),
+        changes=changes,
+    )
+
+
+_ROUNDING: Final = 1e-18
+"""Share of the squares of the steps below which differences are rounding alone [1]."""
+
+
+def _estimate_delay(fit: AxisFit, value: float, weights: Sequence[float]) -> Estimate:
+    """Return a delay [s] with its interval; `weights` are its shares of total delay and lag.
+
+    A time constant that only rounds the ends of ramps may be 0, but not less. So what depends on it
+    has an interval with two unequal sides.
+    """
+    of_delays, shares = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])], np.array(weights)
+    variance, error = float(shares @ of_delays @ shares), float(np.sqrt(max(of_delays[1, 1], 0.0)))
+    if not fit.model.structure.rounds_by_lag or error <= 0.0:
+        return _estimate(value, float(np.sqrt(max(variance, 0.0))))
+    by_lag = float(shares @ of_delays[1]) / error
+    rest = NORMAL_95**2 * max(variance - by_lag**2, 0.0)
+    shorter = min(float(fit.parameters[LAG]) / error, NORMAL_95)
+    moves = (NORMAL_95 * by_lag, -shorter * by_lag)
+    low = value - float(np.sqrt(rest + min(*moves, 0.0) ** 2))
+    high = value + float(np.sqrt(rest + max(*moves, 0.0) ** 2))
+    return Estimate(value=value, low=max(low, 0.0), high=high, unit="s")
+
+
+def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Estimate, Estimate]:
+    """Widen intervals to a time constant of 0 if no time constant fits as well.
+
+    A time constant much shorter than the steps is visible only in steps in which the command
+    changes. The errors of such a time constant are not normal, so the cost is more reliable than
+    its curvature.
+    """
+    short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
+    if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
+        return dead_time, lag
+    without = fit_without_lag(fit)
+    if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:
+        return dead_time, lag
+    error = float(np.sqrt(without.covariance[TOTAL, TOTAL]))
+    high = float(without.parameters[DEAD_TIME]) + NORMAL_95 * error
+    return replace(dead_time, high=max(dead_time.high, high)), replace(lag, low=0.0)
+
+
+def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
+    """Return a non-negative value with its interval."""
+    half = NORMAL_95 * error
+    return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
+
+
+def _take(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return an estimate of a further parameter; None if the structure does not have it."""
+    if place is None:
+        return None
+    error = float(np.sqrt(max(fit.covariance[place, place], 0.0)))
+    return _estimate(float(fit.parameters[place]), error, unit)
+
+
+def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return the gain divided by a further parameter, such as a limit of the rate."""
+    if place is None:
+        return None
+    gain, by = fit.parameters[[GAIN, place]].tolist()
+    if by <= 0.0:
+        return None
+    error = _find_error(fit, place, [1.0 / by, -gain / by**2])
+    return _estimate(gain / by, max(error, _FINEST * gain / by), unit)
+
+
+def _invert(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
+    """Return the reciprocal of a further parameter."""
+    found = _take(fit, place, unit)
+    if found is None or found.value <= 0.0:
+        return None
+    error = max((found.high - found.value) / NORMAL_95, _FINEST * found.value)
+    return _estimate(1.0 / found.value, error / found.value**2, unit)
+
+
+def _multiply(fit: AxisFit, place: int | None) -> Estimate | None:
+    if place is None:
+        return None
+    gain, by = fit.parameters[[GAIN, place]].tolist()
+    return _estimate(gain * by, _find_error(fit, place, [by, gain]), "1")
+
+
+def _find_error(fit: AxisFit, place: int, slope: list[float]) -> float:
+    rows = np.ix_([GAIN, place], [GAIN, place])
+    return float(np.sqrt(max(float(slope @ fit.covariance[rows] @ slope), 0.0)))
+
+
+def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
+    """Return the deadband, between the commands without motion and those with motion."""
+    low = fit.model.structure.deadband
+    if not low:
+        return None
+    sizes = np.abs(np.concatenate([motion.commands.value for motion in fit.model.motions]))
+    high = float(sizes[sizes > low].min())
+    return Estimate(value=0.5 * (low + high), low=low, high=high, unit=unit)
+
+
+def _measure_whiteness(white: Values) -> float | None:
+    """Return the mean square of the changes divided by twice the mean square; noise has 1."""
+    squares = float(np.mean(white**2))
+    return float(np.mean(np.diff(white) ** 2)) / (2.0 * squares) if squares > 0.0 else None
+
+
+_FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
+
+_LIMITS: Final = (
+    *("rate_limit", "rate_limit_beside", "jerk_time_s", "bound", "bound_beside"),
+    *("deadband", "reverse_gain", "friction"),
+)
+"""Further parameters of structures; their values may differ between two structures."""
+
+_FEWEST: Final = 50
+"""Smallest number of steps of a part of the motion with values of its own."""
+
+_APART: Final = 4.0
+"""Smallest unexplained difference between two parts of the motion, in standard deviations. By
+chance, such a difference occurs in 1 of 800 robots with 20 differences each."""
+
+_LIKELY: Final = 2.0
+"""The same limit if the residual is a curve, so that some difference is likely."""
+
+_CURVE: Final = 4.0
+"""Correlation of neighbouring residuals from which they form a curve, in standard deviations. Of
+240 robots that the model explains, one exceeds 3; most other robots exceed 10."""
+
+_IN_TURNS: Final = 0.1
+"""Smallest negative correlation of the nearest residuals that matters. The lower bound of the
+assumed slip alone causes 0.01 or 0.02: significant in a long log, but harmless."""
+
+_NEIGHBOURS_S: Final = 0.5
+"""Largest time between neighbours [s]: the duration of a usual robot's step response."""
+
+_MOST: Final = 3.0
+"""Limit of residuals in this comparison, in standard deviations."""
+
+_TELLS: Final = 1.05
+"""Growth factor of an interval from which the growth is reported."""
+
+_MATTERS: Final = 0.01
+"""Half-width of an interval from which a doubt is reported, as a share of the gain or of the total
+delay. Below this share, no recommended gain changes by more than 1 %. A simulated log without noise
+has a curve in the eighth digit."""
+
+
+def cover_rivals(
+    found: AxisModel, structure: Structure, others: Sequence[tuple[Structure, AxisModel]]
+) -> AxisModel:
+    """Return an axis with intervals that cover those of equally good structures."""
+    covered = found
+    for _, other in others:
+        for field in (*_FIELDS, *_LIMITS):
+            covered = _widen(covered, field, getattr(other, field))
+    pairs = [(getattr(found, field), getattr(covered, field)) for field in _FIELDS]
+    is_wider = any(wide.high - wide.low > _TELLS * (own.high - own.low) for own, wide in pairs)
+    if not (is_wider and _matters(covered)):
+        return covered
+    rivals = describe_rivals([structure, *(one for one, _ in others)])
+    doubt = (
+        f"The log does not show what limits the {NAMES[found.axis]}: {rivals}."
+        " The intervals cover both cases, and advice uses the longer delay."
+    )
+    return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def cover_waiting(found: AxisModel, other: AxisModel) -> AxisModel:
+    """Return an axis in doubt that may wait for the other axis, whose delays it then has, too."""
+    covered = found
+    for field in ("dead_time_s", "total_delay_s"):
+        covered = _widen(covered, field, getattr(other, field))
+    name, beside = NAMES[found.axis], NAMES[other.axis]
+    doubt = (
+        f"Nearly all changes of the {name} come together with changes of the {beside}. The log does"
+        f" not show whether the {name} only waits for the {beside}, and advice uses the longer"
+        " delay."
+    )
+    return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def describe_rivals(structures: Sequence[Structure]) -> str:
+    """Return the further parameters of structures; parameters common to all appear once."""
+    parts = [_list_parts(one) for one in structures]
+    shared = [part for part in parts[0] if all(part in other for other in parts)]
+    own = [[part for part in one if part not in shared] for one in parts]
+    if not shared:
+        return join_words([join_words(one) or "one time constant alone" for one in own], "or")
+    ways = [f"with {join_words(one)}" if one else "alone" for one in own]
+    return f"{join_words(shared)}, {join_words(sorted(ways, key='alone'.__ne__), 'or')}"
+
+
+_PARTS: Final = MappingProxyType(
+    {
+        "second_order": "a second time constant",
+        "limited_before": "a limit of the acceleration before the time constant",
+        "limited_softly": "limits of the acceleration and the jerk before the time constant",
+        "limited_within": "a limit of the acceleration within the velocity loop",
+        "limited_wheels": "a limit of the acceleration of each wheel",
+        "command": "a bound of the command",
+        "rate": "a bound of the rate",
+        "scaled": "a bound of the wheels that scales both axes",
+        "clipped": "a bound of each wheel",
+        "yielding": "a bound of the wheels that the other axis uses first",
+        "reduced": "a reduction by the other axis",
+        "has_reverse": "another gain backwards",
+        "has_friction": "friction",
+        "deadband": "a deadband",
+    }
+)
+"""Words for the further parameters: by order, by bound, and by field of a structure."""
+
+
+def _list_parts(structure: Structure) -> list[str]:
+    fields = [one for one in ("has_reverse", "has_friction", "deadband") if getattr(structure, one)]
+    return [_PARTS[one] for one in (structure.order, structure.bound, *fields) if one in _PARTS]
+
+
+def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
+    """Return an axis with intervals that cover the differing values of parts of the motion.
+
+    If the model explains the motion, all parts give the same values: small and large commands,
+    positive and negative, rising and falling ones, both halves of the log, and commands with and
+    without the other axis. If the residual is a curve, smaller differences count, and all intervals
+    grow by the correlation of neighbours.
+    """
+    excess, factor = _measure_curve(fit)
+    is_curve = excess > _CURVE
+    covered, said = found, []
+    if is_curve:
+        for field in (*_FIELDS, *_LIMITS):
+            covered = _stretch(covered, field, factor)
+    for pair, is_first in _split_steps(found.axis, fit):
+        differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]
+        for field, value in differing:
+            covered = _widen(covered, field, value)
+        if differing:
+            said.append(pair)
+    if not (said or is_curve) or not _matters(covered):
+        return covered
+    told = ", and between ".join(said)
+    what = f" The response differs between {told}." if said else ""
+    doubt = (
+        f"No model explains the {NAMES[found.axis]} completely.{what} The intervals are wider for"
+        " that, and advice uses the longer delay."
+    )
+    return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def _measure_curve(fit: AxisFit) -> tuple[float, float]:
+    """Return the correlation of neighbouring residuals, in standard deviations.
+
+    The second number is the factor by which correlated neighbours increase the errors.
+
+    Three groups are tested separately: the nearest residuals, those within a few steps, and those
+    within a short time. If a curve is taken for noise, the nearest residuals differ and the others
+    agree.
+    """
+    # Limited, so that no outlier dominates.
+    white = np.where(fit.is_outlier, 0.0, np.clip(fit.white, -_MOST, _MOST))
+    reach = int(_NEIGHBOURS_S / float(np.median(fit.model.duration_s)))
+    lags = range(1, min(max(reach, 2), len(white) - 1) + 1)
+    products = [white[lag:] * white[:-lag] for lag in lags]
+    sums = [(float(one.sum()), float(one @ one)) for one in products]
+    along, squares = np.cumsum(sums, axis=0).T
+    excess = along / np.sqrt(np.maximum(squares, LEAST_STEP))
+    size = max(float(white @ white), LEAST_STEP)
+    turns = -excess[0] if -float(along[0]) / size > _IN_TURNS else 0.0
+    total = sum(one for one, _ in sums)
+    return float(max(turns, *excess)), float(np.sqrt(max(1.0 + 2.0 * total / size, 1.0)))
+
+
+def _split_steps(axis: Axis, fit: AxisFit) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Yield divisions of the steps by one criterion: whether the first of two commands acts."""
+    dead_time_s = float(fit.parameters[DEAD_TIME])
+    acting, before, beside = [], [], []
+    for motion in fit.model.motions:
+        end_s = motion.time_s[motion.first + 1] - dead_time_s
+        held = motion.commands.place(end_s).held
+        acting.append(motion.commands.value[held])
+        before.append(motion.commands.value[np.maximum(held - 1, 0)])
+        other = motion.beside
+        beside.append(0.0 * end_s if other is None else other.value[other.place(end_s).held])
+    value, earlier = np.concatenate(acting), np.concatenate(before)
+    change = np.abs(value - earlier)
+    yield "small and large commands", change <= float(np.median(change))
+    yield "positive and negative commands", value + earlier > 0.0
+    yield "rising and falling commands", np.abs(value) > np.abs(earlier)
+    yield "earlier and later commands", np.arange(len(value)) < len(value) // 2
+    yield f"commands with and without a {NAMES[OTHER[axis]]}", np.concatenate(beside) != 0.0
+
+
+def _compare_parts(
+    fit: AxisFit, is_first: NDArray[np.bool_], apart: float
+) -> Iterator[tuple[str, Estimate]]:
+    """Yield the values that differ between two parts of the motion, from the one to the other."""
+    counted = ~fit.is_outlier
+    parts = [counted & is_first, counted & ~is_first]
+    if min(int(np.count_nonzero(part)) for part in parts) < _FEWEST:
+        return
+    solved = [solve_part(fit, part) for part in parts]
+    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    units = np.eye(len(fit.parameters))
+    for field, weights, value in (
+        ("gain", units[GAIN], gain),
+        ("dead_time_s", units[TOTAL] - units[LAG], dead_time_s),
+        ("lag_s", units[LAG], lag_s),
+        ("total_delay_s", units[TOTAL], dead_time_s + lag_s),
+    ):
+        moves = [float(weights @ moved) for moved, _ in solved]
+        variances = [float(weights @ covariance @ weights) for _, covariance in solved]
+        if min(variances) <= 0.0:  # a part without information on the value, up to rounding
+            continue
+        error = float(np.sqrt(sum(variances)))
+        if abs(moves[0] - moves[1]) > apart * error:
+            low, high = value + min(moves), value + max(moves)
+            yield field, Estimate(value=value, low=low, high=high)
+
+
+def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
+    own = getattr(axis, field)
+    if own is None:
+        return axis
+    low, high = (own.value + factor * (end - own.value) for end in (own.low, own.high))
+    return replace(axis, **{field: replace(own, low=max(low, 0.0), high=high)})
+
+
+def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
+    """Return an axis with the interval of a field extended to another interval, but not below 0."""
+    own = getattr(axis, field)
+    if own is None or other is None:
+        return axis
+    low, high = min(own.low, max(other.low, 0.0)), max(own.high, other.high)
+    return replace(axis, **{field: replace(own, low=low, high=high)})
+
+
+def _matters(covered: AxisModel) -> bool:
+    """Return whether an interval of an axis is wide enough to change the advice."""
+    total = covered.total_delay_s
+    for field in _FIELDS:
+        own = getattr(covered, field)
+        whole = own if field == "gain" or total is None else total
+        if max(own.high - own.value, own.value - own.low) >= _MATTERS * whole.value:
+            return True
+    return False
