@@ -25,7 +25,8 @@ from turtlelog.compare.trajectory_errors import (
     take_poses,
 )
 from turtlelog.errors import CompareError
-from turtlelog.run.trajectory import Trajectory, build_planar_trajectory, find_quaternions
+from turtlelog.run.angles import find_quaternions
+from turtlelog.run.columns import Trajectory, build_planar_trajectory
 
 TRUTH = make_trajectory()
 

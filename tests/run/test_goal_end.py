@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from turtlelog.run.goal_end import find_goal_end
+from turtlelog.run.stop_reasons import find_goal_end
 
 RUN = tl.simulate_run(tl.load_scenario("paper-kp1"))
 """A run that ends by itself within its tolerances."""

@@ -11,7 +11,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.run.goal_end import find_goal_end
+from turtlelog.run.stop_reasons import find_goal_end
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.escapes import escape_controls
-from turtlelog.run.goal_end import find_goal_end
+from turtlelog.run.stop_reasons import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run

@@ -37,8 +37,7 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, TurtlelogError, UsageError
 from turtlelog.files.urls import make_path
-from turtlelog.run.goal_end import find_goal_end
-from turtlelog.run.stop_reasons import INTERRUPTED
+from turtlelog.run.stop_reasons import INTERRUPTED, find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario

@@ -10,8 +10,8 @@ from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
-from turtlelog.run.goal_end import allow_position
 from turtlelog.run.paths import closes_by_itself
+from turtlelog.run.stop_reasons import allow_position
 
 if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary

@@ -22,8 +22,8 @@ from turtlelog.measure import (
     list_metrics,
 )
 from turtlelog.run import Parameter, Run
-from turtlelog.run.goal_end import find_goal_end
 from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import find_goal_end
 
 _MOST_PARAMETERS: Final = 2
 

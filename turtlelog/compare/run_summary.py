@@ -26,8 +26,8 @@ from turtlelog.measure import (
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run, require_run
-from turtlelog.run.goal_end import GoalEnd, find_goal_end
 from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import GoalEnd, find_goal_end
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -29,7 +29,7 @@ from turtlelog.compare.trajectory_errors import (
 )
 from turtlelog.display import describe_count, fit_line, format_short, join_words
 from turtlelog.errors import CompareError, suggest_names
-from turtlelog.run.trajectory import Trajectory
+from turtlelog.run.columns import Trajectory
 
 AlignIn = Literal["none", "origin", "se2", "se3", "sim2", "sim3"]
 ALIGN_IN: Final[tuple[AlignIn, ...]] = get_args(AlignIn)

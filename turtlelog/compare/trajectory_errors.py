@@ -18,7 +18,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.run.trajectory import Trajectory, find_quaternions
+from turtlelog.run.angles import find_quaternions
+from turtlelog.run.columns import Trajectory
 
 Values = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -22,8 +22,8 @@ from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, na
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
-from turtlelog.run.goal_end import allow_position
 from turtlelog.run.loops import Cause, Declaration
+from turtlelog.run.stop_reasons import allow_position
 from turtlelog.scenario import (
     DEFAULT_LAW,
     Scenario,

@@ -1,4 +1,4 @@
-"""Headings [rad], counter-clockwise positive: wrapped, subtracted, and as rotations of vectors.
+"""Headings [rad], counter-clockwise positive: wrapped, subtracted, as rotations and quaternions.
 
 The turtle frame has its x axis along the heading and its y axis to the left. Equation numbers are
 those of "Simulation-Based Learning of Feedback Control Through Planar Robot Motion". The paper
@@ -17,8 +17,6 @@ from turtlelog import arithmetic
 from turtlelog.errors import FrameError
 
 _TURN_RAD = 2.0 * math.pi
-
-
 Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
@@ -39,10 +37,14 @@ def wrap_angle(angle_rad: Angle) -> Angle:
 
 @overload
 def subtract_headings(to_rad: float, from_rad: float) -> float: ...
+
+
 @overload
 def subtract_headings(
     to_rad: float | NDArray[np.float64], from_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]: ...
+
+
 def subtract_headings(
     to_rad: float | NDArray[np.float64], from_rad: float | NDArray[np.float64]
 ) -> float | NDArray[np.float64]:
@@ -115,3 +117,32 @@ def _split(
         raise FrameError(f"expected vectors of shape (..., 2), found {vectors.shape}")
     heading = np.asarray(heading_rad, dtype=np.float64)
     return np.moveaxis(vectors, -1, 0), np.cos(heading), np.sin(heading)
+
+
+def turn_headings(heading_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return headings [rad], shape (n,), as quaternions w, x, y, z, shape (n, 4)."""
+    none = np.zeros(len(heading_rad))
+    return np.column_stack([np.cos(heading_rad / 2.0), none, none, np.sin(heading_rad / 2.0)])
+
+
+def find_quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotation matrices, shape (n, 3, 3), as quaternions w, x, y, z of length 1, (n, 4).
+
+    The largest of the four components is computed first, to avoid cancellation: S. W. Shepperd,
+    "Quaternion from Rotation Matrix", Journal of Guidance and Control 1(3), 1978.
+    """
+    diagonal = np.einsum("nii->ni", rotations)
+    trace = diagonal.sum(axis=1)
+    # Of each matrix the column of 4 q q^T whose part on the diagonal is the largest.
+    squares = np.column_stack([1.0 + trace, *(1.0 - trace + 2.0 * one for one in diagonal.T)])
+    outer = np.empty((len(rotations), 4, 4))
+    outer[:, range(4), range(4)] = squares
+    for row, (i, j) in enumerate(((2, 1), (0, 2), (1, 0)), start=1):
+        outer[:, 0, row] = outer[:, row, 0] = rotations[:, i, j] - rotations[:, j, i]
+    for (first, second), (i, j) in zip(
+        ((1, 2), (1, 3), (2, 3)), ((0, 1), (0, 2), (1, 2)), strict=True
+    ):
+        mixed = rotations[:, i, j] + rotations[:, j, i]
+        outer[:, first, second] = outer[:, second, first] = mixed
+    found = outer[np.arange(len(rotations)), squares.argmax(axis=1)]
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

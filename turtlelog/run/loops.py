@@ -62,9 +62,7 @@ REFERENCE_WORDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Words for each reference in texts and legends."""
 
-COMMAND_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "turn rate", "speed": "speed"}
-)
+COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn rate", "speed": "speed"})
 """Words for each command, in the order of lists."""
 
 COMMAND_UNITS: Final[Mapping[str, str]] = MappingProxyType({"turn_rate": "rad/s", "speed": "m/s"})
@@ -203,9 +201,7 @@ LIMIT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Scenario keys of the limits of the commands."""
 
-PLANT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "plant.turn_", "speed": "plant.speed_"}
-)
+PLANT_KEYS: Final = MappingProxyType({"turn_rate": "plant.turn_", "speed": "plant.speed_"})
 """Beginnings of the keys that describe how a robot model follows a command: `gain`, `dead_time_s`,
 `lag_s`."""
 

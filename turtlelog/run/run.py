@@ -1,11 +1,11 @@
-"""The class `Run`: the columns that all stages exchange."""
+"""The class `Run`: the columns that all stages exchange, and the software that simulated them."""
 
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,10 +28,9 @@ from turtlelog.run.columns import (
     rebuild_value,
     slice_run,
 )
-from turtlelog.run.goal_end import find_goal_end
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
-from turtlelog.run.stop_reasons import CUT_SHORT
+from turtlelog.run.stop_reasons import CUT_SHORT, find_goal_end
 from turtlelog.run.tables import TABLES, build_pandas, build_xarray, iterate_arrow
 
 Parameter = bool | int | float | str | list[Any]
@@ -166,10 +165,12 @@ class Run:
             raise RunError(f"goal_heading_rad: expected a finite number [rad], found {heading!r}")
 
     def _require_declared(self) -> None:
-        """Refuse samples that do not match the declared law."""
         samples, declaration = self.samples, self.declaration
-        phases = len(declaration.phase_names)
-        _require_below(samples, "phase", phases, f"0 to {phases - 1}")
+        phase, last = samples.phase, len(declaration.phase_names) - 1
+        outside = (phase < 0) | (phase > last)
+        if outside.any():
+            row = int(outside.argmax())
+            raise RunError(f"sample.phase[{row}]: expected 0 to {last}, found {phase[row]}")
         try:
             _ = self.path
         except PathError as err:
@@ -352,7 +353,6 @@ class Run:
         return fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
 
     def _describe_end(self) -> str:
-        """Return a sentence on the end of the run."""
         ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
         end = find_goal_end(self)
         how = f"{self.duration_s:.4g} s" if end is None else end.describe()
@@ -432,7 +432,6 @@ def list_runs(runs: object) -> list[Run]:
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Return whether two fields are equal, columns bit for bit."""
     if type(one) is not type(other):
         return False
     if isinstance(one, np.ndarray):
@@ -443,13 +442,59 @@ def _is_same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def _require_below(samples: SampleColumns, name: str, end: int, expected: str) -> None:
-    values = getattr(samples, name)
-    outside = (values < 0) | (values >= end)
-    if outside.any():
-        row = int(outside.argmax())
-        raise RunError(f"sample.{name}[{row}]: expected {expected}, found {values[row]}")
-
-
 def _is_finite(value: object) -> bool:
     return isinstance(value, int | float | np.floating) and math.isfinite(value)
+
+
+LAW: Final = "law"
+"""Entry for a law that is not built in: a digest of its code."""
+
+_WORDS: Final = {"python": "Python", "numpy": "NumPy", "platform": ""}
+"""Words for the entries; a platform needs no word, and `turtlelog` is one itself."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SoftwareChange:
+    """An entry of `Run.simulated_by` that differs between two runs.
+
+    Attributes:
+        name: Name of the entry: `turtlelog`, `python`, `numpy`, `platform` or `law`.
+        first: Value in the first run; None if that run has no such entry.
+        second: Value in the second run; None if that run has no such entry.
+    """
+
+    name: str
+    first: str | None
+    second: str | None
+
+
+def list_software_changes(
+    first: Mapping[str, str], second: Mapping[str, str]
+) -> tuple[SoftwareChange, ...]:
+    """Return the entries that differ between two runs; empty if one run names no software."""
+    if not first or not second:
+        return ()
+    return tuple(
+        SoftwareChange(name=name, first=first.get(name), second=second.get(name))
+        for name in {**first, **second}
+        if first.get(name) != second.get(name)
+    )
+
+
+def describe_software(software: Mapping[str, str]) -> str:
+    """Return versions and platform: `turtlelog 0.1.0, Python 3.12.3, NumPy 2.1.3, Linux x86_64`."""
+    return ", ".join(_name(name, text) for name, text in software.items() if name != LAW)
+
+
+def describe_changes(changes: Sequence[SoftwareChange]) -> str:
+    """Return the differences as text, versions with both values: `NumPy 2.1.3, then 2.2.0`."""
+    return "; ".join(
+        "the code of the law"
+        if one.name == LAW
+        else _name(one.name, f"{one.first or 'unknown'}, then {one.second or 'unknown'}")
+        for one in changes
+    )
+
+
+def _name(name: str, text: str) -> str:
+    return f"{_WORDS.get(name, name)} {text}".strip()

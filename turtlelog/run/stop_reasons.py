@@ -1,16 +1,27 @@
-"""The reasons why a run ended: their words, their numbers in a loop, and what they say of the run.
+"""Why a run ended, and how it ended at its goal.
 
-A law of the user's own may end a run with any other word.
+The reasons have words, numbers in a loop, and a meaning for the run. A law of the user's own may
+end a run with any other word.
 """
 
+import math
 from collections.abc import Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from turtlelog.display import format_short
+from turtlelog.run.angles import wrap_angle
+
+if TYPE_CHECKING:
+    from turtlelog.run.run import Run
+
 
 WITHIN_TOLERANCE: Final = "within_tolerance"
 STANDSTILL: Final = "standstill"
 SETTLED: Final = "settled"
 PATH_END: Final = "path_end"
 END_OF_SIGNAL: Final = "end_of_signal"
+
 TIMEOUT: Final = "timeout"
 """The law exceeded its time."""
 
@@ -18,6 +29,7 @@ MAX_DURATION: Final = "max_duration"
 """The scenario's `max_duration_s` had passed."""
 
 LAW_FAILED: Final = "law_failed"
+
 STEP_BUDGET: Final = "step_budget"
 """The law exceeded the time limit of one answer."""
 
@@ -55,3 +67,142 @@ def number_stop(reason: str) -> int:
 def name_stop(number: int, of_law: Sequence[str]) -> str:
     """Return the stop reason with a number; `of_law` are the stop reasons of the law in order."""
     return OF_LOOP[-1 - number] if number < 0 else of_law[number - 1]
+
+
+_CORNER: Final = math.sqrt(2.0)
+"""Largest distance of a law's own end as a multiple of the position tolerance: x and y are each
+within the tolerance."""
+
+_STAYS_S: Final = 1.0
+"""Time for which a robot that a time limit stops must stay within the tolerances at its last speed
+[s]. A faster robot passes its goal."""
+
+_SMALL: Final = 0.01
+"""Share of the error below which a part of it, across or along the line to the goal, is left out:
+squares add, so it changes the error by less than 0.01 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GoalEnd:
+    """End of a run at its goal.
+
+    Attributes:
+        verdict: `reached`, `missed`, or `ended` if the run has no tolerances to judge the error by.
+        error_m: Metric `final.position_error` [m].
+        allowed_m: Final position error that the tolerances of the law allow [m]; 0 without them.
+        left_m: Distance of the end to the left of the line from start to goal [m]; 0 without a
+            line, because the run starts within `allowed_m` of its goal.
+        short_m: Distance by which the end is short of the goal along this line [m]; negative
+            beyond; 0 without a line.
+        duration_s: Metric `run.duration` [s].
+        turned_rad: Difference from the heading of the goal [rad], if the position is within the
+            tolerances but the heading is not; otherwise None.
+    """
+
+    verdict: Literal["reached", "missed", "ended"]
+    error_m: float
+    allowed_m: float
+    left_m: float
+    short_m: float
+    duration_s: float
+    turned_rad: float | None = None
+
+    def describe(self) -> str:
+        """Return a sentence without a subject: verdict, distance to the goal and duration."""
+        size = format_short(self.error_m, "m")
+        after = f"after {self.duration_s:.3g} s"
+        if self.verdict == "reached":
+            return f"reached the goal within {size} {after}"
+        if self.verdict == "ended":
+            turned = self.turned_rad
+            off = "" if turned is None else f" and {format_short(turned, 'rad')} off its heading"
+            return f"ended {size} from the goal{off} {after}"
+        # In the same unit as the error, so that both compare at a glance.
+        unit = size.rpartition(" ")[2]
+        allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"
+        return f"missed the goal by {size} (allowed: {allowed}) {after}"
+
+    def describe_place(self) -> str:
+        """Return a sentence on the place of the end: across and along the line to the goal.
+
+        It is empty for a run that starts at its goal, because there is no line.
+        """
+        parts = []
+        if abs(self.left_m) > _SMALL * self.error_m:
+            side = "left" if self.left_m > 0.0 else "right"
+            size = format_short(abs(self.left_m), "m")
+            parts.append(f"{size} {side} of the line from start to goal")
+        if abs(self.short_m) > _SMALL * self.error_m:
+            side = "short of" if self.short_m > 0.0 else "beyond"
+            parts.append(f"{format_short(abs(self.short_m), 'm')} {side} the goal")
+        return f"The end is {' and '.join(parts)}." if parts else ""
+
+
+def find_goal_end(run: "Run") -> GoalEnd | None:
+    """Return how a run ended at its goal; None without poses or a goal to reach."""
+    if run.goal_xy_m is None or not run.declaration.uses_goal or not len(run.poses):
+        return None
+    error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), 0.0
+    heading_rad = run.parameters.get("law.heading_tolerance_rad")
+    position_m = run.parameters.get("law.position_tolerance_m")
+    if isinstance(heading_rad, float | int) and isinstance(position_m, float | int):
+        distance_m = math.dist(run.goal_xy_m, run.poses.xy_m[0])
+        allowed_m = allow_position(heading_rad, position_m, distance_m)
+    # A law that reads late or wrong poses stops where it believes the goal to be.
+    is_seen = run.poses.sensed_xy_m is None
+    is_own_end = run.stop_reason == WITHIN_TOLERANCE and is_seen and error_m <= _CORNER * allowed_m
+    is_within = is_own_end or (error_m <= allowed_m and _stays(run, error_m, allowed_m))
+    turned_rad = None if is_own_end or not is_within else _find_turned(run)
+    verdict: Literal["reached", "missed", "ended"] = "ended"
+    if is_within and turned_rad is None:
+        verdict = "reached"
+    elif error_m > allowed_m and run.stop_reason in MAY_MISS and allowed_m:
+        verdict = "missed"
+    left_m, short_m = _find_place(run, run.goal_xy_m, allowed_m)
+    return GoalEnd(
+        verdict=verdict,
+        error_m=error_m,
+        allowed_m=allowed_m,
+        left_m=left_m,
+        short_m=short_m,
+        duration_s=run.duration_s,
+        turned_rad=turned_rad,
+    )
+
+
+def _stays(run: "Run", error_m: float, allowed_m: float) -> bool:
+    """Return whether a robot stopped by a time limit would stay within the tolerances."""
+    if run.stop_reason in AT_GOAL or len(run.poses) < 2:
+        return True
+    moved_m = math.dist(*run.poses.xy_m[-2:])
+    lasted_s = float(run.poses.time_ns[-1] - run.poses.time_ns[-2]) / 1e9
+    return error_m + moved_m / lasted_s * _STAYS_S <= allowed_m if lasted_s > 0.0 else True
+
+
+def _find_turned(run: "Run") -> float | None:
+    """Return the difference from the goal's heading [rad] if it is beyond the law's tolerance."""
+    if run.goal_heading_rad is None:
+        return None
+    turned_rad = abs(wrap_angle(float(run.poses.heading_rad[-1]) - run.goal_heading_rad))
+    tolerance_rad = run.parameters.get("law.heading_tolerance_rad")
+    is_within = isinstance(tolerance_rad, float | int) and turned_rad <= tolerance_rad
+    return None if is_within else turned_rad
+
+
+def _find_place(
+    run: "Run", goal_xy_m: tuple[float, float], allowed_m: float
+) -> tuple[float, float]:
+    """Return how far the end is left of the line from start to goal, and short of the goal [m]."""
+    (x_m, y_m), (end_x_m, end_y_m) = run.poses.xy_m[0].tolist(), run.poses.xy_m[-1].tolist()
+    goal_x_m, goal_y_m = goal_xy_m
+    if math.hypot(goal_x_m - x_m, goal_y_m - y_m) <= allowed_m:
+        return 0.0, 0.0
+    bearing_rad = math.atan2(goal_y_m - y_m, goal_x_m - x_m)
+    cos, sin = math.cos(bearing_rad), math.sin(bearing_rad)
+    to_x_m, to_y_m = goal_x_m - end_x_m, goal_y_m - end_y_m
+    return sin * to_x_m - cos * to_y_m, cos * to_x_m + sin * to_y_m
+
+
+def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
+    """Return the final position error that tolerances allow at a distance from the goal [m]."""
+    return heading_rad * distance_m + position_m

@@ -215,5 +215,4 @@ def refuse_array(value: object) -> NoReturn:
 
 
 def _list_rows(cells: Any) -> Any:
-    """Return a two-dimensional column as a list of its rows."""
     return list(cells) if getattr(cells, "ndim", 1) > 1 else cells
