@@ -197,13 +197,19 @@ def fit_without_lag(fit: AxisFit) -> AxisFit:
 def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]) -> AxisFit:
     """Return the best fit of another structure, with its own noise.
 
-    Args:
-        fit: Fit of another structure.
-        structure: Structure to fit.
-        starts: Start values of the structure's further parameters.
+    `starts` are start values of its further parameters. The gain is the best for each: with that of
+    the fit, a suitable bound would seem worse than no bound, and the search would leave it at once.
     """
     model = StepModel(fit.model.motions, structure)
-    tried = [_descend(model, _fit_gain(fit, model, start), fit.whitening.apply) for start in starts]
+    own_gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    moved, tried = fit.whitening.apply(model.moved), []
+    for extras in starts:
+        way = model.predict(dead_time_s, model.prepare(lag_s, *extras))[0][0]
+        way = fit.whitening.apply(way)
+        size, along = float(way @ way), float(way @ moved)
+        gain = along / size if along > 0.0 else own_gain
+        near = np.array([gain, dead_time_s, lag_s, *extras])
+        tried.append(_descend(model, near, fit.whitening.apply))
     ends = [finish_fit(model, one) for one in list_ends(tried)]
     return _measure_lag(min(ends, key=lambda end: end.badness))
 
@@ -215,20 +221,6 @@ def list_ends(tried: Sequence[tuple[Values, float]]) -> Iterator[Values]:
         if row == 0 or (cost - before > _SAME * cost and cost - least <= _TIED):
             yield parameters
         before = cost
-
-
-def _fit_gain(fit: AxisFit, model: StepModel, extras: Sequence[float]) -> Values:
-    """Return the delays and further parameters of a fit, with the gain that is best for them.
-
-    With the gain of the fit, a suitable bound would seem worse than no bound, and the search would
-    leave it at once.
-    """
-    _, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
-    way = model.predict(dead_time_s, model.prepare(lag_s, *extras))[0][0]
-    way, moved = (fit.whitening.apply(one) for one in (way, model.moved))
-    size, along = float(way @ way), float(way @ moved)
-    gain = along / size if along > 0.0 else float(fit.parameters[GAIN])
-    return np.array([gain, dead_time_s, lag_s, *extras])
 
 
 def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
@@ -284,7 +276,9 @@ def finish_fit(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
     least = np.inf
     for _ in range(_MOST_LESSONS):
-        whitening, is_outlier = _learn_noise(model, parameters)
+        residual = model.moved - model.linearise(parameters)[0]
+        is_outlier = find_outlying_steps(residual)
+        whitening = fit_noise(residual, model.duration_s, model.shared, is_outlier)
         parameters, cost = _descend(model, parameters, whitening.apply)
         gained, least = least - (cost + whitening.log_size), cost + whitening.log_size
         if gained < _LEARNT:
@@ -304,12 +298,6 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
     bent = 1.0 + (white / SOFT) ** 2
     inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     return inverse @ (slopes.T @ (white / np.sqrt(bent))), covariance
-
-
-def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
-    residual = model.moved - model.linearise(parameters)[0]
-    is_outlier = find_outlying_steps(residual)
-    return fit_noise(residual, model.duration_s, model.shared, is_outlier), is_outlier
 
 
 def _conclude(
@@ -360,7 +348,11 @@ def _search_start(motions: Sequence[AxisMotion]) -> Values:
     """
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
-    moved = _drop_spikes(model.moved)
+    # Limited in size, so that no jump or wrongly wrapped heading dominates.
+    beside = np.pad(model.moved, _SPIKE_STEPS, mode="edge")
+    middle = np.median(sliding_window_view(beside, 2 * _SPIKE_STEPS + 1), axis=-1)
+    most = 3.0 * float(np.quantile(np.abs(middle), 0.99))
+    moved = np.clip(model.moved, middle - most, middle + most) if most > 0.0 else model.moved
     responses = [model.prepare(lag_s) for lag_s in _GRID_LAGS_S]
     tried: dict[float, tuple[float, float, float]] = {}
     for dead_time_s in np.arange(0.0, LARGEST_DEAD_TIME_S, _GRID_S).tolist():
@@ -373,24 +365,12 @@ def _search_start(motions: Sequence[AxisMotion]) -> Values:
     if not tried:
         where = " in their direction" if model.moved.any() else ""
         raise NoGainError(f"no motion follows the commands{where}")
-    plainly = _weigh_plainly(model)
-    starts = [np.array([*found, lag_s]) for lag_s, (_, *found) in tried.items()]
-    descents = [_descend(model, start, plainly) for start in starts]
-    return min(descents, key=lambda found: found[1])[0]
-
-
-def _drop_spikes(moved: Values) -> Values:
-    """Return steps limited in size, so that no jump or wrongly wrapped heading dominates."""
-    beside = np.pad(moved, _SPIKE_STEPS, mode="edge")
-    middle = np.median(sliding_window_view(beside, 2 * _SPIKE_STEPS + 1), axis=-1)
-    most = 3.0 * float(np.quantile(np.abs(middle), 0.99))
-    return np.clip(moved, middle - most, middle + most) if most > 0.0 else moved
-
-
-def _weigh_plainly(model: StepModel) -> Callable[[Values], Values]:
-    """Return a scale for which the residual of a robot at rest is about 1."""
+    # A scale for which the residual of a robot at rest is about 1.
     scale = NORMAL_MAD * float(np.median(np.abs(model.moved))) or float(np.std(model.moved))
-    return lambda values: values / max(scale, LEAST_STEP)
+    scale = max(scale, LEAST_STEP)
+    starts = [np.array([*found, lag_s]) for lag_s, (_, *found) in tried.items()]
+    descents = [_descend(model, start, lambda values: values / scale) for start in starts]
+    return min(descents, key=lambda found: found[1])[0]
 
 
 def _descend(

@@ -123,12 +123,9 @@ class AxisMotion:
 
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
-        first, moved, direction_rad = (
-            self.first[steps],
-            self.moved[steps],
-            self.direction_rad[steps],
-        )
-        taken = _select(self.time_s, first, moved, direction_rad, self.commands, self.stops)
+        moved, direction_rad = self.moved[steps], self.direction_rad[steps]
+        first, stops = self.first[steps], self.stops
+        taken = _select(self.time_s, first, moved, direction_rad, self.commands, stops)
         return replace(taken, beside=self.beside)
 
 
@@ -143,10 +140,18 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
         return _select(time_s, first[:0], none, none, held)
     begins_s, ends_s = time_s[:-1], time_s[1:]
     stops = find_silent_stops(command_s, command, time_s, moved)
-    commands = hold_commands(*_insert_stops(command_s, command, stops), 0.0)
-    is_sound &= ~_find_doubtful(stops, begins_s, ends_s)
+    # A 0 where the robot stopped without a command; the time of this stop is uncertain.
+    stop_s = np.array([stop.stop_s for stop in stops])
+    places = np.searchsorted(command_s, stop_s, side="right")
+    commands = hold_commands(
+        np.insert(command_s, places, stop_s), np.insert(command, places, 0.0), 0.0
+    )
+    for stop in stops:
+        is_sound &= (ends_s <= stop.begin_s + _SILENCE_S) | (begins_s >= stop.end_s)
     earlier = ends_s <= command_s[0]
-    stands = _stands(moved[earlier], (ends_s - begins_s)[earlier], np.abs(command).max())
+    total_s = float((ends_s - begins_s)[earlier].sum())
+    most = STANDING * np.abs(command).max() * total_s
+    stands = total_s > 0.0 and abs(float(moved[earlier].sum())) <= most
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
     other = get_commands(run, OTHER[axis])
@@ -177,18 +182,8 @@ def measure_axis_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, 
     middle_rad = heading_rad[:-1] + 0.5 * turned
     step_m = np.diff(xy_m, axis=0)
     chord_m = step_m[:, 0] * np.cos(middle_rad) + step_m[:, 1] * np.sin(middle_rad)
-    # An arc is longer than its chord.
-    return (
-        time_s,
-        chord_m / np.sinc(turned / (2.0 * np.pi)),
-        is_sound & (np.abs(turned) <= _MOST_TURN_RAD),
-    )
-
-
-def _stands(moved: Values, duration_s: Values, largest: float) -> bool:
-    """Return whether a robot is at rest in some steps; False without steps."""
-    total_s = float(duration_s.sum())
-    return total_s > 0.0 and abs(float(moved.sum())) <= STANDING * largest * total_s
+    arc_m = chord_m / np.sinc(turned / (2.0 * np.pi))
+    return time_s, arc_m, is_sound & (np.abs(turned) <= _MOST_TURN_RAD)
 
 
 def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
@@ -257,11 +252,7 @@ def find_silent_stops(
 ) -> list[SilentStop]:
     """Return the silences after a nonzero command at the end of which a robot is at rest.
 
-    Args:
-        command_s: Times of the commands [s].
-        command: Values of the commands.
-        time_s: Times of the poses [s], shape (n + 1,).
-        moved: Displacement of each step between poses, shape (n,).
+    `time_s` are the times of the poses [s], shape (n + 1,), `moved` the steps between them, (n,).
     """
     if not len(command) or not len(moved):
         return []
@@ -293,34 +284,13 @@ def _look_at_silence(
     left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / LOOK_S
     largest = float(rate.max(initial=0.0))
     still_moves = left > min(_STOPPED * largest, _OBEYS * held)
-    if not largest or still_moves or not _has_moved(way, way[at_s >= last_s], held):
+    # A robot at rest throughout does not stop.
+    least = max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(way[at_s >= last_s])))
+    if not largest or still_moves or float(np.abs(way).max()) <= least:
         return None
     moving = np.flatnonzero(rate > 0.5 * largest)
     stop_s = float(rate_s[moving[-1]])
     return SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=end_s)
-
-
-def _has_moved(way: Values, at_end: Values, held: float) -> bool:
-    """Return whether a robot moves during a silence. A robot at rest throughout does not stop."""
-    went = float(np.abs(way).max())
-    return went > max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(at_end)))
-
-
-def _insert_stops(
-    command_s: Values, command: Values, stops: list[SilentStop]
-) -> tuple[Values, Values]:
-    """Return commands with a 0 added where the robot stopped without a command."""
-    stop_s = np.array([stop.stop_s for stop in stops])
-    places = np.searchsorted(command_s, stop_s, side="right")
-    return np.insert(command_s, places, stop_s), np.insert(command, places, 0.0)
-
-
-def _find_doubtful(stops: list[SilentStop], begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
-    """Return the steps in which the time of the stop is uncertain."""
-    doubtful = np.zeros(len(begins_s), dtype=bool)
-    for stop in stops:
-        doubtful |= (ends_s > stop.begin_s + _SILENCE_S) & (begins_s < stop.end_s)
-    return doubtful
 
 
 # The rates of a robot's model for recorded commands, beside the robot's own rates.
@@ -361,9 +331,8 @@ def trace_axis(model: "AxisModel", run: Run) -> AxisTraces:
     """
     time_s, moved, _ = measure_axis_steps(run.poses, model.axis)
     modelled, _ = predict_axis(model, run, time_s)
-    return join_rates(
-        model.axis, read_axis_motion(run, model.axis), time_s, moved, np.diff(modelled)
-    )
+    motion = read_axis_motion(run, model.axis)
+    return join_rates(model.axis, motion, time_s, moved, np.diff(modelled))
 
 
 def join_rates(
@@ -372,13 +341,7 @@ def join_rates(
     """Return the rates of an axis from displacements in steps between times [s], shape (n,).
 
     Steps are joined up to a tenth of a second; in shorter steps the noise of poses hides the rate.
-
-    Args:
-        axis: Name of the axis.
-        motion: Motion whose commands are shown.
-        time_s: Time of the poses [s], shape (n + 1,).
-        moved: Distance or turn of the robot in each step [m] or [rad], shape (n,).
-        modelled: Distance or turn of the model in each step [m] or [rad].
+    `moved` and `modelled` are the distances or turns of robot and model in each step [m] or [rad].
     """
     rows = np.flatnonzero(np.diff(np.floor(time_s / _SHOWN_S), prepend=-np.inf))
     rows = rows if len(rows) > 1 else np.array([0, len(time_s) - 1])

@@ -1,7 +1,7 @@
 """Identification of a robot's dynamics from commands and motion; for turtlesim tick by tick."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -87,35 +87,33 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     exact = _identify_ticks(runs)
     if exact is not None:
         return exact
-    found = _identify_axes(runs)
-    models = [model for model, _ in found]
+    (speed, speed_events), (turn_rate, turn_events) = (_identify_axis(runs, axis) for axis in AXES)
+    models = _doubt_waiting(runs, speed, turn_rate), _doubt_waiting(runs, turn_rate, speed)
     notes = [doubt for model in models for doubt in model.doubts]
-    notes += [note for model, _ in found for note in _compare_runs(runs, model)]
-    notes += [_note_one_size(model) for model, _ in found if _has_one_size(runs, model)]
-    notes += [note for model, _ in found for note in _note_one_beside(runs, model)]
+    for list_notes in (_compare_runs, _note_one_size, _note_one_beside, _note_backward):
+        notes += [note for model in models for note in list_notes(runs, model)]
     notes += [
-        _note_backward(runs, model) for model, _ in found if not _shows_gain(runs, model, -1.0)
+        f"The {NAMES[model.axis]} stops by itself where no command comes,"
+        f" {describe_count(len(waits_s), 'time')}: it is down to half {min(waits_s):.2f} to"
+        f" {max(waits_s):.2f} s after the last command."
+        for model in models
+        if (waits_s := model.silent_stops_s)
     ]
-    notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
-    notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
+    notes += [
+        f"The {NAMES[model.axis]} is identified from the first {model.steps} of"
+        f" {model.steps_in_all} steps between poses."
+        for model in models
+        if model.steps < model.steps_in_all
+    ]
+    pairs = zip(models, (speed_events, turn_events), strict=True)
     return RobotModel(
         files=files,
         clock=runs[0].clock,
-        speed=found[0][0],
-        turn_rate=found[1][0],
-        events=tuple(event for _, events in found for event in events),
+        speed=models[0],
+        turn_rate=models[1],
+        events=tuple(event for model, events in pairs if model.is_known for event in events),
         notes=tuple(notes),
     )
-
-
-def _identify_axes(runs: Sequence[Run]) -> list[tuple[AxisModel, list[RobotEvent]]]:
-    speed, turn_rate = (_identify_axis(runs, axis) for axis in AXES)
-    pairs = ((speed, turn_rate), (turn_rate, speed))
-    models = [_doubt_waiting(runs, own, other) for (own, _), (other, _) in pairs]
-    return [
-        (model, events if model.is_known else [])
-        for model, (_, events) in zip(models, (speed, turn_rate), strict=True)
-    ]
 
 
 def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:
@@ -139,7 +137,8 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         opposite = find_opposite(axis, motions, None)
         return opposite or refuse_axis(axis, str(err)), []
     fit, rivals = choose_structure(fit)
-    changes = sum(_count_changes(run, axis) for run in runs)
+    columns = [np.diff(get_commands(run, axis), prepend=0.0) for run in runs]
+    changes = sum(int(np.count_nonzero(column)) for column in columns)
     found = cover_rivals(
         describe_fit(axis, fit, changes),
         fit.model.structure,
@@ -164,18 +163,14 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     return found, _list_events(names, axis, fit)
 
 
-def _has_one_size(runs: Sequence[Run], model: AxisModel) -> bool:
-    """Return whether all commands of a known axis have the same magnitude."""
+def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     sizes = np.abs(np.concatenate([get_commands(run, model.axis) for run in runs]))
-    moving = sizes[sizes > 0.0]
-    return model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max())
-
-
-def _note_one_size(model: AxisModel) -> str:
-    return (
-        f"All {NAMES[model.axis]} commands have the same magnitude. The log does not show"
-        f" whether smaller commands have the same gain, nor the largest {NAMES[model.axis]}."
-    )
+    moving, name = sizes[sizes > 0.0], NAMES[model.axis]
+    if model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max()):
+        yield (
+            f"All {name} commands have the same magnitude. The log does not show whether smaller"
+            f" commands have the same gain, nor the largest {name}."
+        )
 
 
 def _shows_gain(runs: Sequence[Run], model: AxisModel, sign: float) -> bool:
@@ -219,13 +214,14 @@ def _refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel:
     return replace(refuse_axis(model.axis, reason), advice=advice)
 
 
-def _note_backward(runs: Sequence[Run], model: AxisModel) -> str:
-    bound = 0.0 if model.bound is None else model.bound.value
-    every = _count_reaching(_list_moving(runs, model, -1.0)[1]).capitalize()
-    return (
-        f"{every} negative command of the {NAMES[model.axis]} reaches the limit of {bound:.3g}"
-        f" {UNITS[model.axis]}. The log does not show whether the gain holds for smaller ones."
-    )
+def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    if not _shows_gain(runs, model, -1.0):
+        bound = 0.0 if model.bound is None else model.bound.value
+        every = _count_reaching(_list_moving(runs, model, -1.0)[1]).capitalize()
+        yield (
+            f"{every} negative command of the {NAMES[model.axis]} reaches the limit of {bound:.3g}"
+            f" {UNITS[model.axis]}. The log does not show whether the gain holds for smaller ones."
+        )
 
 
 def _count_reaching(reaches: NDArray[np.bool_]) -> str:
@@ -270,26 +266,6 @@ def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> A
         return model
     covered = cover_waiting(model, other)
     return refuse_wide(covered, f"while the {NAMES[other.axis]} rests") or covered
-
-
-def _note_stops(model: AxisModel) -> str:
-    waits_s = model.silent_stops_s
-    return (
-        f"The {NAMES[model.axis]} stops by itself where no command comes,"
-        f" {describe_count(len(waits_s), 'time')}: it is down to half {min(waits_s):.2f} to"
-        f" {max(waits_s):.2f} s after the last command."
-    )
-
-
-def _note_part(model: AxisModel) -> str:
-    return (
-        f"The {NAMES[model.axis]} is identified from the first {model.steps} of"
-        f" {model.steps_in_all} steps between poses."
-    )
-
-
-def _count_changes(run: Run, axis: Axis) -> int:
-    return int(np.count_nonzero(np.diff(get_commands(run, axis), prepend=0.0)))
 
 
 def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEvent]:
@@ -342,7 +318,9 @@ _MOST_UNEXPLAINED: Final = 0.05
 """Largest share of moving ticks without an explaining command. Above this share, poses or commands
 are not turtlesim's. A recorder that starts late misses only the first command."""
 
-_HERE: Final = "turtlesim moves by the command of a tick, whole and at once"
+_Shown = tuple[NDArray[np.int64], Values]
+"""Rows of the commands of a run that poses show, in order, and the time from each command to the
+first pose that shows it [s]."""
 
 
 def _identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
@@ -351,7 +329,7 @@ def _identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
     known = [shown for shown in found if shown is not None]
     if len(known) < len(runs):
         return None
-    delays_s = np.concatenate([shown.delays_s for shown in known])
+    delays_s = np.concatenate([delays_s for _, delays_s in known])
     if not len(delays_s):
         return None
     delays = TickDelays(
@@ -368,24 +346,12 @@ def _identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
         turn_rate=_describe(runs, "turn_rate", known),
         tick_delays=delays,
         notes=(
-            f"Exact: {_HERE}. The dead time is from the time of a command to the beginning of the"
-            f" tick that moves by it; the pose at its end, {1e3 * TICK_S:.0f} ms later, shows it."
-            " The value is the median of the commands that change the axis.",
+            "Exact: turtlesim moves by the command of a tick, whole and at once. The dead time is"
+            " from the time of a command to the beginning of the tick that moves by it; the pose at"
+            f" its end, {1e3 * TICK_S:.0f} ms later, shows it. The value is the median of the"
+            " commands that change the axis.",
         ),
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Shown:
-    """The commands of a run that are visible in poses.
-
-    Attributes:
-        commands: Rows of the commands, increasing, shape (n,).
-        delays_s: Time from each command to the first pose that shows it [s], shape (n,).
-    """
-
-    commands: NDArray[np.int64]
-    delays_s: Values
 
 
 def _list_delays(run: Run) -> _Shown | None:
@@ -403,33 +369,21 @@ def _list_delays(run: Run) -> _Shown | None:
         return None
     commands, poses = follow_commands(run).T
     delays_s = (motion.time_ns[poses] - run.commands.time_ns[commands]) / 1e9
-    return _Shown(commands=commands, delays_s=delays_s)
-
-
-def _list_dead_times(run: Run, axis: Axis, shown: _Shown) -> Values:
-    """Return the dead times of commands that change an axis [s]: one tick less than the delay.
-
-    A real turtlesim takes a command at the end of a tick, and uses it for the whole tick.
-    """
-    values = get_commands(run, axis)[shown.commands]
-    changes = np.diff(values, prepend=0.0) != 0.0
-    return np.asarray(np.maximum(shown.delays_s[changes] - TICK_S, 0.0))
+    return commands, np.asarray(delays_s)
 
 
 def _describe(runs: Sequence[Run], axis: Axis, shown: Sequence[_Shown]) -> AxisModel:
-    dead_times = [_list_dead_times(run, axis, own) for run, own in zip(runs, shown, strict=True)]
+    dead_times = []
+    for run, (commands, delays_s) in zip(runs, shown, strict=True):
+        changes = np.diff(get_commands(run, axis)[commands], prepend=0.0) != 0.0
+        # A real turtlesim takes a command at the end of a tick, and uses it for the whole tick.
+        dead_times.append(np.maximum(delays_s[changes] - TICK_S, 0.0))
     dead_times_s = np.concatenate(dead_times)
     if not len(dead_times_s):
-        name = NAMES[axis]
-        reason = f"no pose shows a change of the commanded {name}"
+        reason = f"no pose shows a change of the commanded {NAMES[axis]}"
         if not any(get_commands(run, axis).any() for run in runs):
-            reason = f"the {name} is never commanded"
-        return AxisModel(
-            axis=axis,
-            status="not_identifiable",
-            reason=reason,
-            advice=f"step the {name} ten times for 2 s",
-        )
+            reason = f"the {NAMES[axis]} is never commanded"
+        return refuse_axis(axis, reason)
     poses = sum(len(run.poses) for run in runs)
     delay = Estimate(
         value=float(np.median(dead_times_s)),

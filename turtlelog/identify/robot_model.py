@@ -360,7 +360,6 @@ class RobotModel:
         )
 
     def _repr_html_(self) -> str:
-
         rows = [(*list_model_values(axis), axis.reason) for axis in self.axes]
         answer = " ".join(write_robot_headline(self.axes, ", ".join(self.files)))
         doubts = [f"<p>{escape(doubt)}</p>" for axis in self.axes for doubt in axis.doubts]
@@ -380,14 +379,19 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
     """
     axes = [*axes]
     delays = [
-        f"of {NAMES[axis.axis]} {_write_delay(axis.total_delay_s)}"
+        f"of {NAMES[axis.axis]} {format_delay(axis.total_delay_s).replace(' ', ' ms ', 1)}"
         for axis in axes
         if axis.total_delay_s is not None
     ]
     if not delays:
         return [f"{name}: no axis could be identified."]
     said = [f"{name}: total delay {', '.join(delays)}."]
-    gains = [_write_gain(axis, axis.gain) for axis in axes if axis.gain is not None]
+    gains = [
+        f"{NAMES[axis.axis]} {axis.gain.value:.3f}"
+        + (f" up to its limit of {bound.value:.3g} {bound.unit}" if (bound := axis.bound) else "")
+        for axis in axes
+        if axis.gain is not None
+    ]
     if gains:
         said.append(f"Gain{'' if len(gains) == 1 else 's'}: {', '.join(gains)}.")
     said += [
@@ -405,18 +409,6 @@ def _write_doubted(axis: AxisModel) -> str:
     if delay_s is None or not math.isfinite(delay_s):
         return NAMES[axis.axis]
     return f"{NAMES[axis.axis]} (plan with {1e3 * delay_s:.0f} ms)"
-
-
-def _write_gain(axis: AxisModel, gain: Estimate) -> str:
-    """Return the gain of an axis, and the rate up to which the axis follows its commands."""
-    bound = axis.bound
-    limit = "" if bound is None else f" up to its limit of {bound.value:.3g} {bound.unit}"
-    return f"{NAMES[axis.axis]} {format_gain(gain).partition(' ')[0]}{limit}"
-
-
-def _write_delay(found: Estimate) -> str:
-    value, _, interval = format_delay(found).partition(" ")
-    return f"{value} ms {interval}"
 
 
 def format_gain(found: Estimate | None) -> str:

@@ -219,7 +219,6 @@ def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
 
 
 def _tell_plant(axis: AxisModel) -> Iterator[str]:
-    """Yield the limits of the plant, and how it differs from the identified robot."""
     name = NAMES[axis.axis]
     if axis.doubts:
         yield f"In doubt, the {name} has the longest delay and the largest gain of its intervals."
@@ -309,10 +308,12 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
     for axis in model.axes:
         name, unit = NAMES[axis.axis], UNITS[axis.axis]
         largest, arrivals = _find_largest(runs, axis.axis)
-        key, bound = LIMIT_KEYS[axis.axis], _find_bound(axis)
+        key, friction = LIMIT_KEYS[axis.axis], axis.friction.value if axis.friction else 0.0
+        bound = math.inf  # the command from which the rate no longer increases
+        bound = axis.bound.value / axis.gain.value + friction if axis.bound and axis.gain else bound
         is_limit = arrivals >= _FEWEST_ARRIVALS
         values[key] = largest if is_limit or axis.rate_limit else math.inf
-        if axis.bound is not None and bound is not None and bound <= largest:
+        if axis.bound is not None and bound <= largest:
             values[key] = _round(bound)
             notes.append(
                 f"Commands of the {name} above {bound:.3g} {unit} do no more: the rate ends at"
@@ -349,16 +350,7 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
     return values, notes
 
 
-def _find_bound(axis: AxisModel) -> float | None:
-    """Return the command from which the rate of an axis no longer increases."""
-    if axis.bound is None or axis.gain is None:
-        return None
-    friction = 0.0 if axis.friction is None else axis.friction.value
-    return axis.bound.value / axis.gain.value + friction
-
-
 def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
-    """Return the largest magnitude of a command, and the number of commands that reach it."""
     commands = [get_commands(run, axis) for run in runs]
     largest = max((float(np.abs(value).max()) for value in commands if len(value)), default=0.0)
     if not largest:
@@ -440,7 +432,6 @@ _AHEAD_M: Final = 1.0
 
 
 def _find_start_and_goal(run: Run) -> Part:
-    """Return the start of a robot, and its goal."""
     (x_m, y_m), heading_rad = run.poses.xy_m[0].tolist(), float(run.poses.heading_rad[0])
     goal_m = run.goal_xy_m
     note = "It starts at the first pose of the log, and has the log's goal."

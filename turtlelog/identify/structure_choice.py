@@ -146,7 +146,6 @@ def _search(
     splits: Sequence[Parts],
     list_neighbours: Callable[[AxisFit], Iterable[tuple[Structure, "Starts"]]],
 ) -> AxisFit:
-    """Return the best fit that neighbours lead to from a fit."""
     while True:
         fit = _try_neighbours(fit, tried, list_neighbours(fit))
         for other in sorted(tried.values(), key=measure_score):

@@ -272,16 +272,8 @@ MIRRORED: Final = MappingProxyType(
 )
 """Operators after exchanging or negating both sides."""
 
-_OF_NUMPY: Final = MappingProxyType(
-    {
-        "less": "<",
-        "less_equal": "<=",
-        "greater": ">",
-        "greater_equal": ">=",
-        "equal": "==",
-        "not_equal": "!=",
-    }
-)
+_UFUNCS: Final = ("less", "less_equal", "greater", "greater_equal", "equal", "not_equal")
+_OF_NUMPY: Final = MappingProxyType(dict(zip(_UFUNCS, OPERATORS, strict=True)))
 
 Real.register(Metric)  # pytest.approx accepts no other types
 
@@ -368,7 +360,6 @@ _ENTRIES: Final = ("id", "value", "unit", "status", "reason", "at_s")
 
 
 def _format_metrics_html(metrics: Iterable[Metric]) -> str:
-    """Return metrics as an HTML table for notebooks; a metric without a value shows its reason."""
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
     ]

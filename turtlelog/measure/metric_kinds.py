@@ -428,10 +428,8 @@ def curve_metric(
     """
 
     def enter(numbers: _OfCurve) -> _OfCurve:
-        def compute(_: RunContext, response: Response) -> Result:
-            return read_outcome(numbers(response))
-
-        loop_metric(name, unit, meaning, **more)(compute)
+        enter_loop = loop_metric(name, unit, meaning, **more)
+        enter_loop(lambda _, response: read_outcome(numbers(response)))
         kind = LOOP_METRICS[name]
         LOOP_METRICS[name] = replace(kind, needs_step=needs_step, numbers=numbers)
         return numbers

@@ -134,20 +134,18 @@ def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
 
 @lru_cache(maxsize=64)
 def _list_of_laws(*declarations: Declaration) -> tuple[str, ...]:
+    loops = _list_loops(declarations)
     of_loops = (
         f"{loop.name}.{name}"
-        for loop in _list_loops(declarations)
+        for loop in loops
         for name in _ESSENTIAL_OF_LOOP
         if LOOP_METRICS[name].applies(loop) and (loop.moves or name not in _OF_MOVING)
     )
-    return (*dict.fromkeys(of_loops), *_choose_of_run(declarations))
-
-
-def _choose_of_run(declarations: tuple[Declaration, ...]) -> tuple[str, ...]:
-    if not declarations or any(one.uses_goal for one in declarations):
-        return _ESSENTIAL_OF_RUN
-    follows = any(loop.reference == "path" for loop in _list_loops(declarations))
-    return _ESSENTIAL_OF_PATH if follows else _ESSENTIAL_WITHOUT_GOAL
+    of_run: tuple[str, ...] = _ESSENTIAL_OF_RUN
+    if declarations and not any(one.uses_goal for one in declarations):
+        follows = any(loop.reference == "path" for loop in loops)
+        of_run = _ESSENTIAL_OF_PATH if follows else _ESSENTIAL_WITHOUT_GOAL
+    return (*dict.fromkeys(of_loops), *of_run)
 
 
 def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
@@ -363,9 +361,8 @@ def miss_metric(declaration: Declaration, name: str) -> Metric:
     known = ", ".join(found.name for found in declaration.loops) or "none"
     reason = f"the run declares no loop {loop} (it declares {known})"
     if declared is not None:
-        reason = (
-            f"a loop of {declared.signal} with the reference {declared.reference} has no {plain}"
-        )
+        what = f"a loop of {declared.signal} with the reference {declared.reference}"
+        reason = f"{what} has no {plain}"
     unit = LOOP_METRICS[plain].describe_unit(declared)
     return Metric(id=name, value=None, unit=unit, status=Status.NO_PHASE, reason=reason)
 
@@ -382,10 +379,8 @@ def _measure(context: RunContext, name: str, kind: MetricKind | None) -> Metric:
     else:
         result = kind.compute(context)
         if isinstance(result, Found) and not math.isfinite(result.value):
-            reason = "the value is beyond the largest float"
-            result = Missing(Status.TOO_LARGE, reason)
+            result = Missing(Status.TOO_LARGE, "the value is beyond the largest float")
     if isinstance(result, Missing):
-        return Metric(
-            id=name, value=None, unit=kind.unit, status=result.status, reason=result.reason
-        )
+        status, reason = result.status, result.reason
+        return Metric(id=name, value=None, unit=kind.unit, status=status, reason=reason)
     return Metric(id=name, value=result.value, unit=kind.unit, at_s=result.at_s)

@@ -155,8 +155,8 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         command = samples.turn_rate_rad_s
     else:
         is_kept &= ((xy_m[1:] > plant.low_m) & (xy_m[1:] < plant.high_m)).all(axis=1)  # no wall
-        measure = _measure_arcs if plant.name == LAGGED else _measure_moves
-        moved, rounding = measure(xy_m, heading_rad, _find_half_steps(poses.xy_m)[ends])
+        half = _find_half_steps(poses.xy_m)[ends]
+        moved, rounding = _measure_moves(xy_m, heading_rad, half, is_arc=plant.name == LAGGED)
         command = samples.speed_m_s
     rows = first + np.flatnonzero(is_kept)
     usual_ticks = compute_median(subtract_neighbours(sample_tick)) if len(sample_tick) > 1 else 1.0
@@ -278,24 +278,19 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
     return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
 
 
-def _measure_moves(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Values, Values]:
-    # turtlesim turns first, then moves along the new heading.
-    return _measure_along(xy_m, heading_rad[1:], half)
-
-
-def _measure_arcs(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Values, Values]:
-    # Other robots turn while they move along an arc, whose chord has the mean heading.
+def _measure_moves(
+    xy_m: Values, heading_rad: Values, half: Values, *, is_arc: bool
+) -> tuple[Values, Values]:
+    # turtlesim turns first, then moves along the new heading. Other robots turn while they move
+    # along an arc, whose chord has the mean heading.
     half_rad = 0.5 * subtract_headings(heading_rad[1:], heading_rad[:-1])
-    moved, rounding = _measure_along(xy_m, heading_rad[:-1] + half_rad, half)
-    return moved / np.sinc(half_rad / np.pi), rounding
-
-
-def _measure_along(xy_m: Values, along_rad: Values, half: Values) -> tuple[Values, Values]:
+    along_rad = heading_rad[:-1] + half_rad if is_arc else heading_rad[1:]
     x, y = np.cos(along_rad), np.sin(along_rad)
     ways_m = xy_m[1:] - xy_m[:-1]
     both = half[:-1] + half[1:]
     moved = ways_m[:, 0] * x + ways_m[:, 1] * y
-    return moved, both[:, 0] * np.abs(x) + both[:, 1] * np.abs(y) + _EXACT
+    rounding = both[:, 0] * np.abs(x) + both[:, 1] * np.abs(y) + _EXACT
+    return moved / np.sinc(half_rad / np.pi) if is_arc else moved, rounding
 
 
 def _find_half_steps(values: Values) -> Values:
@@ -346,9 +341,12 @@ def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]
 
 def fit_way(motion: LoopMotion, errors: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
     """Return the cumulated errors of steps and their root mean square, one row for each fit."""
+    # The initial value of each segment between gaps is not exact, so its mean is subtracted.
+    bounds = np.flatnonzero(subtract_neighbours(motion.tick[rows]) > motion.step_ticks) + 1
     with np.errstate(over="ignore", invalid="ignore"):
-        drift = np.cumsum(errors, axis=1)[:, rows]
-        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
+        parts = np.split(np.cumsum(errors, axis=1)[:, rows], bounds, axis=1)
+        offsets = [part - part.mean(axis=1, keepdims=True) for part in parts]
+        left = np.concatenate(offsets, axis=1)
         return left, np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
 
 
@@ -404,10 +402,3 @@ def _lag_steps(motion: LoopMotion, predicted: Values, lag_ticks: float) -> Value
     bounds = np.flatnonzero(subtract_neighbours(motion.tick) > motion.step_ticks) + 1
     parts = np.split(predicted, bounds)
     return np.concatenate([lfilter([now, before], [1.0, -kept], part) for part in parts])
-
-
-def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
-    """Subtract the mean of each segment between gaps, because the initial value is not exact."""
-    bounds = np.flatnonzero(subtract_neighbours(tick) > step_ticks) + 1
-    parts = np.split(drift, bounds, axis=1)
-    return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)

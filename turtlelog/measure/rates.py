@@ -6,7 +6,7 @@ displacement along the mean heading divided by the time. Differences of poses cl
 mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th pose is used if poses are fast.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal
@@ -190,14 +190,6 @@ class HeldCommands:
         return np.asarray(np.interp(time_s, knots_s, integral))
 
 
-def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
-    """Return commands with a 0 at each time at which the plant's watchdog stops the robot."""
-    late = np.append(subtract_neighbours(time_s) > holds_s, np.isfinite(holds_s))
-    rows = np.flatnonzero(late) + 1
-    stops_s = time_s[late] + holds_s
-    return np.insert(time_s, rows, stops_s), np.insert(values, rows, 0.0)
-
-
 SAME: Final = 1e-6
 """Difference below which commands are equal [m/s or rad/s]: sums of steps of 0.1 miss 0 by 1e-17,
 and 32 bits round a command of 5 by 5e-7."""
@@ -216,17 +208,20 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
     # If commands have equal times, the last is held.
     is_last = np.append(subtract_neighbours(time_s) > 0.0, True)
     time_s, values = time_s[is_last], values[is_last]
-    if run.poses.speed_m_s is not None:  # of turtlesim, or of a simulation
-        time_s, values = _expire(time_s, values, find_plant(run).watchdog_ns / 1e9)
+    if run.poses.speed_m_s is not None:  # of turtlesim, or a simulation: its watchdog stops it
+        holds_s = find_plant(run).watchdog_ns / 1e9
+        late = np.append(subtract_neighbours(time_s) > holds_s, np.isfinite(holds_s))
+        rows, stops_s = np.flatnonzero(late) + 1, time_s[late] + holds_s
+        time_s, values = np.insert(time_s, rows, stops_s), np.insert(values, rows, 0.0)
     end_s = float(time_s[-1])
     is_new = np.concatenate([[True], subtract_neighbours(values) != 0.0])
     time_s, values = time_s[is_new], values[is_new]
-    first = float(values[0])
-    if rates is None:
-        return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=first)
-    row = min(max(int(np.searchsorted(rates.edges_s, time_s[0])) - 1, 0), len(rates.means) - 1)
-    stood = abs(float(rates.means[row])) <= abs(first) / 2.0
-    return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=0.0 if stood else first)
+    before = float(values[0])
+    if rates is not None:
+        row = min(max(int(np.searchsorted(rates.edges_s, time_s[0])) - 1, 0), len(rates.means) - 1)
+        stood = abs(float(rates.means[row])) <= abs(before) / 2.0
+        before = 0.0 if stood else before
+    return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=before)
 
 
 MEASURED: Final = ("measured_speed", "measured_turn_rate")
@@ -312,9 +307,9 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     rows = _find_apart(height)
     if not len(rows) or np.count_nonzero(np.diff(np.delete(values, rows))) < _LEAST_CHANGES:
         return none
-    least = np.maximum(
-        LOCAL_SPANS * _find_spans(smooth, rows), GRAINS * find_quantisation_step(values)
-    )
+    around = rows[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
+    spans = np.ptp(smooth[np.clip(around, 0, len(smooth) - 1)], axis=1)
+    least = np.maximum(LOCAL_SPANS * spans, GRAINS * find_quantisation_step(values))
     step_ns = np.maximum(time_ns[rows] - time_ns[rows - 1], time_ns[rows + 1] - time_ns[rows])
     is_outlier = (height[rows] > least) & (step_ns <= LONGEST_STEP_NS)
     return np.asarray(rows[is_outlier])
@@ -322,22 +317,18 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
 
 def list_outliers(run: Run) -> tuple[Outlier, ...]:
     """Return the outliers of a run's measured signals, by signal and then by time."""
-    return tuple(_iterate_outliers(run))
-
-
-def _iterate_outliers(run: Run) -> Iterator[Outlier]:
-    for name in MEASURED:
-        signal = find_signal(run, name)
-        if signal is None:
-            continue
-        for row in find_outliers(signal.time_ns, signal.values).tolist():
-            yield Outlier(
-                signal=name,
-                row=row,
-                time_ns=int(signal.time_ns[row]),
-                value=float(signal.values[row]),
-                unit=signal.kind.unit,
-            )
+    signals = [one for name in MEASURED if (one := find_signal(run, name)) is not None]
+    return tuple(
+        Outlier(
+            signal=signal.name,
+            row=row,
+            time_ns=int(signal.time_ns[row]),
+            value=float(signal.values[row]),
+            unit=signal.unit,
+        )
+        for signal in signals
+        for row in find_outliers(signal.time_ns, signal.values).tolist()
+    )
 
 
 def describe_outliers(run: Run) -> dict[str, str]:
@@ -364,13 +355,6 @@ def _find_apart(height: Values) -> NDArray[np.int64]:
     is_apart = height[order[:-1]] > _APART * height[order[1:]]
     count = int(np.flatnonzero(is_apart)[-1]) + 1 if is_apart.any() else 0
     return np.sort(order[:count])
-
-
-def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
-    """Return the range of the signal around each row, without single values."""
-    around = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
-    near = smooth[np.clip(rows[:, None] + around, 0, len(smooth) - 1)]
-    return np.asarray(np.ptp(near, axis=1))
 
 
 def find_quantisation_step(values: Values) -> float:

@@ -141,7 +141,6 @@ def _read_path(run: Run, loop: ControlLoop) -> Values | None:
 
 
 def _trace_reference(run: Run, path: Path) -> Values | None:
-    """Return the arc length of the recorded reference at every pose [m]."""
     held_xy_m = hold_reference(run, run.samples.reference_xy_m)
     if held_xy_m is None:
         return None
@@ -244,9 +243,13 @@ def _measure_blocks(xy_m: Values, starts: Values, ways: Values, size: int, *size
     distances = np.empty(len(xy_m))
     for first in range(0, len(xy_m), size):
         rows = slice(first, first + size)
-        near = _select_near(xy_m[rows], starts, ways)
+        # Only these parts of the path can be nearest to a point of the block.
+        centre = (xy_m[rows].min(axis=0) + xy_m[rows].max(axis=0)) / 2.0
+        radius = np.hypot(*(xy_m[rows] - centre).T).max()
+        to_centre = _measure_parts(centre[None], starts, ways)[0]
+        near = to_centre <= to_centre.min() + 2.0 * radius * (1.0 + 1e-9)
         find = _measure_blocks if sizes else _find_nearest
-        distances[rows] = find(xy_m[rows], *near, *sizes)
+        distances[rows] = find(xy_m[rows], starts[near], ways[near], *sizes)
     return distances
 
 
@@ -261,15 +264,6 @@ def _sort_by_place(xy_m: Values) -> NDArray[np.int64]:
     for bit in range(_BITS):
         codes |= ((cells[:, 0] >> bit & 1) | (cells[:, 1] >> bit & 1) << 1) << 2 * bit
     return np.argsort(codes, kind="stable")
-
-
-def _select_near(block: Values, starts: Values, ways: Values) -> tuple[Values, Values]:
-    """Return the parts of the path that can be nearest to a point of the block."""
-    centre = (block.min(axis=0) + block.max(axis=0)) / 2.0
-    radius = np.hypot(*(block - centre).T).max()
-    to_centre = _measure_parts(centre[None], starts, ways)[0]
-    near = to_centre <= to_centre.min() + 2.0 * radius * (1.0 + 1e-9)
-    return starts[near], ways[near]
 
 
 def _find_nearest(block: Values, starts: Values, ways: Values) -> Values:

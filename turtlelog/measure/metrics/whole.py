@@ -185,7 +185,7 @@ def _tell_time(context: RunContext) -> float:
 def _find_cut(context: RunContext) -> Missing | None:
     """Return why a run was cut off; None if it ended by itself and keeps its last value."""
     run = context.run
-    length_s = (run.end_ns - run.start_ns) / 1e9
+    length_s = run.duration_s
     if run.is_complete or length_s >= PAPER_WINDOW_S:
         return None
     return Missing(Status.TOO_SHORT, f"the run was cut at {length_s:.2f} s")
@@ -304,12 +304,11 @@ def tell_pose(course: RunContext, row: int) -> float:
     return float(course.pose_time_s[row])
 
 
-@course_metric(
-    "run.cross_track_max",
-    "m",
-    "Largest distance from the line from start to goal, or from the path given.",
-    grows=True,
-)
+_LARGEST: Final = "Largest distance from the line from start to goal, or from the path given."
+_RMS: Final = "RMS distance from the line from start to goal, or from the path given."
+
+
+@course_metric("run.cross_track_max", "m", _LARGEST, grows=True)
 def _measure_largest_cross_track(course: RunContext) -> Outcome:
     """Return the largest magnitude from the first sample (time zero of the run) on."""
     offset_m, first = get_cross_track(course), course.first_row
@@ -319,11 +318,7 @@ def _measure_largest_cross_track(course: RunContext) -> Outcome:
     return largest_m, tell_pose(course, first + row), FOUND
 
 
-@run_metric(
-    "run.cross_track_rms",
-    "m",
-    "RMS distance from the line from start to goal, or from the path given.",
-)
+@run_metric("run.cross_track_rms", "m", _RMS)
 def _compute_rms_of_run(context: RunContext) -> Result:
     return compute_rms_cross_track(context, slice(context.first_row, None))
 
@@ -354,20 +349,17 @@ def _on_commands(
     def compute_on_commands(context: RunContext) -> Result:
         if not len(context.run.commands):
             return NO_COMMANDS
-        return compute(context.recall(column, lambda: _take_commands(context, column)))
+        commands = CommandStretch(
+            time_s=context.command_time_s,
+            values=getattr(context.run.commands, column),
+            wanted=None,
+            limit=None,
+            end_s=context.run.duration_s,
+            answered_ns=context.run.commands.time_ns,
+        )
+        return compute(context.recall(column, lambda: commands))
 
     return compute_on_commands
-
-
-def _take_commands(context: RunContext, column: str) -> CommandStretch:
-    return CommandStretch(
-        time_s=context.command_time_s,
-        values=getattr(context.run.commands, column),
-        wanted=None,
-        limit=None,
-        end_s=(context.run.end_ns - context.run.start_ns) / 1e9,
-        answered_ns=context.run.commands.time_ns,
-    )
 
 
 _COMMAND_METRICS: Final = (
@@ -412,22 +404,11 @@ def _moves_along(loop: ControlLoop) -> bool:
     return loop.command == "speed"
 
 
-@loop_metric(
-    "cross_track_max",
-    "m",
-    "Largest distance from the line from start to goal, or from the path given.",
-    grows=True,
-    applies=_moves_along,
-)
+@loop_metric("cross_track_max", "m", _LARGEST, grows=True, applies=_moves_along)
 def _compute_cross_track_max(context: RunContext, response: Response) -> Result:
     return find_largest_cross_track(context, response.rows)
 
 
-@loop_metric(
-    "cross_track_rms",
-    "m",
-    "RMS distance from the line from start to goal, or from the path given.",
-    applies=_moves_along,
-)
+@loop_metric("cross_track_rms", "m", _RMS, applies=_moves_along)
 def _compute_cross_track_rms(context: RunContext, response: Response) -> Result:
     return compute_rms_cross_track(context, response.rows)
