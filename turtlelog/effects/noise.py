@@ -49,10 +49,7 @@ PART = Effect(
     },
     causes=(
         Cause(
-            name="noise",
-            kind="effect",
-            neutral=_NEUTRAL,
-            meaning="poses are read without noise",
+            name="noise", kind="effect", neutral=_NEUTRAL, meaning="poses are read without noise"
         ),
     ),
 )

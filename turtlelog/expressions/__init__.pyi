@@ -10,10 +10,7 @@ from .evaluation import (
     fail_at as fail_at,
     require_kind as require_kind,
 )
-from .parser import (
-    format_expression as format_expression,
-    parse_expression as parse_expression,
-)
+from .parser import format_expression as format_expression, parse_expression as parse_expression
 from .syntax import (
     Arithmetic as Arithmetic,
     Call as Call,

@@ -448,10 +448,7 @@ FIRST_ORDER: Final = Structure()
 
 
 def _shape_commands(
-    commands: HeldInput,
-    structure: Structure,
-    values: Mapping[str, float],
-    beside: HeldInput | None,
+    commands: HeldInput, structure: Structure, values: Mapping[str, float], beside: HeldInput | None
 ) -> HeldInput:
     """Return commands after the static nonlinearities of a robot."""
     coupling: Any = 0.0

@@ -275,11 +275,7 @@ class AxisModel:
 
 
 _ORDERS: Final[Mapping[str, Order]] = MappingProxyType(
-    {
-        "before_lag": "limited_before",
-        "within_lag": "limited_within",
-        "at_wheels": "limited_wheels",
-    }
+    {"before_lag": "limited_before", "within_lag": "limited_within", "at_wheels": "limited_wheels"}
 )
 """Order of a model by the place of its limit."""
 

@@ -114,9 +114,7 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
     if not standing_s:
         return None
     return SensingNoise(
-        position=_measure_still(places),
-        heading=_measure_still(headings),
-        standing_s=standing_s,
+        position=_measure_still(places), heading=_measure_still(headings), standing_s=standing_s
     )
 
 
@@ -282,11 +280,7 @@ class Whitening:
     """
 
     def __init__(
-        self,
-        noise: StepNoise,
-        duration_s: Values,
-        shared: Values,
-        is_outlier: NDArray[np.bool_],
+        self, noise: StepNoise, duration_s: Values, shared: Values, is_outlier: NDArray[np.bool_]
     ) -> None:
         """Prepare the whitening for steps of given durations [s]; `shared` as of a motion."""
         self.noise = noise
@@ -305,10 +299,7 @@ class Whitening:
 
 
 def fit_noise(
-    residual: Values,
-    duration_s: Values,
-    shared: Values,
-    is_outlier: NDArray[np.bool_],
+    residual: Values, duration_s: Values, shared: Values, is_outlier: NDArray[np.bool_]
 ) -> Whitening:
     """Return the whitening by the likeliest noise of a residual, for steps of given durations."""
     kept = ~is_outlier

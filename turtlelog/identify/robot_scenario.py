@@ -380,10 +380,7 @@ def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
             if not noise.size
         ]
         zero = f" What shows none has 0: up to {' and '.join(hidden)} may hide." if hidden else ""
-        values |= {
-            "sensing.noise_position_m": position_m,
-            "sensing.noise_heading_rad": heading_rad,
-        }
+        values |= {"sensing.noise_position_m": position_m, "sensing.noise_heading_rad": heading_rad}
         notes.append(
             f"The noise of poses is that of {sensing.standing_s:.3g} s in which the robot stands:"
             f" {1e3 * position_m:.3g} mm and {1e3 * heading_rad:.3g} mrad.{zero}"

@@ -157,9 +157,7 @@ def _search(
 
 
 def _try_neighbours(
-    fit: AxisFit,
-    tried: dict[Structure, AxisFit],
-    neighbours: Iterable[tuple[Structure, "Starts"]],
+    fit: AxisFit, tried: dict[Structure, AxisFit], neighbours: Iterable[tuple[Structure, "Starts"]]
 ) -> AxisFit:
     """Fit the neighbouring structures of a structure; return its own fit, possibly improved."""
     tried[fit.model.structure] = fit

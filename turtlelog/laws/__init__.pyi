@@ -27,14 +27,8 @@ from .loading import (
     print_to_stderr as print_to_stderr,
     require_law_name as require_law_name,
 )
-from .sequential import (
-    GainSchedule as GainSchedule,
-    PIDGainSchedule as PIDGainSchedule,
-)
-from .sequential_p import (
-    SequentialP as SequentialP,
-    SequentialPParameters as SequentialPParameters,
-)
+from .sequential import GainSchedule as GainSchedule, PIDGainSchedule as PIDGainSchedule
+from .sequential_p import SequentialP as SequentialP, SequentialPParameters as SequentialPParameters
 from .sequential_pid import (
     SequentialPID as SequentialPID,
     SequentialPIDParameters as SequentialPIDParameters,

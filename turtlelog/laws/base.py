@@ -26,10 +26,7 @@ pi."""
 TOLERANCE: Final = Cause(
     name="tolerance",
     kind="design",
-    neutral={
-        "law.heading_tolerance_rad": _NO_TOLERANCE,
-        "law.position_tolerance_m": _NO_TOLERANCE,
-    },
+    neutral={"law.heading_tolerance_rad": _NO_TOLERANCE, "law.position_tolerance_m": _NO_TOLERANCE},
     meaning=f"tolerances of {_NO_TOLERANCE:g}",
 )
 """Names of the two parameters for the tolerances within which a law ends at its goal."""

@@ -38,12 +38,7 @@ class KanayamaParameters:
 
 
 def step(
-    settings: Any,
-    state: Any,
-    pieces: Any,
-    row: Any,
-    time_ns: int,
-    pose: tuple[float, float, float],
+    settings: Any, state: Any, pieces: Any, row: Any, time_ns: int, pose: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Answer one pose, using the error in the robot's frame."""
     gains = settings.law

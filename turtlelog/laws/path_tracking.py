@@ -75,12 +75,7 @@ def declare(
 
 @called
 def find_target(
-    settings: Any,
-    state: Any,
-    pieces: Any,
-    row: Any,
-    time_ns: int,
-    pose: tuple[float, float, float],
+    settings: Any, state: Any, pieces: Any, row: Any, time_ns: int, pose: tuple[float, float, float]
 ) -> Target:
     """Return the reference for one pose, and write the reference into the row."""
     path, law = settings.path, settings.law

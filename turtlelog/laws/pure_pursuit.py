@@ -37,12 +37,7 @@ class PurePursuitParameters:
 
 
 def step(
-    settings: Any,
-    state: Any,
-    pieces: Any,
-    row: Any,
-    time_ns: int,
-    pose: tuple[float, float, float],
+    settings: Any, state: Any, pieces: Any, row: Any, time_ns: int, pose: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Return the command for one pose: omega = 2 v y / L^2."""
     law = settings.law

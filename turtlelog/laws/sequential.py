@@ -133,12 +133,7 @@ class SequentialState:
 
 
 def step(
-    settings: Any,
-    state: Any,
-    table: Any,
-    row: Any,
-    time_ns: int,
-    pose: tuple[float, float, float],
+    settings: Any, state: Any, table: Any, row: Any, time_ns: int, pose: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Answer one pose."""
     law, goal = settings.law, settings.goal

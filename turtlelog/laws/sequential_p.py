@@ -100,10 +100,7 @@ _CAUSES: Final = (
         meaning="projection on the current heading",
     ),
     Cause(
-        name="wrap",
-        kind="effect",
-        neutral={"law.wrap_error": True},
-        meaning="the error wrapped",
+        name="wrap", kind="effect", neutral={"law.wrap_error": True}, meaning="the error wrapped"
     ),
     TOLERANCE,
 )

@@ -42,10 +42,7 @@ from .rates import (
     find_outliers as find_outliers,
     list_outliers as list_outliers,
 )
-from .references import (
-    read_reference as read_reference,
-    read_reference_path as read_reference_path,
-)
+from .references import read_reference as read_reference, read_reference_path as read_reference_path
 from .response import find_first_stretch as find_first_stretch
 from .signals import (
     COMMANDED as COMMANDED,

@@ -5,10 +5,5 @@ from .kinds import (
     find_plant as find_plant,
     read_plant as read_plant,
 )
-from .lagged import (
-    LAGGED as LAGGED,
-)
-from .turtlesim import (
-    TURTLESIM as TURTLESIM,
-    Turtle as Turtle,
-)
+from .lagged import LAGGED as LAGGED
+from .turtlesim import TURTLESIM as TURTLESIM, Turtle as Turtle

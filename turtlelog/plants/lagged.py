@@ -243,11 +243,7 @@ def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].speed
         wanted = want_rate(
-            command,
-            keys.speed_gain,
-            keys.speed_reverse_gain,
-            keys.speed_deadband,
-            keys.speed_bound,
+            command, keys.speed_gain, keys.speed_reverse_gain, keys.speed_deadband, keys.speed_bound
         )
         _follow(axis, wanted, keys.speed_lag_s, keys.speed_acceleration)
         axis.next_ns = _find_next(axis, state, rows, keys.speed_dead_time_s)

@@ -33,11 +33,7 @@ _PI: Final = 3.14159265  # eight decimals, as in turtlesim's source
 _TWO_PI: Final = 2.0 * _PI
 
 TURTLESIM: Final = Plant(
-    name="turtlesim",
-    period_ns=TICK_NS,
-    low_m=0.0,
-    high_m=WORLD_SIZE_M,
-    watchdog_ns=WATCHDOG_NS,
+    name="turtlesim", period_ns=TICK_NS, low_m=0.0, high_m=WORLD_SIZE_M, watchdog_ns=WATCHDOG_NS
 )
 """Facts of turtlesim."""
 

@@ -1,8 +1,4 @@
-from . import (
-    angles as angles,
-    loops as loops,
-    paths as paths,
-)
+from . import angles as angles, loops as loops, paths as paths
 from .angles import find_quaternions as find_quaternions, turn_headings as turn_headings
 from .columns import (
     Clock as Clock,
@@ -30,7 +26,4 @@ from .run import (
     require_run as require_run,
 )
 from .stop_reasons import CUT_SHORT as CUT_SHORT
-from .tables import (
-    TABLES as TABLES,
-    tabulate_run as tabulate_run,
-)
+from .tables import TABLES as TABLES, tabulate_run as tabulate_run

@@ -56,10 +56,7 @@ def override_scenario(
 
 
 def choose_scenario(
-    scenario: Scenario | str | Path,
-    *,
-    law: Any = None,
-    changes: Mapping[str, Any] | None = None,
+    scenario: Scenario | str | Path, *, law: Any = None, changes: Mapping[str, Any] | None = None
 ) -> Scenario:
     """Return a scenario with another law and changed values.
 
