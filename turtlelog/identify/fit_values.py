@@ -7,7 +7,7 @@ widen the intervals until they cover the alternatives, and are reported.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from turtlelog.identify.axis_fit import (
 )
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis
 from turtlelog.identify.held_response import FIRST_ORDER, Structure, Values
-from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 
 _SHORT_LAG: Final = 2.0
@@ -35,15 +35,6 @@ _SHORT_LAG: Final = 2.0
 _FINEST: Final = 1e-4
 """Smallest standard error of a limit, as a share of the limit: the change over which its effect on
 the motion is measured. For smaller changes the effect may be different."""
-
-_ACTS: Final = MappingProxyType[str, Literal["before_lag", "within_lag", "at_wheels"]](
-    {
-        "limited_before": "before_lag",
-        "limited_softly": "before_lag",
-        "limited_within": "within_lag",
-        "limited_wheels": "at_wheels",
-    }
-)
 
 
 def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
@@ -58,7 +49,12 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     spread = float(np.sum((moved - moved.sum() / took_s.sum() * took_s) ** 2))
     spread = spread if spread > _ROUNDING * float(np.sum(moved**2)) else 0.0
     structure = fit.model.structure
-    names = {name: place for place, name in enumerate(structure.names, EXTRA)}
+    acts = {order: place for place, order in ORDERS.items()} | {"limited_softly": "before_lag"}
+    further: dict[str, Any] = {"limit_acts": acts.get(structure.order, "")}
+    for name in structure.names:
+        field, _, unit = FURTHER[name]
+        unit = unit.format(own=UNITS[axis], other=UNITS[OTHER[axis]])
+        further[field] = _estimate_further(fit, name, unit)
     total = _estimate_delay(fit, float(parameters[DEAD_TIME] + parameters[LAG]), (1.0, 0.0))
     dead_time, lag = _allow_no_lag(
         fit,
@@ -74,17 +70,9 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         dead_time_s=replace(dead_time, high=min(dead_time.high, total.high)),
         lag_s=replace(lag, high=min(lag.high, total.high)),
         total_delay_s=total,
-        lag_product_s2=_take(fit, names.get("product"), "s^2"),
-        limit_acts=_ACTS.get(structure.order, ""),
-        rate_limit=_divide(fit, names.get("slowness"), f"{UNITS[axis]}^2"),
-        rate_limit_beside=_invert(fit, names.get("slowness_beside"), f"{UNITS[OTHER[axis]]}^2"),
-        jerk_time_s=_take(fit, names.get("jerk_time"), "s"),
-        bound=_divide(fit, names.get("tightness"), UNITS[axis]),
         bound_acts=structure.bound,
-        bound_beside=_invert(fit, names.get("coupling"), UNITS[OTHER[axis]]),
-        reverse_gain=_multiply(fit, names.get("reverse")),
-        friction=_take(fit, names.get("friction"), UNITS[axis]),
         deadband=_estimate_deadband(fit, UNITS[axis]),
+        **further,
         explained=1.0 - left / spread if spread > 0.0 else None,
         whiteness=_measure_whiteness(white),
         outliers=int(np.count_nonzero(fit.is_outlier)),
@@ -140,39 +128,23 @@ def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
     return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
 
 
-def _take(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
-    """Return an estimate of a further parameter; None if the structure does not have it."""
-    if place is None:
-        return None
-    error = float(np.sqrt(max(fit.covariance[place, place], 0.0)))
-    return _estimate(float(fit.parameters[place]), error, unit)
-
-
-def _divide(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
-    """Return the gain divided by a further parameter, such as a limit of the rate."""
-    if place is None:
-        return None
+def _estimate_further(fit: AxisFit, name: str, unit: str) -> Estimate | None:
+    """Return the value of an axis that a further parameter gives; None where it is infinite."""
+    place, relation = EXTRA + fit.model.structure.names.index(name), FURTHER[name][1]
     gain, by = fit.parameters[[GAIN, place]].tolist()
+    own_error = float(np.sqrt(max(fit.covariance[place, place], 0.0)))
+    if relation == "itself":
+        return _estimate(by, own_error, unit)
+    if relation == "product":
+        return _estimate(gain * by, _find_error(fit, place, [by, gain]), unit)
     if by <= 0.0:
         return None
-    error = _find_error(fit, place, [1.0 / by, -gain / by**2])
-    return _estimate(gain / by, max(error, _FINEST * gain / by), unit)
-
-
-def _invert(fit: AxisFit, place: int | None, unit: str) -> Estimate | None:
-    """Return the reciprocal of a further parameter."""
-    found = _take(fit, place, unit)
-    if found is None or found.value <= 0.0:
-        return None
-    error = max((found.high - found.value) / NORMAL_95, _FINEST * found.value)
-    return _estimate(1.0 / found.value, error / found.value**2, unit)
-
-
-def _multiply(fit: AxisFit, place: int | None) -> Estimate | None:
-    if place is None:
-        return None
-    gain, by = fit.parameters[[GAIN, place]].tolist()
-    return _estimate(gain * by, _find_error(fit, place, [by, gain]), "1")
+    if relation == "quotient":
+        error = _find_error(fit, place, [1.0 / by, -gain / by**2])
+        return _estimate(gain / by, max(error, _FINEST * gain / by), unit)
+    high = by + NORMAL_95 * own_error
+    error = max((high - by) / NORMAL_95, _FINEST * by)
+    return _estimate(1.0 / by, error / by**2, unit)
 
 
 def _find_error(fit: AxisFit, place: int, slope: list[float]) -> float:

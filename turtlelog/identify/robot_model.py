@@ -235,7 +235,7 @@ class AxisModel:
         """Names of the axis's further parameters."""
         order: Order = "second_order" if self.model == "second_order" else "first_order"
         if self.limit_acts:
-            order = _ORDERS[self.limit_acts]
+            order = ORDERS[self.limit_acts]
         if self.jerk_time_s is not None:
             order = "limited_softly"
         return Structure(
@@ -250,18 +250,13 @@ class AxisModel:
     def extras(self) -> list[float]:
         """Values of the further parameters, as fractions of the gain."""
         gain = math.nan if self.gain is None else self.gain.value
-        values = {
-            "product": self.lag_product_s2,
-            "slowness": self.rate_limit,
-            "jerk_time": self.jerk_time_s,
-            "slowness_beside": self.rate_limit_beside,
-            "tightness": self.bound,
-            "coupling": self.bound_beside,
-            "reverse": self.reverse_gain,
-            "friction": self.friction,
-        }
-        found = [(name, values[name]) for name in self.structure.names]
-        return [_divide(name, one.value, gain) for name, one in found if one is not None]
+        found = []
+        for field, relation, _ in (FURTHER[name] for name in self.structure.names):
+            if (one := getattr(self, field)) is not None:
+                inverse = (1.0 if relation == "reciprocal" else gain) / one.value
+                plain = one.value / gain if relation == "product" else one.value
+                found.append(inverse if relation in {"reciprocal", "quotient"} else plain)
+        return found
 
     @property
     def is_known(self) -> bool:
@@ -274,19 +269,26 @@ class AxisModel:
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
-_ORDERS: Final[Mapping[str, Order]] = MappingProxyType(
+ORDERS: Final[Mapping[str, Order]] = MappingProxyType(
     {"before_lag": "limited_before", "within_lag": "limited_within", "at_wheels": "limited_wheels"}
 )
 """Order of a model by the place of its limit."""
 
-
-def _divide(name: str, value: float, gain: float) -> float:
-    """Return a further parameter of a structure with a gain of 1."""
-    if name in {"coupling", "slowness_beside"}:
-        return 1.0 / value
-    if name in {"slowness", "tightness"}:
-        return gain / value
-    return value / gain if name == "reverse" else value
+FURTHER: Final = MappingProxyType(
+    {
+        "product": ("lag_product_s2", "itself", "s^2"),
+        "slowness": ("rate_limit", "quotient", "{own}^2"),
+        "jerk_time": ("jerk_time_s", "itself", "s"),
+        "slowness_beside": ("rate_limit_beside", "reciprocal", "{other}^2"),
+        "tightness": ("bound", "quotient", "{own}"),
+        "coupling": ("bound_beside", "reciprocal", "{other}"),
+        "reverse": ("reverse_gain", "product", "1"),
+        "friction": ("friction", "itself", "{own}"),
+    }
+)
+"""Field of each further parameter of a structure; the relation of its value to the parameter
+(`quotient`: gain by parameter; `product`: gain times parameter); and its unit, by the units of the
+rates of its own axis and the other one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
