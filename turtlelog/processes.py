@@ -356,11 +356,7 @@ def _pickle_read_only_mappings() -> None:
     """Make read-only mappings picklable, because many results contain them."""
     from multiprocessing.reduction import ForkingPickler
 
-    ForkingPickler.register(MappingProxyType, _reduce_mapping)
-
-
-def _reduce_mapping(mapping: "MappingProxyType[Any, Any]") -> tuple[Any, ...]:
-    return _make_read_only, (dict(mapping),)
+    ForkingPickler.register(MappingProxyType, lambda one: (_make_read_only, (dict(one),)))
 
 
 def _make_read_only(mapping: dict[Any, Any]) -> "MappingProxyType[Any, Any]":

@@ -100,7 +100,14 @@ class Operand:
     def unpack(self) -> Value:
         """Convert the operand to a user's value: a float, bool, str, None or an array."""
         if self.kind in {Kind.TRUTH, Kind.UNKNOWN}:
-            return _unpack_truth(self.data)
+            unknown = np.isnan(self.data)
+            if not self.data.shape:
+                return None if unknown else bool(self.data)
+            truths = self.data.astype(np.bool_)
+            if unknown.any():
+                truths = truths.astype(np.object_)
+                truths[unknown] = None
+            return truths
         if self.data.shape:
             return self.data
         value = self.data.item()
@@ -123,7 +130,8 @@ def require_kind(expression: Expression, node: Node, operand: Operand, kind: Kin
         ExpressionError: If the kind differs; the message gives the column of the node.
     """
     if operand.kind not in {kind, Kind.UNKNOWN}:
-        problem = f"expected {kind.value}, found {_describe_node(node, operand)}"
+        name = f"{node.name}, " if isinstance(node, Name) else ""
+        problem = f"expected {kind.value}, found {name}{operand.kind.value}"
         if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, Name):
             problem += f"; compare it, for example {node.name} <= 2"
         fail_at(expression, node, problem)
@@ -219,11 +227,6 @@ def describe_unknown_name(name: str, known: Mapping[str, object]) -> str:
     return f"unknown name {quote_name(name)}; there are {listed or 'none'}"
 
 
-def _describe_node(node: Node, operand: Operand) -> str:
-    word = operand.kind.value
-    return f"{node.name}, {word}" if isinstance(node, Name) else word
-
-
 def _make_operand(value: Value) -> Operand:
     """Return a user's value as an operand; raise a TypeError for a value of no kind."""
     if value is None:
@@ -250,7 +253,6 @@ def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
 
 
 def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
-    """Return the value of a function of numbers; NaN if the value is undefined."""
     ufunc = getattr(np, FUNCTIONS[function][2])
     data = [argument.data for argument in arguments]
     with np.errstate(all="ignore"):
@@ -296,14 +298,3 @@ def _make_number(data: NDArray[Any], sources: Sequence[Operand]) -> Operand:
         )
         data = np.where(np.isinf(data) & ~had_infinity, np.nan, data)
     return Operand(kind=Kind.NUMBER, data=data)
-
-
-def _unpack_truth(data: NDArray[Any]) -> Value:
-    unknown = np.isnan(data)
-    if not data.shape:
-        return None if unknown else bool(data)
-    if not unknown.any():
-        return data.astype(np.bool_)
-    truths = data.astype(np.bool_).astype(np.object_)
-    truths[unknown] = None
-    return truths

@@ -226,10 +226,12 @@ class _Parser:
         if token.text not in FUNCTIONS:
             near = suggest_names(token.text, [*FUNCTIONS, *_TEMPORAL])
             self._fail(token, f"expected a function like {near}")
-        arguments = [] if self._is_next(")") else [self._parse_level(1)]
-        while self._takes(","):
+        arguments = []
+        if not self._takes(")"):
             arguments.append(self._parse_level(1))
-        self._expect(")")
+            while self._takes(","):
+                arguments.append(self._parse_level(1))
+            self._expect(")")
         least, most, _ = FUNCTIONS[token.text]
         if not least <= len(arguments) <= most:
             count = (
@@ -239,9 +241,6 @@ class _Parser:
             raise build_error(self._source, self._text, token.column, problem)
         call = Call(function=token.text, arguments=tuple(arguments), column=token.column)
         return self._grow(call)
-
-    def _is_next(self, operator: str) -> bool:
-        return self._next.kind == "operator" and self._next.text == operator
 
     def _make_number(self, token: Token) -> Number:
         value = float(token.text)

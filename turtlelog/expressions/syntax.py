@@ -71,28 +71,20 @@ def split_tokens(text: str, *, source: str) -> list[Token]:
     if len(text) > LONGEST_TEXT:
         problem = f"expected at most {LONGEST_TEXT:,} characters, found {len(text):,}"
         raise build_error(source, "", 1, problem)
-    return list(_iterate_tokens(text, source))
-
-
-def _iterate_tokens(text: str, source: str) -> Iterator[Token]:
-    position = 0
+    position, tokens = 0, []
     while position < len(text):
         match = _TOKEN.match(text, position)
         if match is None:
             problem = _describe_character(text[position])
             raise build_error(source, text, position + 1, problem)
+        found, kind = match.group(), cast("TokenKind", match.lastgroup)
+        if found == "->" or found in KEYWORDS:
+            kind, found = "operator", found.replace("->", "implies")
         if match.lastgroup != "space":
-            yield _make_token(match)
+            word = found[1:-1] if kind == "text" else found
+            tokens.append(Token(kind=kind, text=word, column=position + 1))
         position = match.end()
-    yield Token(kind="end", text="", column=len(text.rstrip(" \t\r\n")) + 1)
-
-
-def _make_token(match: re.Match[str]) -> Token:
-    found, kind = match.group(), cast("TokenKind", match.lastgroup)
-    if found == "->" or found in KEYWORDS:
-        kind, found = "operator", found.replace("->", "implies")
-    text = found[1:-1] if kind == "text" else found
-    return Token(kind=kind, text=text, column=match.start() + 1)
+    return [*tokens, Token(kind="end", text="", column=len(text.rstrip(" \t\r\n")) + 1)]
 
 
 def _describe_character(character: str) -> str:
@@ -107,7 +99,11 @@ def _describe_character(character: str) -> str:
 
 def build_error(source: str, text: str, column: int, problem: str) -> ExpressionError:
     """Return an error, to be raised, whose message begins with the place."""
-    return ExpressionError(f"{source}: {_describe_place(text, column)}: {problem}", column=column)
+    before, place = text[: column - 1], f"column {column}"
+    if "\n" in text.strip():
+        line, last = before.count("\n") + 1, before.rpartition("\n")[2]
+        place = f"line {line}, column {len(last) + 1}"
+    return ExpressionError(f"{source}: {place}: {problem}", column=column)
 
 
 def quote_text(text: str) -> str:
@@ -131,13 +127,6 @@ def draw_caret(text: str, column: int) -> str:
     shown = line[start : start + _WIDTH]
     printable = "".join(character if character.isprintable() else " " for character in shown)
     return f"{printable}\n{' ' * (len(head) - start)}^"
-
-
-def _describe_place(text: str, column: int) -> str:
-    before = text[: column - 1]
-    if "\n" not in text.strip():
-        return f"column {column}"
-    return f"line {before.count(chr(10)) + 1}, column {len(before.rpartition(chr(10))[2]) + 1}"
 
 
 # The tree of a parsed expression: frozen nodes with their columns in the text.

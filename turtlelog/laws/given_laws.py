@@ -47,11 +47,26 @@ def name_given_law(law: Any) -> str:
     if not is_named and not callable(getattr(law, "step", None)):
         expected = "a class, a function of (time_ns, pose, goal), or an object with step"
         raise LawError(f"law: expected {expected}, found {law!r:.60}")
-    name = law.name if isinstance(law, LawPart) else _get_name(law)
-    module = getattr(law.step if isinstance(law, LawPart) else law, "__module__", None)
-    if is_named and _is_importable(module, name, law):
+    is_part = isinstance(law, LawPart)
+    name = law.name if is_part else str(getattr(law, "__name__", type(law).__name__))
+    name = name if is_part or name.isidentifier() else "law"  # a lambda
+    module = getattr(law.step if is_part else law, "__module__", None)
+    loaded = sys.modules.get(module or "")
+    is_main = (
+        module in {None, "__main__", "__mp_main__"} or getattr(loaded, "__spec__", None) is None
+    )
+    if is_named and not is_main and getattr(loaded, name, None) is law:  # others can import it
         return f"{module}:{name}"
-    return _keep(law, name)
+    with _GIVING:
+        known = [kind for kind, one in _GIVEN.items() if one is law]
+        if known:
+            return known[0]
+        number, kind = 1, f"{_SESSION}{name}"
+        while kind in _GIVEN:
+            number += 1
+            kind = f"{_SESSION}{name}-{number}"
+        _GIVEN[kind] = law
+        return kind
 
 
 def is_given(kind: object) -> bool:
@@ -80,33 +95,6 @@ def read_law_source(kind: str) -> str | None:
         return inspect.getsource(found)
     except (OSError, TypeError):  # typed into a console that keeps no text, or unknown
         return None
-
-
-def _get_name(law: Any) -> str:
-    name = getattr(law, "__name__", type(law).__name__)
-    return str(name) if str(name).isidentifier() else "law"  # a lambda
-
-
-def _is_importable(module: str | None, name: str, law: Any) -> bool:
-    """Return whether another process can import the law from its module."""
-    loaded = sys.modules.get(module or "")
-    spec = getattr(loaded, "__spec__", None)
-    is_main = module in {None, "__main__", "__mp_main__"}
-    return not is_main and spec is not None and getattr(loaded, name, None) is law
-
-
-def _keep(law: Any, name: str) -> str:
-    """Return the kind of a law of this session; the same law always has the same kind."""
-    with _GIVING:
-        known = [kind for kind, one in _GIVEN.items() if one is law]
-        if known:
-            return known[0]
-        number, kind = 1, f"{_SESSION}{name}"
-        while kind in _GIVEN:
-            number += 1
-            kind = f"{_SESSION}{name}-{number}"
-        _GIVEN[kind] = law
-        return kind
 
 
 _OWN: Final = token_hex(8)
@@ -207,8 +195,7 @@ def _complete_object(law: Any) -> type[Any]:
     for name in ("declare", "causes"):
         if hasattr(law, name):
             setattr(Given, name, staticmethod(law.declare) if name == "declare" else law.causes)
-    Given.__name__ = Given.__qualname__ = type(law).__name__
-    Given.__module__ = type(law).__module__
+    _take_name(Given, type(law))
     return Given
 
 

@@ -241,15 +241,10 @@ def _load_module(place: str) -> ModuleType:
         reason = describe_error(err)
         if isinstance(err, ImportError) and "'Phase'" in reason:
             reason = f"{reason}: a law names its phases itself now, as text: {_PROTOCOL}"
-        if isinstance(err, ModuleNotFoundError) and (file := _find_file(place)):
+        file = f"{place.replace('.', '/')}.py"
+        if isinstance(err, ModuleNotFoundError) and Path(file).is_file():
             reason = f"{reason}: the file {file} is no installed module; write {file}:CLASS"
         raise LawError(f"{place} cannot be loaded: {reason}") from err
-
-
-def _find_file(place: str) -> str | None:
-    """Return the file that a module name was probably meant for, relative to the working folder."""
-    file = f"{place.replace('.', '/')}.py"
-    return file if Path(file).is_file() else None
 
 
 def _require_law(law: Any, kind: str) -> None:
