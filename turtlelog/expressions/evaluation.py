@@ -14,23 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import find_near, join_names, quote_name
-from turtlelog.expressions.syntax import (
-    FUNCTIONS,
-    Arithmetic,
-    Call,
-    Comparison,
-    Expression,
-    Logic,
-    Name,
-    Node,
-    Number,
-    Prefix,
-    Temporal,
-    Text,
-    Truth,
-    Until,
-    build_error,
-)
+from turtlelog.expressions import syntax
 
 _OPERATORS: Final = {
     "+": np.add,
@@ -61,7 +45,7 @@ class Kind(enum.Enum):
     UNKNOWN = "unknown"
 
 
-def evaluate_expression(expression: Expression, values: Values) -> Any:
+def evaluate_expression(expression: syntax.Expression, values: Values) -> Any:
     """Return the value of an expression.
 
     None means a missing value. A result that needs a missing value is missing too. The results of a
@@ -114,7 +98,7 @@ class Operand:
         return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def evaluate_node(expression: Expression, node: Node, values: Values) -> Operand:
+def evaluate_node(expression: syntax.Expression, node: syntax.Node, values: Values) -> Operand:
     """Return the value of a part of an expression.
 
     Raises:
@@ -123,72 +107,74 @@ def evaluate_node(expression: Expression, node: Node, values: Values) -> Operand
     return _Evaluation(expression, values).evaluate(node)
 
 
-def require_kind(expression: Expression, node: Node, operand: Operand, kind: Kind) -> None:
+def require_kind(
+    expression: syntax.Expression, node: syntax.Node, operand: Operand, kind: Kind
+) -> None:
     """Refuse an operand of another kind than the given one; UNKNOWN is accepted.
 
     Raises:
         ExpressionError: If the kind differs; the message gives the column of the node.
     """
     if operand.kind not in {kind, Kind.UNKNOWN}:
-        name = f"{node.name}, " if isinstance(node, Name) else ""
+        name = f"{node.name}, " if isinstance(node, syntax.Name) else ""
         problem = f"expected {kind.value}, found {name}{operand.kind.value}"
-        if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, Name):
+        if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, syntax.Name):
             problem += f"; compare it, for example {node.name} <= 2"
         fail_at(expression, node, problem)
 
 
-def fail_at(expression: Expression, node: Node, problem: str) -> NoReturn:
+def fail_at(expression: syntax.Expression, node: syntax.Node, problem: str) -> NoReturn:
     """Raise an ExpressionError at a node."""
-    raise build_error(expression.source, expression.text, node.column, problem)
+    raise syntax.build_error(expression.source, expression.text, node.column, problem)
 
 
 class _Evaluation:
-    def __init__(self, expression: Expression, values: Values) -> None:
+    def __init__(self, expression: syntax.Expression, values: Values) -> None:
         self._expression = expression
         self._values = values
 
-    def evaluate(self, node: Node) -> Operand:
+    def evaluate(self, node: syntax.Node) -> Operand:
         match node:
-            case Number(value=value) | Text(value=value) | Truth(value=value):
+            case syntax.Number(value=value) | syntax.Text(value=value) | syntax.Truth(value=value):
                 return _make_operand(value)
-            case Name():
+            case syntax.Name():
                 return self._look_up(node)
-            case Comparison():
+            case syntax.Comparison():
                 return self._compare(node)
-            case Logic() | Prefix(operator="not"):
+            case syntax.Logic() | syntax.Prefix(operator="not"):
                 return self._join(node)
         return self._compute(node)
 
-    def _compute(self, node: Node) -> Operand:
-        if isinstance(node, Temporal | Until):
-            word = node.operator if isinstance(node, Temporal) else "until"
+    def _compute(self, node: syntax.Node) -> Operand:
+        if isinstance(node, syntax.Temporal | syntax.Until):
+            word = node.operator if isinstance(node, syntax.Temporal) else "until"
             fail_at(self._expression, node, f"expected no {word} here: it needs signals over time")
         operands = self._evaluate_all(node.list_children(), Kind.NUMBER)
-        if isinstance(node, Call):
+        if isinstance(node, syntax.Call):
             return _compute_function(node.function, operands)
-        if isinstance(node, Arithmetic):
+        if isinstance(node, syntax.Arithmetic):
             return _compute_operator(node.operator, *operands)
         return _compute_operator("-", _make_operand(-0.0), *operands)
 
-    def _join(self, node: Node) -> Operand:
+    def _join(self, node: syntax.Node) -> Operand:
         operands = self._evaluate_all(node.list_children(), Kind.TRUTH)
-        if isinstance(node, Logic):
+        if isinstance(node, syntax.Logic):
             return _join_truths(node.operator, operands)
         return _negate_truth(*operands)
 
-    def _evaluate_all(self, nodes: Sequence[Node], kind: Kind) -> list[Operand]:
+    def _evaluate_all(self, nodes: Sequence[syntax.Node], kind: Kind) -> list[Operand]:
         operands = [self.evaluate(node) for node in nodes]
         for node, operand in zip(nodes, operands, strict=True):
             require_kind(self._expression, node, operand, kind)
         return operands
 
-    def _compare(self, node: Comparison) -> Operand:
+    def _compare(self, node: syntax.Comparison) -> Operand:
         operands = [self.evaluate(operand) for operand in node.operands]
         check_comparison(self._expression, node, operands)
         pairs = zip(operands, node.operators, operands[1:], strict=False)
         return _join_truths("and", [compare_operands(*pair) for pair in pairs])
 
-    def _look_up(self, node: Name) -> Operand:
+    def _look_up(self, node: syntax.Name) -> Operand:
         if node.name not in self._values:
             fail_at(self._expression, node, describe_unknown_name(node.name, self._values))
         try:
@@ -197,7 +183,9 @@ class _Evaluation:
             return fail_at(self._expression, node, f"{node.name}: {err}")
 
 
-def check_comparison(expression: Expression, node: Comparison, operands: Sequence[Operand]) -> None:
+def check_comparison(
+    expression: syntax.Expression, node: syntax.Comparison, operands: Sequence[Operand]
+) -> None:
     """Refuse to compare operands of different kinds, or to order texts or truth values.
 
     Raises:
@@ -215,7 +203,7 @@ def check_comparison(expression: Expression, node: Comparison, operands: Sequenc
         else:
             continue
         column = node.columns[index] if node.columns else node.column
-        raise build_error(expression.source, expression.text, column, problem)
+        raise syntax.build_error(expression.source, expression.text, column, problem)
 
 
 def describe_unknown_name(name: str, known: Mapping[str, object]) -> str:
@@ -253,7 +241,7 @@ def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
 
 
 def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
-    ufunc = getattr(np, FUNCTIONS[function][2])
+    ufunc = getattr(np, syntax.FUNCTIONS[function][2])
     data = [argument.data for argument in arguments]
     with np.errstate(all="ignore"):
         if len(data) <= 2:

@@ -5,29 +5,11 @@ from typing import Any, Final, NoReturn, TypeVar, cast
 
 from turtlelog.display import describe_count
 from turtlelog.errors import suggest_names
-from turtlelog.expressions.syntax import (
-    FUNCTIONS,
-    Arithmetic,
-    Call,
-    Comparison,
-    Expression,
-    Logic,
-    Name,
-    Node,
-    Number,
-    Prefix,
-    Temporal,
-    Text,
-    Token,
-    Truth,
-    Until,
-    build_error,
-    split_tokens,
-)
+from turtlelog.expressions import syntax
 
 _DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit
 
-AnyNode = TypeVar("AnyNode", bound=Node)
+AnyNode = TypeVar("AnyNode", bound=syntax.Node)
 
 _COMPARISONS: Final = ("<", "<=", ">", ">=", "==", "!=")
 
@@ -50,7 +32,7 @@ _PRECEDENCE: Final = {
 _INFIX: Final = frozenset(_PRECEDENCE) - {"not", "unary -"}
 
 
-def parse_expression(text: str, *, source: str = "expression") -> Expression:
+def parse_expression(text: str, *, source: str = "expression") -> syntax.Expression:
     """Return the tree of an expression.
 
     Args:
@@ -60,7 +42,7 @@ def parse_expression(text: str, *, source: str = "expression") -> Expression:
     Raises:
         ExpressionError: If the text cannot be parsed; the message gives the column.
     """
-    return Expression(text=text, source=source, root=_Parser(text, source).parse())
+    return syntax.Expression(text=text, source=source, root=_Parser(text, source).parse())
 
 
 _TEMPORAL = ("always", "eventually")
@@ -70,22 +52,22 @@ class _Parser:
     def __init__(self, text: str, source: str) -> None:
         self._text = text
         self._source = source
-        self._tokens = split_tokens(text, source=source)
+        self._tokens = syntax.split_tokens(text, source=source)
         self._place = 0
         self._open = 0
         self._heights: dict[int, int] = {}
 
-    def parse(self) -> Node:
+    def parse(self) -> syntax.Node:
         root = self._parse_level(1)
         if self._next.kind != "end":
             self._fail(self._next, "expected an operator or the end")
         return root
 
     @property
-    def _next(self) -> Token:
+    def _next(self) -> syntax.Token:
         return self._tokens[self._place]
 
-    def _take(self) -> Token:
+    def _take(self) -> syntax.Token:
         token = self._next
         self._place += token.kind != "end"
         return token
@@ -100,10 +82,12 @@ class _Parser:
         if not self._takes(operator):
             self._fail(self._next, f"expected {operator!r}")
 
-    def _fail(self, token: Token, expected: str) -> NoReturn:
-        raise build_error(self._source, self._text, token.column, f"{expected}, found {token}")
+    def _fail(self, token: syntax.Token, expected: str) -> NoReturn:
+        raise syntax.build_error(
+            self._source, self._text, token.column, f"{expected}, found {token}"
+        )
 
-    def _parse_level(self, loosest: int) -> Node:
+    def _parse_level(self, loosest: int) -> syntax.Node:
         """Parse operands and the operators between them that have at least this precedence."""
         self._open += 1
         self._check_depth(self._open, self._next.column)
@@ -118,7 +102,7 @@ class _Parser:
         is_infix = token.kind == "operator" and token.text in _INFIX
         return _PRECEDENCE[token.text] if is_infix else 0
 
-    def _parse_infix(self, left: Node, token: Token, binding: int) -> Node:
+    def _parse_infix(self, left: syntax.Node, token: syntax.Token, binding: int) -> syntax.Node:
         if binding == _PRECEDENCE["<"]:
             return self._parse_comparison(left, token)
         if token.text in {"and", "or"}:
@@ -131,18 +115,20 @@ class _Parser:
             right = self._parse_level(binding if to_the_right else binding + 1)
         sides: dict[str, Any] = {"left": left, "right": right, "column": token.column}
         if token.text == "until":
-            return self._grow(Until(start_s=window[0], end_s=window[1], **sides))
+            return self._grow(syntax.Until(start_s=window[0], end_s=window[1], **sides))
         operator = cast("Any", token.text)
         if operator == "implies":
-            return self._grow(Logic(operator=operator, operands=(left, right), column=token.column))
-        return self._grow(Arithmetic(operator=operator, **sides))
+            return self._grow(
+                syntax.Logic(operator=operator, operands=(left, right), column=token.column)
+            )
+        return self._grow(syntax.Arithmetic(operator=operator, **sides))
 
-    def _parse_comparison(self, left: Node, first: Token) -> Node:
+    def _parse_comparison(self, left: syntax.Node, first: syntax.Token) -> syntax.Node:
         operators, operands = [first], [left, self._parse_level(_PRECEDENCE["<"] + 1)]
         while self._find_binding() == _PRECEDENCE["<"]:
             operators.append(self._take())
             operands.append(self._parse_level(_PRECEDENCE["<"] + 1))
-        node = Comparison(
+        node = syntax.Comparison(
             operators=tuple(cast("Any", token.text) for token in operators),
             operands=tuple(operands),
             columns=tuple(token.column for token in operators),
@@ -150,28 +136,30 @@ class _Parser:
         )
         return self._grow(node)
 
-    def _parse_joined(self, left: Node, first: Token, binding: int) -> Node:
+    def _parse_joined(self, left: syntax.Node, first: syntax.Token, binding: int) -> syntax.Node:
         operands = [left, self._parse_level(binding + 1)]
         while self._takes(first.text):
             operands.append(self._parse_level(binding + 1))
         operator = cast("Any", first.text)
-        return self._grow(Logic(operator=operator, operands=tuple(operands), column=first.column))
+        return self._grow(
+            syntax.Logic(operator=operator, operands=tuple(operands), column=first.column)
+        )
 
-    def _parse_prefix(self) -> Node:
+    def _parse_prefix(self) -> syntax.Node:
         token = self._take()
         if token.kind == "operator":
             return self._parse_operator(token)
         if token.kind == "number":
             return self._make_number(token)
         if token.kind == "text":
-            return self._grow(Text(value=token.text, column=token.column))
+            return self._grow(syntax.Text(value=token.text, column=token.column))
         if token.kind == "end":
             self._fail(token, "expected a number or name")
         if self._takes("("):
             return self._parse_call(token)
-        return self._grow(Name(name=token.text, column=token.column))
+        return self._grow(syntax.Name(name=token.text, column=token.column))
 
-    def _parse_operator(self, token: Token) -> Node:
+    def _parse_operator(self, token: syntax.Token) -> syntax.Node:
         if token.text == "(":
             inside = self._parse_level(1)
             self._expect(")")
@@ -179,22 +167,24 @@ class _Parser:
         if token.text in {"-", "not"}:
             binding = _PRECEDENCE["not" if token.text == "not" else "unary -"]
             operator, operand = cast("Any", token.text), self._parse_level(binding)
-            return self._grow(Prefix(operator=operator, operand=operand, column=token.column))
+            return self._grow(
+                syntax.Prefix(operator=operator, operand=operand, column=token.column)
+            )
         if token.text in _TEMPORAL:
             return self._parse_temporal(token)
         if token.text in {"true", "false"}:
-            return self._grow(Truth(value=token.text == "true", column=token.column))
+            return self._grow(syntax.Truth(value=token.text == "true", column=token.column))
         if token.text == "inf":
-            return self._grow(Number(value=math.inf, column=token.column))
+            return self._grow(syntax.Number(value=math.inf, column=token.column))
         return self._fail(token, "expected a number or name")
 
-    def _parse_temporal(self, token: Token) -> Node:
+    def _parse_temporal(self, token: syntax.Token) -> syntax.Node:
         start_s, end_s = self._parse_window()
         self._expect("(")
         operand = self._parse_level(1)
         self._expect(")")
         operator = cast("Any", token.text)
-        node = Temporal(
+        node = syntax.Temporal(
             operator=operator, start_s=start_s, end_s=end_s, operand=operand, column=token.column
         )
         return self._grow(node)
@@ -222,9 +212,9 @@ class _Parser:
             self._fail(token, "expected a bound in seconds, 0 or more")
         return self._make_number(token).value
 
-    def _parse_call(self, token: Token) -> Node:
-        if token.text not in FUNCTIONS:
-            near = suggest_names(token.text, [*FUNCTIONS, *_TEMPORAL])
+    def _parse_call(self, token: syntax.Token) -> syntax.Node:
+        if token.text not in syntax.FUNCTIONS:
+            near = suggest_names(token.text, [*syntax.FUNCTIONS, *_TEMPORAL])
             self._fail(token, f"expected a function like {near}")
         arguments = []
         if not self._takes(")"):
@@ -232,21 +222,21 @@ class _Parser:
             while self._takes(","):
                 arguments.append(self._parse_level(1))
             self._expect(")")
-        least, most, _ = FUNCTIONS[token.text]
+        least, most, _ = syntax.FUNCTIONS[token.text]
         if not least <= len(arguments) <= most:
             count = (
                 f"{least} or more arguments" if least != most else describe_count(least, "argument")
             )
             problem = f"expected {token.text} to have {count}, found {len(arguments)}"
-            raise build_error(self._source, self._text, token.column, problem)
-        call = Call(function=token.text, arguments=tuple(arguments), column=token.column)
+            raise syntax.build_error(self._source, self._text, token.column, problem)
+        call = syntax.Call(function=token.text, arguments=tuple(arguments), column=token.column)
         return self._grow(call)
 
-    def _make_number(self, token: Token) -> Number:
+    def _make_number(self, token: syntax.Token) -> syntax.Number:
         value = float(token.text)
         if math.isinf(value):
             self._fail(token, "expected a number below 1.8e308, or inf")
-        return self._grow(Number(value=value, column=token.column))
+        return self._grow(syntax.Number(value=value, column=token.column))
 
     def _grow(self, node: AnyNode) -> AnyNode:
         """Update the depth of the tree at a node; refuse a tree that is too deep."""
@@ -258,86 +248,86 @@ class _Parser:
     def _check_depth(self, depth: int, column: int) -> None:
         if depth > _DEEPEST:
             problem = f"expected at most {_DEEPEST} levels of nesting, found more"
-            raise build_error(self._source, self._text, column, problem)
+            raise syntax.build_error(self._source, self._text, column, problem)
 
 
 _ATOM = 11
 
 
-def format_expression(expression: Expression | Node) -> str:
+def format_expression(expression: syntax.Expression | syntax.Node) -> str:
     """Return an expression or a part of it as text with the fewest parentheses."""
-    return _format(expression.root if isinstance(expression, Expression) else expression)
+    return _format(expression.root if isinstance(expression, syntax.Expression) else expression)
 
 
-def _format(node: Node) -> str:
+def _format(node: syntax.Node) -> str:
     match node:
-        case Name(name=name):
+        case syntax.Name(name=name):
             text = name
-        case Call(function=function, arguments=arguments):
+        case syntax.Call(function=function, arguments=arguments):
             text = f"{function}({', '.join(map(_format, arguments))})"
-        case Temporal(operator=operator, operand=operand):
+        case syntax.Temporal(operator=operator, operand=operand):
             text = f"{operator}{_format_window(node)}({_format(operand)})"
-        case Number(value=value):
+        case syntax.Number(value=value):
             text = "inf" if math.isinf(value) else f"{value!r}".removesuffix(".0")
-        case Text(value=value):
+        case syntax.Text(value=value):
             text = f'"{value}"' if '"' not in value else f"'{value}'"
-        case Truth(value=value):
+        case syntax.Truth(value=value):
             text = "true" if value else "false"
         case _:
             text = _format_operator(node)
     return text
 
 
-def _format_operator(node: Node) -> str:
+def _format_operator(node: syntax.Node) -> str:
     binding = _find_binding(node)
     match node:
-        case Prefix(operator=operator, operand=operand):
+        case syntax.Prefix(operator=operator, operand=operand):
             space = " " if operator == "not" else ""
             return f"{operator}{space}{_wrap(operand, binding)}"
-        case Comparison(operators=operators, operands=operands):
+        case syntax.Comparison(operators=operators, operands=operands):
             first, *others = (_wrap(operand, binding + 1) for operand in operands)
             pairs = zip(operators, others, strict=True)
             return " ".join([first, *(f"{operator} {right}" for operator, right in pairs)])
-        case Logic(operator="and" | "or" as operator, operands=operands):
+        case syntax.Logic(operator="and" | "or" as operator, operands=operands):
             return f" {operator} ".join(_wrap(operand, binding + 1) for operand in operands)
     return _format_pair(node, *node.list_children())
 
 
-def _format_pair(node: Node, left: Node, right: Node) -> str:
+def _format_pair(node: syntax.Node, left: syntax.Node, right: syntax.Node) -> str:
     """Format a node with two operands; `implies` and `until` are right-associative."""
     binding = _find_binding(node)
     match node:
-        case Arithmetic(operator="**"):
+        case syntax.Arithmetic(operator="**"):
             return f"{_wrap(left, binding + 1)}**{_wrap(right, _PRECEDENCE['unary -'])}"
-        case Arithmetic(operator=operator):
+        case syntax.Arithmetic(operator=operator):
             return f"{_wrap(left, binding)} {operator} {_wrap(right, binding + 1)}"
-        case Until():
+        case syntax.Until():
             word = f"until{_format_window(node)}"
         case _:
             word = "implies"
     return f"{_wrap(left, binding + 1)} {word} {_wrap(right, binding)}"
 
 
-def _wrap(node: Node, loosest: int) -> str:
+def _wrap(node: syntax.Node, loosest: int) -> str:
     text = _format(node)
     return text if _find_binding(node) >= loosest else f"({text})"
 
 
-def _format_window(node: Temporal | Until) -> str:
+def _format_window(node: syntax.Temporal | syntax.Until) -> str:
     if (node.start_s, node.end_s) == (0.0, math.inf):
         return ""
-    ends = (_format(Number(value=end_s)) for end_s in (node.start_s, node.end_s))
+    ends = (_format(syntax.Number(value=end_s)) for end_s in (node.start_s, node.end_s))
     return f"[{', '.join(ends)}]"
 
 
-def _find_binding(node: Node) -> int:
+def _find_binding(node: syntax.Node) -> int:
     match node:
-        case Prefix(operator=operator):
+        case syntax.Prefix(operator=operator):
             return _PRECEDENCE["unary -" if operator == "-" else "not"]
-        case Logic(operator=operator) | Arithmetic(operator=operator):
+        case syntax.Logic(operator=operator) | syntax.Arithmetic(operator=operator):
             return _PRECEDENCE[operator]
-        case Comparison():
+        case syntax.Comparison():
             return _PRECEDENCE["<"]
-        case Until():
+        case syntax.Until():
             return _PRECEDENCE["until"]
     return _ATOM

@@ -13,17 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
-from turtlelog.identify.axis_fit import (
-    DEAD_TIME,
-    EXTRA,
-    GAIN,
-    LAG,
-    NORMAL_95,
-    TOTAL,
-    AxisFit,
-    fit_without_lag,
-    solve_part,
-)
+from turtlelog.identify import axis_fit
+from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, NORMAL_95, TOTAL, AxisFit
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis
 from turtlelog.identify.held_response import FIRST_ORDER, Structure, Values
 from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
@@ -114,7 +105,7 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
     if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
         return dead_time, lag
-    without = fit_without_lag(fit)
+    without = axis_fit.fit_without_lag(fit)
     if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:
         return dead_time, lag
     error = float(np.sqrt(without.covariance[TOTAL, TOTAL]))
@@ -362,7 +353,7 @@ def _compare_parts(
     parts = [counted & is_first, counted & ~is_first]
     if min(int(np.count_nonzero(part)) for part in parts) < _FEWEST:
         return
-    solved = [solve_part(fit, part) for part in parts]
+    solved = [axis_fit.solve_part(fit, part) for part in parts]
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     units = np.eye(len(fit.parameters))
     for field, weights, value in (

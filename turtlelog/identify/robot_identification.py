@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError, ReplayError
+from turtlelog.identify import refused_axes
 from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
     AXES,
@@ -22,15 +23,6 @@ from turtlelog.identify.axis_motion import (
 )
 from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiting, describe_fit
 from turtlelog.identify.held_response import Values
-from turtlelog.identify.refused_axes import (
-    find_absurd,
-    find_correlation_delay,
-    find_no_excitation,
-    find_opposite,
-    refuse_axis,
-    refuse_fit,
-    refuse_wide,
-)
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
 from turtlelog.identify.structure_choice import LEAST_BELOW, choose_structure
 from turtlelog.plants import TURTLESIM, find_plant
@@ -117,10 +109,10 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
 
 
 def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:
-    reason = find_no_excitation(runs, axis)
+    reason = refused_axes.find_no_excitation(runs, axis)
     motions = [read_axis_motion(run, axis) for run in runs]
     steps = count_steps(motions)
-    reason = reason or find_absurd(runs, motions, axis)
+    reason = reason or refused_axes.find_absurd(runs, motions, axis)
     if steps > MOST_STEPS:
         share = MOST_STEPS / steps
         motions = [motion.take(slice(int(share * len(motion.moved)))) for motion in motions]
@@ -130,12 +122,12 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
             f" commands act, found {steps}"
         )
     if reason:
-        return refuse_axis(axis, reason), []
+        return refused_axes.refuse_axis(axis, reason), []
     try:
         fit = fit_axis(motions)
     except NoGainError as err:
-        opposite = find_opposite(axis, motions, None)
-        return opposite or refuse_axis(axis, str(err)), []
+        opposite = refused_axes.find_opposite(axis, motions, None)
+        return opposite or refused_axes.refuse_axis(axis, str(err)), []
     fit, rivals = choose_structure(fit)
     columns = [np.diff(get_commands(run, axis), prepend=0.0) for run in runs]
     changes = sum(int(np.count_nonzero(column)) for column in columns)
@@ -145,13 +137,13 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         [(rival.model.structure, describe_fit(axis, rival, changes)) for rival in rivals],
     )
     found = cover_parts(found, fit)
-    refused = refuse_fit(axis, motions, fit, found)
+    refused = refused_axes.refuse_fit(axis, motions, fit, found)
     if refused is None and not _shows_gain(runs, found, 1.0):
         refused = _refuse_forward(runs, found)
     if refused is not None:
         return refused, []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
-    correlation_delay_s, correlation_reason = find_correlation_delay(motions)
+    correlation_delay_s, correlation_reason = refused_axes.find_correlation_delay(motions)
     waits_s = [stop.stop_s - stop.begin_s for motion in motions for stop in motion.stops]
     found = replace(
         found,
@@ -211,7 +203,7 @@ def _refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel:
         f" total delay is {delay:.3f} s"
     )
     advice = f"step the {name} ten times for 2 s, also to less than {smallest:.2g} {unit}"
-    return replace(refuse_axis(model.axis, reason), advice=advice)
+    return replace(refused_axes.refuse_axis(model.axis, reason), advice=advice)
 
 
 def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
@@ -265,7 +257,7 @@ def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> A
     if np.mean(joint) < _JOINTLY:
         return model
     covered = cover_waiting(model, other)
-    return refuse_wide(covered, f"while the {NAMES[other.axis]} rests") or covered
+    return refused_axes.refuse_wide(covered, f"while the {NAMES[other.axis]} rests") or covered
 
 
 def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEvent]:
@@ -383,7 +375,7 @@ def _describe(runs: Sequence[Run], axis: Axis, shown: Sequence[_Shown]) -> AxisM
         reason = f"no pose shows a change of the commanded {NAMES[axis]}"
         if not any(get_commands(run, axis).any() for run in runs):
             reason = f"the {NAMES[axis]} is never commanded"
-        return refuse_axis(axis, reason)
+        return refused_axes.refuse_axis(axis, reason)
     poses = sum(len(run.poses) for run in runs)
     delay = Estimate(
         value=float(np.median(dead_times_s)),

@@ -13,22 +13,8 @@ from typing import Final, get_args
 
 import numpy as np
 
-from turtlelog.identify.axis_fit import (
-    EXTRA,
-    GAIN,
-    LAG,
-    NORMAL_95,
-    ROUNDED,
-    SOFT,
-    UNSEEN,
-    AxisFit,
-    StepModel,
-    find_outlying_steps,
-    finish_fit,
-    refit_axis,
-    restart_axis,
-    sum_softly,
-)
+from turtlelog.identify import axis_fit
+from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
 from turtlelog.identify.axis_motion import AxisMotion
 from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, Whitening, fit_noise
@@ -163,13 +149,13 @@ def _try_neighbours(
     tried[fit.model.structure] = fit
     for structure, starts in neighbours:
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
-            other = refit_axis(fit, structure, chosen)
+            other = axis_fit.refit_axis(fit, structure, chosen)
             if shows_gain(other):
                 tried[structure] = other
     near = min(tried.values(), key=lambda one: one.badness)
     if near is not fit:
         # If another structure has left a local minimum, this one may follow.
-        fit = min(fit, restart_axis(fit, near.parameters), key=lambda one: one.badness)
+        fit = min(fit, axis_fit.restart_axis(fit, near.parameters), key=lambda one: one.badness)
         tried[fit.model.structure] = fit
     return fit
 
@@ -203,7 +189,9 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
     errors = np.sqrt(np.maximum(np.diag(other.covariance), 0.0))
     for place, name in enumerate(other.model.structure.names, EXTRA):
         off = abs(float(other.parameters[place]) - nothing.get(name, 0.0))
-        if name not in fit.model.structure.names and off <= NORMAL_95 * float(errors[place]):
+        if name not in fit.model.structure.names and off <= axis_fit.NORMAL_95 * float(
+            errors[place]
+        ):
             return False
     is_clear = fit.badness - other.badness >= _CLEARLY
     if not is_clear or other.parameters[GAIN] <= 0.0:
@@ -413,13 +401,13 @@ def _measure_reductions(
     """
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
-    other = StepModel(fit.model.motions, structure)
+    other = axis_fit.StepModel(fit.model.motions, structure)
     bent = [
         gain * other.predict(dead_time_s, other.prepare(lag_s, *extras))[0][0] - modelled
         for extras in starts
     ]
     slopes = fit.whitening.apply(slopes)
-    white = np.clip(fit.white, -SOFT, SOFT)
+    white = np.clip(fit.white, -axis_fit.SOFT, axis_fit.SOFT)
     columns = np.column_stack([white, fit.whitening.apply(np.column_stack(bent))])
     white, *bent = (columns - slopes @ np.linalg.lstsq(slopes, columns)[0]).T
     sums = [(float(white @ one), max(float(one @ one), LEAST_STEP)) for one in bent]
@@ -428,11 +416,11 @@ def _measure_reductions(
 
 def _measure_near(fit: AxisFit, structure: Structure, extras: Sequence[float]) -> float:
     """Return the cost of another structure near the parameters of a fit, after one linear step."""
-    other = StepModel(fit.model.motions, structure)
+    other = axis_fit.StepModel(fit.model.motions, structure)
     near = np.append(fit.parameters[: LAG + 1], extras)
     modelled, slopes = other.linearise(near)
     white, slopes = (fit.whitening.apply(one) for one in (other.moved - modelled, slopes))
-    return sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
+    return axis_fit.sum_softly(white - slopes @ np.linalg.lstsq(slopes, white)[0])
 
 
 def compare_predictions(
@@ -446,12 +434,12 @@ def compare_predictions(
     """
     predicted = []
     for one in (fit, other):
-        known = finish_fit(StepModel(first, one.model.structure), one.parameters)
-        ahead = StepModel(rest, one.model.structure)
+        known = axis_fit.finish_fit(axis_fit.StepModel(first, one.model.structure), one.parameters)
+        ahead = axis_fit.StepModel(rest, one.model.structure)
         modelled, slopes = ahead.linearise(known.parameters)
         predicted.append((known, ahead.moved - modelled, slopes))
     residual = predicted[1][1]
-    outlier = find_outlying_steps(residual)
+    outlier = axis_fit.find_outlying_steps(residual)
     whitening = fit_noise(residual, ahead.duration_s, ahead.shared, outlier)
     badness, other_badness = (_measure_ahead(*one, whitening) for one in predicted)
     return badness - other_badness
@@ -467,11 +455,12 @@ def _measure_ahead(known: AxisFit, residual: Values, slopes: Values, whitening: 
     earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
     before, after = earlier.T @ earlier, slopes.T @ slopes
     before = before + (before + after) / (len(earlier) + len(slopes))
-    size = np.maximum(np.sqrt(np.diag(before + after)), UNSEEN)
+    size = np.maximum(np.sqrt(np.diag(before + after)), axis_fit.UNSEEN)
     before, after = (
-        matrix / np.outer(size, size) + ROUNDED * np.eye(len(size)) for matrix in (before, after)
+        matrix / np.outer(size, size) + axis_fit.ROUNDED * np.eye(len(size))
+        for matrix in (before, after)
     )
     slopes = slopes / size
-    step = np.linalg.solve(before + after, slopes.T @ np.clip(white, -SOFT, SOFT))
+    step = np.linalg.solve(before + after, slopes.T @ np.clip(white, -axis_fit.SOFT, axis_fit.SOFT))
     spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
-    return sum_softly(white - slopes @ step) + float(step @ before @ step + spread)
+    return axis_fit.sum_softly(white - slopes @ step) + float(step @ before @ step + spread)

@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import (
-    describe_count,
-    fit_line,
-    format_folded,
-    format_html,
-    format_notebook,
-    format_number,
-)
+from turtlelog import display
 from turtlelog.errors import CheckError, MeasureError, MissingValueError
 from turtlelog.run.tables import Tabular, refuse_array
 
@@ -248,12 +241,12 @@ class Metric(Numeric):
 
     def __repr__(self) -> str:
         known = self.value is not None
-        text = format_number(self.value, self.unit) if known else self.lack
-        return fit_line(f"<Metric {self._describe()}: {text}>")
+        text = display.format_number(self.value, self.unit) if known else self.lack
+        return display.fit_line(f"<Metric {self._describe()}: {text}>")
 
     def _repr_html_(self) -> str:
-        value = self.lack if self.value is None else format_number(self.value, self.unit)
-        return format_notebook(f"{self._describe()}: {value}")
+        value = self.lack if self.value is None else display.format_number(self.value, self.unit)
+        return display.format_notebook(f"{self._describe()}: {value}")
 
 
 OPERATORS: Final[Mapping[str, Callable[[Any, Any], bool]]] = MappingProxyType(
@@ -340,17 +333,19 @@ class Metrics(_MetricMapping, Tabular):
     def _repr_html_(self) -> str:
         shown = [self[name] for name in self.first if name in self]
         told = [
-            f"{name} {format_number(self[name].value, self[name].unit)}"
+            f"{name} {display.format_number(self[name].value, self[name].unit)}"
             for name in _ANSWERS
             if name in self and self[name].value is not None
         ]
         known = sum(metric.value is not None for metric in self.values())
-        told.append(f"{known} of {describe_count(len(self), 'metric')} have a value")
+        told.append(f"{known} of {display.describe_count(len(self), 'metric')} have a value")
         answer = f"{', '.join(told)}."
         if len(shown) in {0, len(self)}:
-            return format_notebook(answer, _format_metrics_html(self.values()))
-        every = format_folded(f"All {len(self)} metrics", _format_metrics_html(self.values()))
-        return format_notebook(answer, _format_metrics_html(shown), every)
+            return display.format_notebook(answer, _format_metrics_html(self.values()))
+        every = display.format_folded(
+            f"All {len(self)} metrics", _format_metrics_html(self.values())
+        )
+        return display.format_notebook(answer, _format_metrics_html(shown), every)
 
 
 _ANSWERS: Final = ("final.position_error", "run.duration")
@@ -363,7 +358,7 @@ def _format_metrics_html(metrics: Iterable[Metric]) -> str:
     rows = [
         (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
     ]
-    return format_html(rows, heads=("metric", "value", "unit", "no value because"))
+    return display.format_html(rows, heads=("metric", "value", "unit", "no value because"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.reductions import compute_median, fold_at_zero, subtract_neighbours
+from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.references import read_controlled_distance, read_reference, trace_poses
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
@@ -134,11 +134,6 @@ class Response:
     def step_s(self) -> Values:
         """Time from each row to the next [s], shape (n - 1,)."""
         return subtract_neighbours(self.time_s)
-
-    @cached_property
-    def folded_error(self) -> tuple[Values, Values, Values]:
-        """Times [s], time steps [s] and magnitudes of the error, with rows added at its zeros."""
-        return fold_at_zero(self.time_s, self.error, None)
 
     @property
     def is_angle(self) -> bool:

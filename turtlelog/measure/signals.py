@@ -11,14 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import (
-    NamedValues,
-    describe_count,
-    fit_line,
-    format_curve_svg,
-    format_notebook,
-    format_number,
-)
+from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
 from turtlelog.measure.reductions import subtract_neighbours
@@ -59,7 +52,7 @@ class SignalKind:
     read: Callable[[Run], Values | None]
 
     def __repr__(self) -> str:
-        return fit_line(f"<SignalKind [{self.unit}]: {self.meaning}>")
+        return display.fit_line(f"<SignalKind [{self.unit}]: {self.meaning}>")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,20 +116,25 @@ class Signal:
         return self.values[rows]
 
     def __repr__(self) -> str:
-        return fit_line(f"<Signal {self.name}: {self._describe()}>")
+        return display.fit_line(f"<Signal {self.name}: {self._describe()}>")
 
     def _describe(self) -> str:
-        count = describe_count(len(self), "value")
+        count = display.describe_count(len(self), "value")
         if not np.isfinite(self.values).any():
             return f"{count} in {self.unit}"
-        ends = (format_number(float(end(self.values)), self.unit) for end in (np.nanmin, np.nanmax))
+        ends = (
+            display.format_number(float(end(self.values)), self.unit)
+            for end in (np.nanmin, np.nanmax)
+        )
         return f"{count} in {self.unit}, {' to '.join(ends)}"
 
     def _repr_html_(self) -> str:
         rows = np.unique(np.linspace(0, max(0, len(self) - 1), _MOST_SHOWN).astype(int))
         curve = self.values[rows] if len(self) else self.values
-        picture = format_curve_svg(curve.tolist(), label=f"{self.name} over time")
-        return format_notebook(f"{self.name}: {self._describe()}. {self.kind.meaning}", picture)
+        picture = display.format_curve_svg(curve.tolist(), label=f"{self.name} over time")
+        return display.format_notebook(
+            f"{self.name}: {self._describe()}. {self.kind.meaning}", picture
+        )
 
 
 _MOST_SHOWN: Final = 400
@@ -313,7 +311,7 @@ def _sample(unit: str, meaning: str, column: str) -> SignalKind:
     return SignalKind(unit=unit, source="sample", resampling="hold", meaning=meaning, read=read)
 
 
-SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
+SIGNALS: Final[Mapping[str, SignalKind]] = display.NamedValues(
     "signal",
     {
         "x": _pose("m", "Coordinate x in the world frame.", lambda run: run.poses.xy_m[:, 0]),

@@ -12,20 +12,9 @@ from itertools import pairwise
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 from turtlelog.errors import PathError
+from turtlelog.run import path_pieces
 from turtlelog.run.angles import wrap_angle
-from turtlelog.run.path_pieces import (
-    REACH_M,
-    PathNumbers,
-    PathPiece,
-    PathPoint,
-    find_ahead,
-    find_nearest,
-    find_nearest_on,
-    follow,
-    join_points,
-    locate,
-    locate_on,
-)
+from turtlelog.run.path_pieces import REACH_M, PathNumbers, PathPiece, PathPoint
 
 PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
 
@@ -220,7 +209,7 @@ class Path:
 
         Beyond the ends, a closed path is repeated, and an open path goes straight on.
         """
-        return PathPoint(*locate(self.numbers, self.ways, arc_m))
+        return PathPoint(*path_pieces.locate(self.numbers, self.ways, arc_m))
 
     def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
         """Return the place of a position relative to the segment between two arc lengths.
@@ -228,7 +217,9 @@ class Path:
         The segment of an open path is limited to its ends. A closed path is repeated: an arc length
         may be negative or beyond the length. If several points are equally near, the first is used.
         """
-        return PathPlace(*find_nearest(self.numbers, self.ways, (x_m, y_m), low_m, high_m))
+        return PathPlace(
+            *path_pieces.find_nearest(self.numbers, self.ways, (x_m, y_m), low_m, high_m)
+        )
 
     def find_point(self, point: tuple[float, float, float]) -> float:
         """Return the arc length [m] of a path point given by x [m], y [m] and direction [rad].
@@ -238,8 +229,8 @@ class Path:
         x_m, y_m, heading_rad = point
         best_m, best = math.inf, 0.0
         for piece in self.pieces:
-            way_m = find_nearest_on(piece, x_m, y_m, 0.0, piece.length_m)
-            found = PathPoint(*locate_on(piece, way_m))
+            way_m = path_pieces.find_nearest_on(piece, x_m, y_m, 0.0, piece.length_m)
+            found = PathPoint(*path_pieces.locate_on(piece, way_m))
             away_m = math.hypot(x_m - found.x_m, y_m - found.y_m)
             away_m += abs(wrap_angle(heading_rad - found.heading_rad))  # 1 m for 1 rad
             if away_m < best_m:
@@ -253,7 +244,9 @@ class Path:
         `from_m`. If no point of a closed path is that far away, the result is the point one
         lookahead further along the path.
         """
-        return PathPoint(*find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m))
+        return PathPoint(
+            *path_pieces.find_ahead(self.numbers, self.ways, (x_m, y_m), lookahead_m, from_m)
+        )
 
     @cached_property
     def pieces(self) -> tuple[PathPiece, ...]:
@@ -261,7 +254,7 @@ class Path:
         if self.points is None:
             return tuple(_build_round(self))
         points = (*self.points, self.points[0]) if self.is_closed else self.points
-        return tuple(join_points(points))
+        return tuple(path_pieces.join_points(points))
 
     @cached_property
     def ways(self) -> tuple[PathPiece, ...]:
@@ -306,7 +299,9 @@ class PathFollower:
         """Return the robot's place; `due_m` is the arc length of the moving reference [m]."""
         path, before_m = self._path, math.nan if self.arc_m is None else self.arc_m
         due_m = math.nan if due_m is None else due_m
-        arc_m, offset_m, next_m = follow(path.numbers, path.ways, before_m, (x_m, y_m), due_m)
+        arc_m, offset_m, next_m = path_pieces.follow(
+            path.numbers, path.ways, before_m, (x_m, y_m), due_m
+        )
         self.arc_m = None if math.isnan(next_m) else next_m
         return PathPlace(arc_m, offset_m)
 

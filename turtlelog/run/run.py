@@ -9,13 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.display import (
-    describe_count,
-    fit_line,
-    format_html,
-    format_notebook,
-    format_path_svg,
-)
+from turtlelog import display
 from turtlelog.errors import PathError, RunError
 from turtlelog.run.columns import (
     Clock,
@@ -348,9 +342,9 @@ class Run:
         )
 
     def __repr__(self) -> str:
-        rows = describe_count(len(getattr(self, f"{self.first_row}s")), self.first_row)
+        rows = display.describe_count(len(getattr(self, f"{self.first_row}s")), self.first_row)
         ended = self.stop_reason or "end not recorded"
-        return fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
+        return display.fit_line(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
 
     def _describe_end(self) -> str:
         ended = (self.stop_reason or "its end is not recorded").replace("_", " ")
@@ -364,7 +358,7 @@ class Run:
             f"{span.phase} {(span.end_ns - span.start_ns) / 1e9:.3g} s"
             for span in self.find_phase_spans()
         )
-        counts = [describe_count(len(getattr(self, name)), name[:-1]) for name in TABLES]
+        counts = [display.describe_count(len(getattr(self, name)), name[:-1]) for name in TABLES]
         rows = [
             ("source", self.source),
             ("goal", goal or "not recorded"),
@@ -372,8 +366,10 @@ class Run:
             ("rows", ", ".join(counts)),
             ("not recorded", ", ".join(self.absent) or "nothing"),
         ]
-        picture = format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""
-        return format_notebook(self._describe_end(), picture, format_html(rows))
+        picture = (
+            display.format_path_svg(self.poses.xy_m, self.goal_xy_m) if len(self.poses) else ""
+        )
+        return display.format_notebook(self._describe_end(), picture, display.format_html(rows))
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the time without samples after a phase is the phase `pause`.

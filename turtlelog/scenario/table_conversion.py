@@ -11,6 +11,7 @@ from typing import Any, get_args, get_type_hints
 
 import msgspec
 
+from turtlelog import laws
 from turtlelog.effects import EFFECTS
 from turtlelog.effects.delay import judge_delays
 from turtlelog.errors import (
@@ -21,16 +22,6 @@ from turtlelog.errors import (
     describe_error,
     find_near,
     join_names,
-)
-from turtlelog.laws import (
-    ABSENT_BY_DEFAULT,
-    LAWS,
-    MAY_BE_INFINITE,
-    AnyLaw,
-    describe_law_error,
-    find_law,
-    print_to_stderr,
-    require_law_name,
 )
 from turtlelog.parts import Complaint
 from turtlelog.plants.kinds import PLANTS
@@ -89,10 +80,10 @@ def build_scenario(
         kind=kind, parameters=LawTable(values=own, sources=(source,), is_trusted=trust_law)
     )
     try:
-        require_law_name(kind)
+        laws.require_law_name(kind)
     except LawError as err:
         raise ScenarioError(f"{source}: law.kind: {err}") from err
-    if kind in LAWS:
+    if kind in laws.LAWS:
         law = resolve_law(law)
     scenario: Scenario = _convert(rest, Scenario, "", source)
     _require_consistent(scenario, source)
@@ -123,34 +114,34 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
     table = choice.parameters
     if not isinstance(table, LawTable):
         return choice
-    if choice.kind not in LAWS and not (table.is_trusted or trust_law):
+    if choice.kind not in laws.LAWS and not (table.is_trusted or trust_law):
         raise ScenarioError(
             f"{table.sources[0]}: law.kind: expected a built-in law, or --trust-law (in Python and"
             " pytest trust_law=True) to run the code that the file names,"
             f" found {describe_value(choice.kind, longest=_LONGEST_KIND)}"
         )
     try:
-        law = find_law(choice.kind)
+        law = laws.find_law(choice.kind)
     except LawError as err:
         raise ScenarioError(f"{table.sources[0]}: law.kind: {err}") from err
     return LawChoice(kind=choice.kind, parameters=_build_parameters(table, law))
 
 
-def _build_parameters(table: LawTable, law: AnyLaw) -> Any:
+def _build_parameters(table: LawTable, law: laws.AnyLaw) -> Any:
     """Return a law's parameters, valid in a scenario file. Defaults may have any value."""
     kind, source = law.Parameters, ", ".join(table.sources)
     try:
-        with print_to_stderr():
+        with laws.print_to_stderr():
             _require_sound(table.values, kind, "law.", source)
             parameters = _convert(table.values, kind, "law.", source)
-            if law not in LAWS.values():
+            if law not in laws.LAWS.values():
                 written = _write_value(_nest_values(parameters), f"{source}: law")
                 _require_sound(written, kind, "law.", source)
                 _convert(written, kind, "law.", source)
     except (ScenarioError, KeyboardInterrupt):
         raise
     except BaseException as err:  # what the law's own code raises
-        raise ScenarioError(f"{source}: law: {describe_law_error(err, law)}") from err
+        raise ScenarioError(f"{source}: law: {laws.describe_law_error(err, law)}") from err
     return parameters
 
 
@@ -209,7 +200,7 @@ def _nest_values(value: Any) -> Any:
 def _list_fields(kind: type[Any]) -> list[tuple[dataclasses.Field[Any], bool]]:
     """Return the fields of a dataclass, and whether files omit the default of each field."""
     return [
-        (field, not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
+        (field, not laws.ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
         for field in dataclasses.fields(kind)
     ]
 
@@ -270,7 +261,7 @@ def _list_keys(kind: type[Any]) -> Mapping[str, tuple[type | None, bool]]:
     unlimited = {
         one.name
         for one in dataclasses.fields(kind)
-        if one.default == math.inf or one.metadata.keys() & MAY_BE_INFINITE.keys()
+        if one.default == math.inf or one.metadata.keys() & laws.MAY_BE_INFINITE.keys()
     }
     hints = get_type_hints(kind)
     return {key: (_find_table(hint), key in unlimited) for key, hint in hints.items()}

@@ -7,7 +7,6 @@ moving reference: the delay, and the overshoot at corners.
 import math
 from typing import Final
 
-from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.metric import FOUND, Outcome, Status, add_reason
 from turtlelog.measure.metric_kinds import curve_metric, has_sides, has_step, step_metric
 from turtlelog.measure.reductions import (
@@ -258,19 +257,9 @@ def _compute_rms_error(curve: Response) -> Outcome:
     return compute_rms(curve.step_s, curve.error, curve.memory), math.nan, FOUND
 
 
-def _fold_error(curve: Response) -> tuple[Values, Values, Values]:
-    return fold_at_zero(curve.time_s, curve.error, curve.memory)
-
-
-@compiled_as(_fold_error)
-def fold_error(curve: Response) -> tuple[Values, Values, Values]:
-    """Return times, time steps and magnitudes of the error, cached for the run."""
-    return curve.folded_error
-
-
 @curve_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
 def _compute_iae(curve: Response) -> Outcome:
-    _, step_s, sizes = fold_error(curve)
+    _, step_s, sizes = fold_at_zero(curve.time_s, curve.error, curve.memory)
     return integrate(step_s, sizes, curve.memory), math.nan, FOUND
 
 
@@ -286,7 +275,7 @@ def _compute_ise(curve: Response) -> Outcome:
     grows=True,
 )
 def _compute_itae(curve: Response) -> Outcome:
-    time_s, step_s, sizes = fold_error(curve)
+    time_s, step_s, sizes = fold_at_zero(curve.time_s, curve.error, curve.memory)
     return integrate_time_weighted(time_s, step_s, sizes), math.nan, FOUND
 
 

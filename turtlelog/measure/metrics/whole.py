@@ -24,13 +24,7 @@ from turtlelog.measure.metric import (
     read_outcome,
 )
 from turtlelog.measure.metric_kinds import RunContext, course_metric, loop_metric, run_metric
-from turtlelog.measure.metrics.commands_and_theory import (
-    measure_effort,
-    measure_largest_jump,
-    measure_largest_slew_rate,
-    measure_reversals,
-    measure_total_variation,
-)
+from turtlelog.measure.metrics import commands_and_theory
 from turtlelog.measure.metrics.loop_metrics import LEFT_SOON, find_needed_hold
 from turtlelog.measure.reductions import (
     PIECES,
@@ -363,29 +357,34 @@ def _on_commands(
 
 
 _COMMAND_METRICS: Final = (
-    ("effort", "{}^2/s", measure_effort, "Integral of the square of the published {} over time."),
+    (
+        "effort",
+        "{}^2/s",
+        commands_and_theory.measure_effort,
+        "Integral of the square of the published {} over time.",
+    ),
     (
         "total_variation",
         "{}/s",
-        measure_total_variation,
+        commands_and_theory.measure_total_variation,
         "Sum of the magnitudes of all changes of the published {}.",
     ),
     (
         "largest_jump",
         "{}/s",
-        measure_largest_jump,
+        commands_and_theory.measure_largest_jump,
         "Largest change from one published {} to the next.",
     ),
     (
         "largest_slew_rate",
         "{}/s^2",
-        measure_largest_slew_rate,
+        commands_and_theory.measure_largest_slew_rate,
         "Largest change of the published {} per time.",
     ),
     (
         "reversals",
         "1",
-        measure_reversals,
+        commands_and_theory.measure_reversals,
         "Number of times that the published {} changes its sign.",
     ),
 )
