@@ -16,16 +16,17 @@ from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
+from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 if TYPE_CHECKING:
     from turtlelog.identify.robot_model import AxisModel
 
 Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
-UNITS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "m/s", "turn_rate": "rad/s"})
+UNITS: Final = COMMAND_UNITS
 
 OTHER: Final[Mapping[Axis, Axis]] = MappingProxyType({"speed": "turn_rate", "turn_rate": "speed"})
-NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rate": "turn rate"})
+NAMES: Final = COMMAND_WORDS
 """Names of the axes in sentences."""
 
 LARGEST_DEAD_TIME_S: Final = 1.5

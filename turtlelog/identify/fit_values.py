@@ -114,7 +114,6 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
 
 
 def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
-    """Return a non-negative value with its interval."""
     half = NORMAL_95 * error
     return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
 

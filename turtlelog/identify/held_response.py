@@ -450,7 +450,6 @@ FIRST_ORDER: Final = Structure()
 def _shape_commands(
     commands: HeldInput, structure: Structure, values: Mapping[str, float], beside: HeldInput | None
 ) -> HeldInput:
-    """Return commands after the static nonlinearities of a robot."""
     coupling: Any = 0.0
     if beside is not None and "coupling" in values:
         commands = _join_times(commands, beside)

@@ -102,7 +102,6 @@ def find_absurd(runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis) 
 
 
 def _find_sudden(run: Run, axis: Axis) -> float:
-    """Return the largest change of a command within a short time."""
     command, time_ns = get_commands(run, axis), run.commands.time_ns
     if not len(command):
         return 0.0
@@ -217,7 +216,6 @@ def _find_wide(found: AxisModel, fine_s: float) -> str:
 
 
 def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
-    """Return whether an interval is wider than its value, and than what is fine anyway."""
     return value.high - value.low > max(value.value, fine)
 
 
@@ -393,7 +391,6 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
 
 
 def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) -> float:
-    """Return the first worse delay from a start on, in steps, or the end of the range."""
     end_s = begin_s
     while 0.0 < end_s < _LARGEST_S and abs(end_s - begin_s) < _COARSE_S:
         end_s += step_s

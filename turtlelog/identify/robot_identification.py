@@ -261,7 +261,6 @@ def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> A
 
 
 def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEvent]:
-    """Return the outliers of a fit as events of the runs."""
     events, begin = [], 0
     for name, motion in zip(names, fit.model.motions, strict=True):
         end = begin + len(motion.moved)
@@ -274,7 +273,6 @@ def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEv
 
 
 def _compare_runs(runs: Sequence[Run], together: AxisModel) -> list[str]:
-    """Return how single runs differ from all runs together, in sentences."""
     if len(runs) < 2 or not together.is_known:
         return []
     notes = []

@@ -189,7 +189,6 @@ class AxisModel:
         return Process(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s)
 
     def _require_known(self) -> tuple[float, float, float]:
-        """Return gain, dead time [s] and time constant [s]."""
         if self.gain is None or self.dead_time_s is None or self.lag_s is None:
             raise IdentifyError(f"{self.axis}: {self.reason or 'it is not known'}")
         return self.gain.value, self.dead_time_s.value, self.lag_s.value

@@ -281,7 +281,6 @@ def _send_row(signal: Any, table: Any, row: Any, since_ns: int) -> tuple[float, 
 
 
 def _compute_value(signal: Any, table: Any, since_ns: int, shift: int) -> float:
-    """Return the value of the signal at a time since its start."""
     amplitude: float = signal.amplitude
     if signal.kind == IMPULSE:
         return signal.height if since_ns < signal.width_ns else 0.0

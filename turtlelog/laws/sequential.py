@@ -203,7 +203,6 @@ def _follow_schedule(
 
 
 def _find_error(law: Any, wanted_rad: float, heading_rad: float) -> float:
-    """Return the error of a heading loop [rad]."""
     error_rad = wanted_rad - heading_rad
     return wrap_angle(error_rad) if law.wrap_error else error_rad
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,11 +227,8 @@ class RunContext:
 Better = Literal["lower", "higher"] | None
 OfRun = Callable[[RunContext], Result]
 OfLoop = Callable[[RunContext, Response], Result]
-_OfRun = TypeVar("_OfRun", bound=OfRun)
 OfCurve = Callable[[Response], Outcome]
 OfCourse = Callable[[RunContext], Outcome]
-_OfCurve = TypeVar("_OfCurve", bound=OfCurve)
-_OfCourse = TypeVar("_OfCourse", bound=OfCourse)
 CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
 NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
 
@@ -290,16 +287,6 @@ class MetricKind:
         return fit_line(f"<MetricKind [{self.unit}]: {self.meaning}>")
 
 
-class Traits(TypedDict, total=False):
-    """Properties of a metric given to its decorator, as in `MetricKind`."""
-
-    better: Better
-    floor: float | None
-    grows: bool
-    is_awaited: bool
-    needs_poses: bool
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopMetricKind:
     """Definition of a loop metric before it is bound to a loop.
@@ -321,7 +308,7 @@ class LoopMetricKind:
     unit: str
     compute: OfLoop
     meaning: str
-    traits: Traits
+    traits: dict[str, Any]
     needs_whole: bool
     applies: Callable[[ControlLoop], bool]
     needs_step: bool = False
@@ -401,7 +388,7 @@ def loop_metric(
     *,
     needs_whole: bool = True,
     applies: Callable[[ControlLoop], bool] = lambda _: True,
-    **traits: Unpack[Traits],
+    **traits: Any,
 ) -> Callable[[OfLoop], OfLoop]:
     """Enter a function in the registry as a metric of every loop to which it applies."""
 
@@ -421,13 +408,13 @@ def loop_metric(
 
 def curve_metric(
     name: str, unit: str, meaning: str, *, needs_step: bool = False, **more: Any
-) -> Callable[[_OfCurve], _OfCurve]:
+) -> Callable[[OfCurve], OfCurve]:
     """Enter a function of a curve, a `Response`, as a metric of every loop to which it applies.
 
     The function runs in ordinary Python and compiled. Further arguments are those of `loop_metric`.
     """
 
-    def enter(numbers: _OfCurve) -> _OfCurve:
+    def enter(numbers: OfCurve) -> OfCurve:
         enter_loop = loop_metric(name, unit, meaning, **more)
         enter_loop(lambda _, response: read_outcome(numbers(response)))
         kind = LOOP_METRICS[name]
@@ -441,12 +428,10 @@ step_metric = partial(curve_metric, needs_step=True, applies=has_step)
 """As `curve_metric`, for loops that answer a step."""
 
 
-def run_metric(
-    name: str, unit: str, meaning: str, **traits: Unpack[Traits]
-) -> Callable[[_OfRun], _OfRun]:
+def run_metric(name: str, unit: str, meaning: str, **traits: Any) -> Callable[[OfRun], OfRun]:
     """Enter a function in the registry by its id, as a metric of the whole run or of its end."""
 
-    def enter(compute: _OfRun) -> _OfRun:
+    def enter(compute: OfRun) -> OfRun:
         RUN_METRICS[name] = MetricKind(unit=unit, compute=compute, meaning=meaning, **traits)
         return compute
 
@@ -454,14 +439,14 @@ def run_metric(
 
 
 def course_metric(
-    name: str, unit: str, meaning: str, **traits: Unpack[Traits]
-) -> Callable[[_OfCourse], _OfCourse]:
+    name: str, unit: str, meaning: str, **traits: Any
+) -> Callable[[OfCourse], OfCourse]:
     """Enter a function of a course, a `RunContext`, by its id, as a metric of the run or its end.
 
     The function runs in ordinary Python and compiled.
     """
 
-    def enter(numbers: _OfCourse) -> _OfCourse:
+    def enter(numbers: OfCourse) -> OfCourse:
         run_metric(name, unit, meaning, **traits)(lambda course: read_outcome(numbers(course)))
         RUN_METRICS[name] = replace(RUN_METRICS[name], numbers=numbers)
         return numbers

@@ -238,7 +238,6 @@ def read(state: Any) -> tuple[float, float, float, float, float]:
 
 
 def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
-    """Follow the speed commands whose dead time has passed."""
     axis = state.speed
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].speed

@@ -194,7 +194,6 @@ class LawChoice:
 
 @cache
 def _list_at(place: Place) -> tuple[Effect, ...]:
-    """Return the effects that may act at a place."""
     return tuple(effect for effect in EFFECTS if place in effect.actions)
 
 

@@ -81,7 +81,6 @@ def choose_scenario(
 
 
 def _list_changes(changes: Any) -> dict[str, Any]:
-    """Return changes from a mapping or a pandas Series as a dictionary."""
     if not hasattr(changes, "keys"):
         example = '{"law.kp_linear": 4.0}'
         expected = f"values by key, as in {example}"

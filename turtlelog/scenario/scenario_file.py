@@ -180,7 +180,6 @@ def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) 
 
 
 def _read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float]]:
-    """Return the columns of a CSV file by name."""
     try:
         text = read_text_file(path)
     except UnicodeDecodeError as err:

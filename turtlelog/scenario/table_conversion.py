@@ -146,7 +146,6 @@ def _build_parameters(table: LawTable, law: laws.AnyLaw) -> Any:
 
 
 def _write_value(value: Any, place: str) -> Any:
-    """Return a value in the form in which a file returns it."""
     if isinstance(value, Mapping):
         return {key: _write_value(entry, f"{place}.{key}") for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -318,7 +317,6 @@ def _require_consistent(scenario: Scenario, source: str) -> None:
 
 
 def _judge_places(scenario: Scenario) -> Iterator[Complaint]:
-    """Check that start and goal are inside the plant's world."""
     low_m, high_m = scenario.plant.facts.low_m, scenario.plant.facts.high_m
     expected = f"a number from {low_m:.10g} to {high_m:.10g}"
     for table in ("start", "goal"):
@@ -340,7 +338,6 @@ def _judge_path(scenario: Scenario) -> Iterator[Complaint]:
 
 
 def _judge_dead_times(scenario: Scenario) -> Iterator[Complaint]:
-    """Check that the dead times of a robot are shorter than the run."""
     keys = PLANTS[scenario.plant.kind].delays
     delays = {f"plant.{key}": getattr(scenario.plant, key) for key in keys}
     yield from judge_delays(delays, scenario.max_duration_s)

@@ -225,17 +225,7 @@ _SCATTER: Final = 3.0
 """Width of the scatter at the end of a response, in standard deviations."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepFigures:
-    """Figures of a rate's response to one step of its command; None if an event is missing.
-
-    The settling time counts from the command. The overshoot is a fraction of the response [1]; 0
-    within the band.
-    """
-
-    rise_time_s: float | None
-    settling_time_s: float | None
-    overshoot: float | None
+StepFigures = dict[str, float | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -278,6 +268,11 @@ _GRAIN_S: Final = 1e-6
 
 
 def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures | None:
+    """Return the figures of a rate's response to one step of its command; None without a response.
+
+    The settling time counts from the command. The overshoot is a fraction of the response [1]; 0
+    within the band.
+    """
     end_s = min(step.end_s, step.time_s + _LONGEST_S)
     time_s, values = rates.time_s, rates.values
     rows = slice(*np.searchsorted(time_s, [step.time_s, end_s]))
@@ -298,17 +293,18 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
     share, quantum = scatter / abs(size), _find_quantum(inside, initial, final) / abs(size)
     rise_begin_s, rise_end_s = find_rise(time_s, inside, initial, final)
     is_seen = share <= 2.0 * _WIDEST and quantum <= _MARK
-    rise_s = None if math.isnan(rise_end_s) or not is_seen else rise_end_s - rise_begin_s
+    figures: StepFigures = {"rise_time": None, "settling_time": None, "overshoot": None}
+    if is_seen and not math.isnan(rise_end_s):
+        figures["rise_time"] = rise_end_s - rise_begin_s
     if share > _WIDEST or quantum > max(band, _BAND):
-        return StepFigures(rise_time_s=rise_s, settling_time_s=None, overshoot=None)
+        return figures
     band = max(band, _BAND, share)
     settled_s = find_settling_time(time_s, inside, initial, final, band)
+    if not math.isnan(settled_s):
+        figures["settling_time"] = settled_s - float(time_s[0])
     overshoot = find_overshoot(inside, initial, final)
-    return StepFigures(
-        rise_time_s=rise_s,
-        settling_time_s=None if math.isnan(settled_s) else settled_s - float(time_s[0]),
-        overshoot=overshoot if overshoot > band else 0.0,
-    )
+    figures["overshoot"] = overshoot if overshoot > band else 0.0
+    return figures
 
 
 def _find_quantum(values: Values, initial: float, final: float) -> float:
@@ -372,8 +368,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
         figures = context.recall(
             ("answers", axis), lambda: [one for one in answers if one is not None]
         )
-        found = [getattr(one, name) for one in figures]
-        known = [value for value in found if value is not None]
+        known = [value for one in figures if (value := one[name]) is not None]
         if not known:
             return _NOT_SEEN if figures else _NO_ANSWER
         return Found(compute_median(np.array(known)) * factor)
@@ -394,13 +389,13 @@ for _axis, _unit in AXES.items():
         f"run.{_axis}_rise_time",
         "s",
         "Time from 10 % to 90 % of the answer to a step of the command; median of the steps.",
-    )(_take_median(_axis, "rise_time_s"))
+    )(_take_median(_axis, "rise_time"))
     run_metric(
         f"run.{_axis}_settling_time",
         "s",
         "Time from the command until the measured rate stays within 5 % (or a wider `band`, or"
         " its scatter) of its final value; median of the steps.",
-    )(_take_median(_axis, "settling_time_s"))
+    )(_take_median(_axis, "settling_time"))
     run_metric(
         f"run.{_axis}_overshoot",
         "%",
