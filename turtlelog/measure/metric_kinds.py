@@ -1,6 +1,7 @@
 """Definition of a metric, the registry that contains each metric function, and its argument: a run.
 
-Each metric is one function; its decorator contains the meaning, unit and direction. A metric of a
+Each metric is one function; its decorator contains the unit and direction, and the meaning, which
+is otherwise the first line of its docstring. A metric of a
 loop is written once and bound to each declared loop of a law.
 
 A metric of a curve or of a course is a function of numbers: it runs in ordinary Python for one run,
@@ -381,10 +382,15 @@ def has_sides(loop: ControlLoop) -> bool:
     return has_step(loop) and loop.signal != "distance"
 
 
+def read_meaning(compute: Callable[..., Any]) -> str:
+    """Return the first line of a docstring: the meaning of a metric that its decorator lacks."""
+    return (compute.__doc__ or "").partition("\n")[0]
+
+
 def loop_metric(
     name: str,
     unit: str,
-    meaning: str,
+    meaning: str = "",
     *,
     needs_whole: bool = True,
     applies: Callable[[ControlLoop], bool] = lambda _: True,
@@ -396,7 +402,7 @@ def loop_metric(
         LOOP_METRICS[name] = LoopMetricKind(
             unit=unit,
             compute=compute,
-            meaning=meaning,
+            meaning=meaning or read_meaning(compute),
             traits=traits,
             needs_whole=needs_whole,
             applies=applies,
@@ -407,7 +413,7 @@ def loop_metric(
 
 
 def curve_metric(
-    name: str, unit: str, meaning: str, *, needs_step: bool = False, **more: Any
+    name: str, unit: str, meaning: str = "", *, needs_step: bool = False, **more: Any
 ) -> Callable[[OfCurve], OfCurve]:
     """Enter a function of a curve, a `Response`, as a metric of every loop to which it applies.
 
@@ -415,7 +421,7 @@ def curve_metric(
     """
 
     def enter(numbers: OfCurve) -> OfCurve:
-        enter_loop = loop_metric(name, unit, meaning, **more)
+        enter_loop = loop_metric(name, unit, meaning or read_meaning(numbers), **more)
         enter_loop(lambda _, response: read_outcome(numbers(response)))
         kind = LOOP_METRICS[name]
         LOOP_METRICS[name] = replace(kind, needs_step=needs_step, numbers=numbers)
@@ -428,18 +434,19 @@ step_metric = partial(curve_metric, needs_step=True, applies=has_step)
 """As `curve_metric`, for loops that answer a step."""
 
 
-def run_metric(name: str, unit: str, meaning: str, **traits: Any) -> Callable[[OfRun], OfRun]:
+def run_metric(name: str, unit: str, meaning: str = "", **traits: Any) -> Callable[[OfRun], OfRun]:
     """Enter a function in the registry by its id, as a metric of the whole run or of its end."""
 
     def enter(compute: OfRun) -> OfRun:
-        RUN_METRICS[name] = MetricKind(unit=unit, compute=compute, meaning=meaning, **traits)
+        meant = meaning or read_meaning(compute)
+        RUN_METRICS[name] = MetricKind(unit=unit, compute=compute, meaning=meant, **traits)
         return compute
 
     return enter
 
 
 def course_metric(
-    name: str, unit: str, meaning: str, **traits: Any
+    name: str, unit: str, meaning: str = "", **traits: Any
 ) -> Callable[[OfCourse], OfCourse]:
     """Enter a function of a course, a `RunContext`, by its id, as a metric of the run or its end.
 
@@ -447,7 +454,8 @@ def course_metric(
     """
 
     def enter(numbers: OfCourse) -> OfCourse:
-        run_metric(name, unit, meaning, **traits)(lambda course: read_outcome(numbers(course)))
+        enter_run = run_metric(name, unit, meaning or read_meaning(numbers), **traits)
+        enter_run(lambda course: read_outcome(numbers(course)))
         RUN_METRICS[name] = replace(RUN_METRICS[name], numbers=numbers)
         return numbers
 

@@ -25,7 +25,7 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.metric_kinds import RunContext, course_metric, run_metric
+from turtlelog.measure.metric_kinds import RunContext, course_metric, read_meaning, run_metric
 from turtlelog.measure.reductions import (
     PIECES,
     compute_median,
@@ -45,7 +45,7 @@ _NO_SAMPLES: Final = Missing(Status.ABSENT, "no samples of a controller were rea
 
 
 def _period_metric(
-    rows: Rows, name: str, unit: str, meaning: str, *, fewest: int = 1, **traits: Any
+    rows: Rows, name: str, unit: str, meaning: str = "", *, fewest: int = 1, **traits: Any
 ) -> Callable[[_OfPeriods], _OfPeriods]:
     """Enter a function of the periods of samples or poses as a metric; `fewest` are needed."""
 
@@ -62,7 +62,8 @@ def _period_metric(
             return Found(float(value))
 
         traits["needs_poses"] = rows == "pose"
-        run_metric(f"run.{name}", unit, meaning, **traits)(compute_on_periods)
+        enter_run = run_metric(f"run.{name}", unit, meaning or read_meaning(compute), **traits)
+        enter_run(compute_on_periods)
         return compute
 
     return enter
@@ -134,18 +135,12 @@ for _percent in (50, 95, 99):
     )(_pick(_percent))
 
 
-@_period_metric(
-    "sample",
-    "sample_jitter",
-    "s",
-    "Root of the mean square of the change from one time between samples to the next.",
-    fewest=2,
-)
+@_period_metric("sample", "sample_jitter", "s", fewest=2)
 def compute_jitter(periods_s: Values) -> float | None:
-    """Return the root mean square of the change from one period to the next [s].
+    """Root of the mean square of the change from one time between samples to the next.
 
-    This is the RMS cycle-to-cycle jitter (JEDEC JESD65B). Unlike the standard deviation, it ignores
-    a slow drift of the rate. The result is None for fewer than two periods.
+    This is the RMS cycle-to-cycle jitter [s] (JEDEC JESD65B). Unlike the standard deviation, it
+    ignores a slow drift of the rate. The result is None for fewer than two periods.
     """
     changes = subtract_neighbours(periods_s)
     return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
@@ -174,11 +169,12 @@ def tell_sample(course: RunContext, row: int) -> float:
     return float(course.sample_time_s[row])
 
 
-@course_metric(
-    "run.largest_gap", "s", "Longest time without a sample.", grows=True, needs_poses=False
-)
+@course_metric("run.largest_gap", "s", grows=True, needs_poses=False)
 def _measure_largest_gap(course: RunContext) -> Outcome:
-    """Return the longest period. The time of the metric is the beginning of the period."""
+    """Longest time without a sample.
+
+    The time of the metric is the beginning of the period.
+    """
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
     periods_s = get_sample_periods(course)
@@ -188,16 +184,9 @@ def _measure_largest_gap(course: RunContext) -> Outcome:
     return periods_s[row], tell_sample(course, row), FOUND
 
 
-@_period_metric(
-    "sample",
-    "burst_samples",
-    "1",
-    "Number of samples that have the same time as the sample before.",
-    fewest=0,
-    grows=True,
-)
+@_period_metric("sample", "burst_samples", "1", fewest=0, grows=True)
 def count_burst_rows(periods_s: Values) -> int:
-    """Return the number of rows with the same time as the row before."""
+    """Number of samples that have the same time as the sample before."""
     return int(np.count_nonzero(periods_s == 0.0))
 
 
@@ -206,13 +195,9 @@ def count_missing(sequence: NDArray[np.int64]) -> int:
     return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
 
 
-@run_metric(
-    "run.dropped_samples",
-    "1",
-    "Number of missing sequence numbers between the first and the last sample.",
-    grows=True,
-)
+@run_metric("run.dropped_samples", "1", grows=True)
 def _count_missing(context: RunContext) -> Result:
+    """Number of missing sequence numbers between the first and the last sample."""
     sequence = context.run.samples.sequence
     return Found(float(count_missing(sequence))) if len(sequence) else _NO_SAMPLES
 

@@ -34,7 +34,7 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.metric_kinds import RunContext, curve_metric, loop_metric
+from turtlelog.measure.metric_kinds import RunContext, curve_metric, loop_metric, read_meaning
 from turtlelog.measure.reductions import (
     count_beyond,
     find_largest,
@@ -49,13 +49,13 @@ OfCommands = Callable[[CommandStretch], Result]
 
 
 def _command_metric(
-    name: str, unit: str, meaning: str, **more: Any
+    name: str, unit: str, meaning: str = "", **more: Any
 ) -> Callable[[OfCommands], OfCommands]:
     def enter(compute: OfCommands) -> OfCommands:
         def compute_of_loop(_: RunContext, response: Response) -> Result:
             return compute(response.commands)
 
-        loop_metric(name, unit, meaning, **more)(compute_of_loop)
+        loop_metric(name, unit, meaning or read_meaning(compute), **more)(compute_of_loop)
         return compute
 
     return enter
@@ -67,26 +67,19 @@ _NO_WANTED: Final = Missing(Status.ABSENT, "the recording does not hold the uncl
 _ONE_TIME: Final = Missing(Status.TOO_SHORT, "all commands share one time")
 
 
-@_command_metric(
-    "effort", "{command}^2/s", "Integral of the square of the {command} over time.", grows=True
-)
+@_command_metric("effort", "{command}^2/s", grows=True)
 def measure_effort(commands: CommandStretch) -> Result:
-    """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
+    """Integral of the square of the {command} over time.
 
-    The effort is the input term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore,
-    Optimal Control).
+    This is the energy of the input signal [unit^2 s], the input term of the linear-quadratic cost
+    (B. D. O. Anderson and J. B. Moore, Optimal Control).
     """
     return Found(sum_products(commands.held_s, commands.values, commands.values))
 
 
-@_command_metric(
-    "total_variation",
-    "{command}/s",
-    "Sum of the magnitudes of all changes of the {command}.",
-    grows=True,
-)
+@_command_metric("total_variation", "{command}/s", grows=True)
 def measure_total_variation(commands: CommandStretch) -> Result:
-    """Return the sum of the magnitudes of all changes (total variation) [unit].
+    """Sum of the magnitudes of all changes of the {command}.
 
     The sum is the measure TV of S. Skogestad, "Simple analytic rules for model reduction and PID
     controller tuning", J. Process Control 13 (2003).
@@ -94,14 +87,12 @@ def measure_total_variation(commands: CommandStretch) -> Result:
     return Found(float(np.abs(subtract_neighbours(commands.values)).sum()))
 
 
-@_command_metric(
-    "largest_jump",
-    "{command}/s",
-    "Largest change of the {command} from one sample to the next.",
-    grows=True,
-)
+@_command_metric("largest_jump", "{command}/s", grows=True)
 def measure_largest_jump(commands: CommandStretch) -> Result:
-    """Return the largest magnitude of a change [unit], and the time after it."""
+    """Largest change of the {command} from one sample to the next.
+
+    The time of the metric is that after the change.
+    """
     if len(commands.values) < 2:
         return Found(0.0, float(commands.time_s[0]))
     changes = np.abs(subtract_neighbours(commands.values))
@@ -109,16 +100,11 @@ def measure_largest_jump(commands: CommandStretch) -> Result:
     return Found(float(changes[row]), float(commands.time_s[row + 1]))
 
 
-@_command_metric(
-    "largest_slew_rate",
-    "{command}/s^2",
-    "Largest change of the {command} per time; samples with the same time count as one sample.",
-    grows=True,
-)
+@_command_metric("largest_slew_rate", "{command}/s^2", grows=True)
 def measure_largest_slew_rate(commands: CommandStretch) -> Result:
-    """Return the largest change per time between held values [unit/s], and the time after it.
+    """Largest change of the {command} per time; samples with the same time count as one sample.
 
-    A change is divided by the time from the previous row.
+    A change is divided by the time from the previous row. The time of the metric is that after it.
     """
     time_s, values = commands.time_s, commands.values
     step_s, rows = subtract_neighbours(time_s), np.arange(len(time_s))
@@ -132,11 +118,12 @@ def measure_largest_slew_rate(commands: CommandStretch) -> Result:
     return Found(float(rates[row]), float(time_s[rows[row + 1]]))
 
 
-@_command_metric(
-    "reversals", "1", "Number of times that the {command} changes its sign.", grows=True
-)
+@_command_metric("reversals", "1", grows=True)
 def measure_reversals(commands: CommandStretch) -> Result:
-    """Return the number of sign changes of the command, ignoring zeros in between."""
+    """Number of times that the {command} changes its sign.
+
+    Zeros in between are ignored.
+    """
     turning = commands.values[commands.values != 0.0] > 0.0
     return Found(float(np.count_nonzero(turning[1:] != turning[:-1])))
 
@@ -150,14 +137,12 @@ def _measure_largest_wanted(commands: CommandStretch) -> Result:
     return Found(abs(float(wanted[row])), float(commands.time_s[row]))
 
 
-@curve_metric(
-    "saturated_share",
-    "1",
-    "Share of the samples whose {command} is at its limit.",
-    needs_whole=False,
-)
+@curve_metric("saturated_share", "1", needs_whole=False)
 def _measure_saturated_share(curve: Response) -> Outcome:
-    """Return the fraction of samples at the limit, and the time of the first one."""
+    """Share of the samples whose {command} is at its limit.
+
+    The time of the metric is that of the first such sample.
+    """
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
     count, first = count_beyond(curve.commands.values, curve.limit)
@@ -165,14 +150,12 @@ def _measure_saturated_share(curve: Response) -> Outcome:
     return count / len(curve.commands.values), at_s, FOUND
 
 
-@_command_metric(
-    "saturated_time_share",
-    "1",
-    "Share of the time during which the {command} is at its limit.",
-    needs_whole=False,
-)
+@_command_metric("saturated_time_share", "1", needs_whole=False)
 def _measure_saturated_time_share(commands: CommandStretch) -> Result:
-    """Return the fraction of time at the limit, and the time of the first saturated sample."""
+    """Share of the time during which the {command} is at its limit.
+
+    The time of the metric is that of the first such sample.
+    """
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
@@ -185,14 +168,12 @@ def _measure_saturated_time_share(commands: CommandStretch) -> Result:
     return Found(share, first_s)
 
 
-@_command_metric(
-    "longest_saturation",
-    "s",
-    "Longest time for which the {command} is at its limit without a break.",
-    grows=True,
-)
+@_command_metric("longest_saturation", "s", grows=True)
 def measure_longest_saturation(commands: CommandStretch) -> Result:
-    """Return the longest time at the limit without a break [s], and its start."""
+    """Longest time for which the {command} is at its limit without a break.
+
+    The time of the metric is the beginning.
+    """
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT

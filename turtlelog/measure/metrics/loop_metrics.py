@@ -72,29 +72,21 @@ def _find_duration(curve: Response) -> Outcome:
     return curve.time_s[-1], math.nan, FOUND
 
 
-@step_metric(
-    "delay_time",
-    "s",
-    "Time until the {signal} reaches 50 % of the step.",
-    is_awaited=True,
-    needs_whole=False,
-)
+@step_metric("delay_time", "s", is_awaited=True, needs_whole=False)
 def _find_delay_time(curve: Response) -> Outcome:
+    """Time until the {signal} reaches 50 % of the step."""
     half_s = find_level_time(curve.time_s, curve.values, 0.5, curve.initial, curve.reference)
     if math.isnan(half_s):
         return math.nan, math.nan, _NEVER_HALF
     return half_s, curve.start_s + half_s, FOUND
 
 
-@step_metric(
-    "rise_time",
-    "s",
-    "Time from first reaching 10 % of the step to first reaching 90 %.",
-    is_awaited=True,
-    needs_whole=False,
-)
+@step_metric("rise_time", "s", is_awaited=True, needs_whole=False)
 def _find_rise_time(curve: Response) -> Outcome:
-    """Return the time from 10 % to 90 % of the step. The time of the metric is the end."""
+    """Time from first reaching 10 % of the step to first reaching 90 %.
+
+    The time of the metric is the end.
+    """
     if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
         return math.nan, math.nan, _BEGINS_BEYOND
     begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
@@ -103,18 +95,16 @@ def _find_rise_time(curve: Response) -> Outcome:
     return end_s - begin_s, curve.start_s + end_s, FOUND
 
 
-@step_metric(
-    "peak", "{value}", "Furthest value of the {signal} in the direction of the step.", better=None
-)
+@step_metric("peak", "{value}", better=None)
 def _find_peak(curve: Response) -> Outcome:
+    """Furthest value of the {signal} in the direction of the step."""
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return curve.values[row], curve.start_s + curve.time_s[row], FOUND
 
 
-@step_metric(
-    "peak_time", "s", "Time until the {signal} is at its peak.", better=None, is_awaited=True
-)
+@step_metric("peak_time", "s", better=None, is_awaited=True)
 def _find_peak_time(curve: Response) -> Outcome:
+    """Time until the {signal} is at its peak."""
     row = find_peak_row(curve.values, curve.initial, curve.reference)
     return curve.time_s[row], curve.start_s + curve.time_s[row], FOUND
 
@@ -148,15 +138,12 @@ def _measure_undershoot(curve: Response) -> Outcome:
     return 100.0 * share, curve.start_s + curve.time_s[row], FOUND
 
 
-@step_metric(
-    "settling_time",
-    "s",
-    "Time after which the {signal} stays within 2 % (or `band`) of the step around the {goal}.",
-    is_awaited=True,
-    needs_whole=False,
-)
+@step_metric("settling_time", "s", is_awaited=True, needs_whole=False)
 def _measure_settling_time(curve: Response) -> Outcome:
-    """See `find_settling_time`. A response ended from outside must have stayed in the band."""
+    """Time after which the {signal} stays within 2 % (or `band`) of the step around the {goal}.
+
+    A response ended from outside must have stayed in the band.
+    """
     time_s, values, reference = curve.time_s, curve.values, curve.reference
     settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
     if math.isnan(settled_s):
@@ -177,28 +164,20 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
     return max(SHORTEST_HOLD_S, find_swing_period(time_s, values, reference, half_width))
 
 
-@curve_metric(
-    "crossings",
-    "1",
-    "Number of times that the {signal} passes the {goal}.",
-    grows=True,
-    applies=has_sides,
-)
+@curve_metric("crossings", "1", grows=True, applies=has_sides)
 def _count_crossings(curve: Response) -> Outcome:
-    """Return the number of crossings. The time of the metric is the first crossing."""
+    """Number of times that the {signal} passes the {goal}.
+
+    The time of the metric is the first crossing.
+    """
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
     at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
     return float(len(rows)), at_s, FOUND
 
 
-@step_metric(
-    "decay_ratio",
-    "1",
-    "Second overshoot of the {goal} as a share of the first.",
-    needs_whole=False,
-    applies=has_sides,
-)
+@step_metric("decay_ratio", "1", needs_whole=False, applies=has_sides)
 def _measure_decay_ratio(curve: Response) -> Outcome:
+    """Second overshoot of the {goal} as a share of the first."""
     ratio, row = find_decay_ratio(curve.error, curve.initial, curve.reference, curve.memory)
     if math.isnan(ratio):
         return math.nan, math.nan, _NOT_TWICE
@@ -234,14 +213,9 @@ def _find_final_error(curve: Response) -> Outcome:
     return abs(curve.error[-1]), curve.start_s + curve.time_s[-1], FOUND
 
 
-@curve_metric(
-    "steady_state_error",
-    "{value}",
-    "Reference minus final {signal}: positive short of the reference, negative past it.",
-    better=None,
-    applies=has_step,
-)
+@curve_metric("steady_state_error", "{value}", better=None, applies=has_step)
 def _find_steady_state_error(curve: Response) -> Outcome:
+    """Reference minus final {signal}: positive short of the reference, negative past it."""
     direction = 1.0 if curve.reference >= curve.initial else -1.0
     return curve.error[-1] * direction, curve.start_s + curve.time_s[-1], FOUND
 
@@ -268,13 +242,9 @@ def _compute_ise(curve: Response) -> Outcome:
     return integrate_square(curve.step_s, curve.error), math.nan, FOUND
 
 
-@curve_metric(
-    "itae",
-    "{signal} s^2",
-    "Integral of time in the segment times the magnitude of the error.",
-    grows=True,
-)
+@curve_metric("itae", "{signal} s^2", grows=True)
 def _compute_itae(curve: Response) -> Outcome:
+    """Integral of time in the segment times the magnitude of the error."""
     time_s, step_s, sizes = fold_at_zero(curve.time_s, curve.error, curve.memory)
     return integrate_time_weighted(time_s, step_s, sizes), math.nan, FOUND
 

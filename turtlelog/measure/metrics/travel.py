@@ -59,14 +59,9 @@ run_metric(
 )(_on_space("tilt_rad", lambda _, tilt_rad: Found(float(np.degrees(tilt_rad.max())))))
 
 
-@run_metric(
-    "run.total_turning",
-    "deg",
-    "Sum of the magnitudes of all turns from pose to pose.",
-    better=None,
-    grows=True,
-)
+@run_metric("run.total_turning", "deg", better=None, grows=True)
 def _compute_turning(context: RunContext) -> Result:
+    """Sum of the magnitudes of all turns from pose to pose."""
     turns_rad = subtract_neighbours(np.unwrap(context.run.poses.heading_rad))
     return Found(degrees(float(np.abs(turns_rad).sum())))
 
@@ -164,13 +159,9 @@ def _find_slow(
     return found
 
 
-@run_metric(
-    "run.rest_time",
-    "s",
-    "Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second.",
-    better=None,
-)
+@run_metric("run.rest_time", "s", better=None)
 def _compute_rest_time(context: RunContext) -> Result:
+    """Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second."""
     found = context.recall("rest", lambda: _find_rest(context))
     return ONE_POSE if found is None else Found(found[0])
 

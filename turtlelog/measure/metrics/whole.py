@@ -66,10 +66,9 @@ def get_heading_error(course: RunContext) -> float:
     return math.nan if error_rad is None else error_rad
 
 
-@course_metric(
-    "final.heading_error", "deg", "Magnitude of the reference heading minus the heading at the end."
-)
+@course_metric("final.heading_error", "deg")
 def _measure_heading_error(course: RunContext) -> Outcome:
+    """Magnitude of the reference heading minus the heading at the end."""
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
         return math.nan, math.nan, _NO_HEADING if course.is_lawless_with_goal else _NO_BEARING
@@ -84,25 +83,18 @@ def _measure_position_error(course: RunContext) -> Outcome:
     return hypot(x_m - course.x_m[-1], y_m - course.y_m[-1]), course.last_pose_s, FOUND
 
 
-@course_metric(
-    "final.cross_track",
-    "m",
-    "Distance of the last pose from the line from start to goal, positive to the left.",
-    better=None,
-)
+@course_metric("final.cross_track", "m", better=None)
 def _measure_last_cross_track(course: RunContext) -> Outcome:
+    """Distance of the last pose from the line from start to goal, positive to the left."""
     offset_m = course.last_cross_track_m
     if math.isnan(offset_m):
         return math.nan, math.nan, _NO_BEARING
     return offset_m, course.last_pose_s, FOUND
 
 
-@course_metric(
-    "final.goal_heading_error",
-    "deg",
-    "Magnitude of the goal's heading minus the heading at the end.",
-)
+@course_metric("final.goal_heading_error", "deg")
 def _measure_goal_heading_error(course: RunContext) -> Outcome:
+    """Magnitude of the goal's heading minus the heading at the end."""
     wanted_rad = course.goal[2]
     if math.isnan(wanted_rad):
         return math.nan, math.nan, _NO_WANTED_HEADING
@@ -110,24 +102,18 @@ def _measure_goal_heading_error(course: RunContext) -> Outcome:
     return math.degrees(error_rad), course.last_pose_s, FOUND
 
 
-@run_metric(
-    "final.heading_error_at_15s",
-    "deg",
-    "Heading error 15 s after the first sample, or at the end: the paper's definition.",
-)
+@run_metric("final.heading_error_at_15s", "deg")
 def _compute_heading_error_at_15s(context: RunContext) -> Result:
+    """Heading error 15 s after the first sample, or at the end: the paper's definition."""
     error_rad = _find_heading_error(context, PAPER_WINDOW_S)
     if error_rad is None:
         return REASONS[_NO_HEADING if context.is_lawless_with_goal else _NO_BEARING]
     return _find_cut(context) or Found(math.degrees(abs(error_rad)), _tell_time(context))
 
 
-@run_metric(
-    "final.position_error_at_15s",
-    "m",
-    "Distance to the goal 15 s after the first sample, or at the end: the paper's definition.",
-)
+@run_metric("final.position_error_at_15s", "m")
 def _compute_position_error_at_15s(context: RunContext) -> Result:
+    """Distance to the goal 15 s after the first sample, or at the end: the paper's definition."""
     goal_xy_m, time_s = context.run.goal_xy_m, context.pose_time_s
     if goal_xy_m is None:
         return NO_GOAL
@@ -189,14 +175,9 @@ _LINE_UNKNOWN: Final = add_reason(Status.ABSENT, "the line from start to goal is
 NO_LINE: Final = REASONS[_LINE_UNKNOWN]
 
 
-@course_metric(
-    "run.duration",
-    "s",
-    "Time from the first sample (without samples: the first pose) to the last row.",
-    is_awaited=True,
-    needs_poses=False,
-)
+@course_metric("run.duration", "s", is_awaited=True, needs_poses=False)
 def _measure_duration(course: RunContext) -> Outcome:
+    """Time from the first sample (without samples: the first pose) to the last row."""
     return course.duration_s, math.nan, FOUND
 
 
@@ -243,13 +224,9 @@ def _measure_path_length(course: RunContext) -> Outcome:
     return measure_way(course.x_m, course.y_m, course.memory), math.nan, FOUND
 
 
-@run_metric(
-    "run.straightness",
-    "1",
-    "Path length divided by the distance from first to last pose: 1 for a straight line.",
-    floor=1.0,
-)
+@run_metric("run.straightness", "1", floor=1.0)
 def _compute_straightness(context: RunContext) -> Result:
+    """Path length divided by the distance from first to last pose: 1 for a straight line."""
     straightness = compute_straightness(context.run.poses.xy_m)
     if straightness is None:
         return Missing(Status.NO_MOTION, "the turtle ends where it began")
