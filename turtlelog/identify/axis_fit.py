@@ -341,11 +341,9 @@ def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
 
 
 def _search_start(motions: Sequence[AxisMotion]) -> Values:
-    """Return the best parameters by plain least squares.
-
-    For each time constant, the descent begins at the best point of a grid, because commands of a
-    controller leave local minima.
-    """
+    """Return the best parameters by plain least squares."""
+    # For each time constant, the descent begins at the best point of a grid, because commands of a
+    # controller leave local minima.
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
     # Limited in size, so that no jump or wrongly wrapped heading dominates.
@@ -379,11 +377,9 @@ def _descend(
     whiten: Callable[[Values], Values],
     fixed: Sequence[int] = (),
 ) -> tuple[Values, float]:
-    """Return the parameters with the smallest cost (Levenberg-Marquardt), and the cost.
-
-    Neither time constants nor the dead time become negative, nor the dead time larger than the
-    limit.
-    """
+    """Return the parameters with the smallest cost (Levenberg-Marquardt), and the cost."""
+    # Neither time constants nor the dead time become negative, nor the dead time larger than the
+    # limit.
     lowest, highest = np.full(len(parameters), 0.0), np.full(len(parameters), np.inf)
     highest[DEAD_TIME] = LARGEST_DEAD_TIME_S
     modelled, slopes = model.linearise(parameters)
@@ -452,10 +448,8 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
 
 
 def _invert(matrix: Values) -> Values:
-    """Return the inverse of a matrix of squares, independent of the units of its rows.
-
-    In a direction without information, the inverse is large instead of 0.
-    """
+    """Return the inverse of a matrix of squares, independent of the units of its rows."""
+    # In a direction without information, the inverse is large instead of 0.
     size = np.maximum(np.sqrt(np.diag(matrix)), UNSEEN)
     scale = np.outer(size, size)
     power, direction = np.linalg.eigh(matrix / scale)

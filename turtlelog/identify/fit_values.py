@@ -77,11 +77,9 @@ _ROUNDING: Final = 1e-18
 
 
 def _estimate_delay(fit: AxisFit, value: float, weights: Sequence[float]) -> Estimate:
-    """Return a delay [s] with its interval; `weights` are its shares of total delay and lag.
-
-    A time constant that only rounds the ends of ramps may be 0, but not less. So what depends on it
-    has an interval with two unequal sides.
-    """
+    """Return a delay [s] with its interval; `weights` are its shares of total delay and lag."""
+    # A time constant that only rounds the ends of ramps may be 0, but not less. So what depends on
+    # it has an interval with two unequal sides.
     of_delays, shares = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])], np.array(weights)
     variance, error = float(shares @ of_delays @ shares), float(np.sqrt(max(of_delays[1, 1], 0.0)))
     if not fit.model.structure.rounds_by_lag or error <= 0.0:

@@ -246,11 +246,9 @@ def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
 
 
 def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
-    """Return the initial difference between the rate of a first-order lag and each command.
-
-    Each difference decays by a factor until the next command, which adds a new difference. This
-    linear recurrence is solved by doubling.
-    """
+    """Return the initial difference between the rate of a first-order lag and each command."""
+    # Each difference decays by a factor until the next command, which adds a new difference. This
+    # linear recurrence is solved by doubling.
     fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
     fading[0] = 0.0
     ended = commands.value[:-1] + commands.slope[:-1] * np.diff(commands.time_s)

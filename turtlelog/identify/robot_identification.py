@@ -174,11 +174,9 @@ def _shows_gain(runs: Sequence[Run], model: AxisModel, sign: float) -> bool:
 def _list_moving(
     runs: Sequence[Run], model: AxisModel, sign: float
 ) -> tuple[Values, NDArray[np.bool_]]:
-    """Return the magnitudes of moving commands of one sign, and whether they reach the bound.
-
-    A command that reaches the bound within its interval fits any larger gain as well. The way to a
-    bound of the rate shows the gain anyway.
-    """
+    """Return the magnitudes of moving commands of one sign, and whether they reach the bound."""
+    # A command that reaches the bound within its interval fits any larger gain as well. The way to
+    # a bound of the rate shows the gain anyway.
     sizes = sign * np.concatenate([get_commands(run, model.axis) for run in runs])
     sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
     if model.gain is None or model.bound is None or model.bound_acts == "rate":
@@ -221,11 +219,9 @@ def _count_reaching(reaches: NDArray[np.bool_]) -> str:
 
 
 def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    """Yield a note if a known axis is only commanded beside one command of the other axis.
-
-    Wheels that reach their limit together show only this one gain; other commands may have a larger
-    gain.
-    """
+    """Yield a note if a known axis is only commanded beside one command of the other axis."""
+    # Wheels that reach their limit together show only this one gain; other commands may have a
+    # larger gain.
     other = OTHER[model.axis]
     own, beside = (
         np.abs(np.concatenate([get_commands(run, axis) for run in runs]))
@@ -244,11 +240,9 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
 
 
 def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> AxisModel:
-    """Return an axis in doubt if it is slower than the other axis and never changes without it.
-
-    Wheels whose acceleration is limited turn only after they have braked. Both axes share wheels,
-    motors and odometry, so nothing else delays one of them alone.
-    """
+    """Return an axis in doubt if it is slower than the other axis and never changes without it."""
+    # Wheels whose acceleration is limited turn only after they have braked. Both axes share wheels,
+    # motors and odometry, so nothing else delays one of them alone.
     delay, other_delay = model.total_delay_s, other.total_delay_s
     is_slower = delay is not None and (other_delay is None or delay.low > other_delay.high)
     if not is_slower or model.limit_acts == "at_wheels":

@@ -183,10 +183,8 @@ def _stands(run: Run, rows: slice) -> bool:
 
 
 def _measure_still(stretches: Sequence[Stretch]) -> Noise:
-    """Return the standard deviation of the constant part; 0 if the part is not significant.
-
-    If nothing grows, the changes of neighbours are correlated with -1/2.
-    """
+    """Return the standard deviation of the constant part; 0 if the part is not significant."""
+    # If nothing grows, the changes of neighbours are correlated with -1/2.
     changes = [np.diff(stretch[:, 1:], axis=0) for stretch in stretches]
     size = sum(change.size for change in changes)
     variance = sum(float((change**2).sum()) for change in changes) / size
@@ -216,10 +214,8 @@ def _list_errors(model: RobotModel, axis: Axis, run: Run) -> Iterator[Stretch]:
 
 
 def _measure_growth(stretches: Sequence[Stretch]) -> tuple[Values, Values, Values, Values]:
-    """Return times, the model's mean square error after each time, and its uncertainty.
-
-    The last two values are the numbers of successive intervals and of intervals from any pose.
-    """
+    """Return times, the model's mean square error after each time, and its uncertainty."""
+    # The last two values are the numbers of successive intervals and of intervals from any pose.
     total_s = sum(float(stretch[-1, 0] - stretch[0, 0]) for stretch in stretches)
     steps = sum(len(stretch) - 1 for stretch in stretches)
     usual_s = total_s / max(steps, 1)

@@ -394,11 +394,9 @@ def _split(motions: Sequence[AxisMotion]) -> list[Parts]:
 def _measure_reductions(
     fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
 ) -> list[tuple[float, float]]:
-    """Return by how much further parameters could reduce the sum of squares, to first order.
-
-    The second number is the reduction by the start values themselves: of starts whose effects
-    differ in size alone, one is nearest.
-    """
+    """Return by how much further parameters could reduce the sum of squares, to first order."""
+    # The second number is the reduction by the start values themselves: of starts whose effects
+    # differ in size alone, one is nearest.
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = axis_fit.StepModel(fit.model.motions, structure)
@@ -446,11 +444,9 @@ def compare_predictions(
 
 
 def _measure_ahead(known: AxisFit, residual: Values, slopes: Values, whitening: Whitening) -> float:
-    """Return the misfit of a prediction with the uncertainty of the first part.
-
-    If that part shows no delay, no structure is to blame for a wrong one. A parameter that it does
-    not show at all is as uncertain as one step leaves it.
-    """
+    """Return the misfit of a prediction with the uncertainty of the first part."""
+    # If that part shows no delay, no structure is to blame for a wrong one. A parameter that it
+    # does not show at all is as uncertain as one step leaves it.
     white, slopes = whitening.apply(residual), whitening.apply(slopes)
     earlier = known.whitening.apply(known.model.linearise(known.parameters)[1])
     before, after = earlier.T @ earlier, slopes.T @ slopes

@@ -252,10 +252,8 @@ def _turn(settings: Any, state: Any, time_ns: int, heading_rad: float) -> float:
 
 
 def _translate(settings: Any, state: Any, row: Any, time_ns: int, heading_rad: float) -> float:
-    """Return the speed.
-
-    If the translation ends, set the stop reason or switch to the next phase.
-    """
+    """Return the speed."""
+    # If the translation ends, set the stop reason or switch to the next phase.
     law, terms = settings.law, state.speed
     x_m, y_m = row.error_x_m, row.error_y_m
     stop, speed = WITHIN_TOLERANCE, 0.0
@@ -294,10 +292,8 @@ def _find_stop(law: Any, state: Any, time_ns: int, speed: float, error_m: float)
 
 
 def _advance_terms(law: Any, state: Any, terms: Any, time_ns: int, moved: float) -> None:
-    """Start the integral and derivative of a phase, or continue them to a sample.
-
-    The samples of a burst have the same time: the integral and the derivative do not change.
-    """
+    """Start the integral and derivative of a phase, or continue them to a sample."""
+    # The samples of a burst have the same time: the integral and the derivative do not change.
     if state.begun != state.phase:
         state.begun = state.phase
         terms.integral = terms.derivative = terms.error_rate = terms.excess = 0.0

@@ -225,10 +225,8 @@ def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool)
 def _find_far_steps(
     way: Values, net: Values, usual_ns: Values, *, seen: Values | None, acceleration: float
 ) -> NDArray[np.bool_]:
-    """Return which steps are far beyond the greatest rate that lasts for two of them.
-
-    `net` are the magnitudes of each two steps together, `seen` the rates applied by the plant.
-    """
+    """Return which steps are far beyond the greatest rate that lasts for two of them."""
+    # `net` are the magnitudes of each two steps together, `seen` the rates applied by the plant.
     both = np.minimum(way[1:], way[:-1])
     # A stray pose gives two steps, out and back, which together lead no further.
     for lasting in (np.minimum(both, net), both):
@@ -242,11 +240,9 @@ def _find_far_steps(
 
 
 def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
-    """Return the rows of poses that differ from the previous pose, if most poses repeat it.
-
-    Some programs publish each pose several times. In other recordings, a repeated pose shows that
-    the robot is at rest, and it counts.
-    """
+    """Return the rows of poses that differ from the previous pose, if most poses repeat it."""
+    # Some programs publish each pose several times. In other recordings, a repeated pose shows that
+    # the robot is at rest, and it counts.
     moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
     changing = np.flatnonzero(moved) + 1
     if len(changing) < 2 or compute_median(np.diff(changing)) < 2:
@@ -255,11 +251,9 @@ def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
 
 
 def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:
-    """Return by how much each step exceeds the median rate of its neighbours; 0 at both ends.
-
-    For steps with lost poses, the excess is the part that neither a rate of the neighbours nor a
-    stop explains.
-    """
+    """Return by how much each step exceeds the median rate of its neighbours; 0 at both ends."""
+    # For steps with lost poses, the excess is the part that neither a rate of the neighbours nor a
+    # stop explains.
     excess = np.zeros(len(step))
     if len(step) <= 2 * NEIGHBOURS:
         return excess

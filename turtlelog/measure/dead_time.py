@@ -177,10 +177,8 @@ def _find_doubt(run: Run, loop: ControlLoop) -> str:
 
 
 def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
-    """Return the only dead time that explains every step; None if there are none or several.
-
-    A few steps rule out most dead times; the remaining ones are tested on all steps.
-    """
+    """Return the only dead time that explains every step; None if there are none or several."""
+    # A few steps rule out most dead times; the remaining ones are tested on all steps.
     count = len(motion.moved) - first
     some = slice(first, None, max(count // _SCREENED, 1))
     left = np.flatnonzero(_find_fits(motion, _CANDIDATES, some)[0].all(axis=1))
@@ -249,11 +247,9 @@ def _describe_exact(
 
 
 def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first row and dead time of each segment; empty if steps remain unexplained.
-
-    The search runs backward from the end: it finds the dead time that explains the most last steps,
-    then repeats this for the steps before them.
-    """
+    """Return the first row and dead time of each segment; empty if steps remain unexplained."""
+    # The search runs backward from the end: it finds the dead time that explains the most last
+    # steps, then repeats this for the steps before them.
     stretches: list[tuple[int, int]] = []
     end = fits.shape[1]
     while end > 0:

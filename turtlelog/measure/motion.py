@@ -112,10 +112,8 @@ class LoopMotion:
         return command.sum(axis=2) * self.tick_s, np.asarray(is_sure.all(axis=2))
 
     def _find_commands(self, answered: NDArray[np.int64]) -> tuple[Values, NDArray[np.bool_]]:
-        """Return the command that acts in each tick [rad/s or m/s], and whether it is certain.
-
-        `answered` are the ticks of the poses whose answers act.
-        """
+        """Return the command that acts in each tick [rad/s or m/s], and whether it is certain."""
+        # `answered` are the ticks of the poses whose answers act.
         latest = self._find_latest(answered)
         is_known = latest >= 0
         is_sure = is_known & (answered - self.sample_tick[latest] < self.apart)

@@ -213,10 +213,8 @@ have moved far."""
 
 
 def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
-    """Return the row of the pose at which a loop begins; between two poses, the earlier row.
-
-    A timer reads the earlier pose. If poses before it are lost, the later row is returned.
-    """
+    """Return the row of the pose at which a loop begins; between two poses, the earlier row."""
+    # A timer reads the earlier pose. If poses before it are lost, the later row is returned.
     after = int(np.searchsorted(time_ns, start_ns, side="left"))
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
         return after

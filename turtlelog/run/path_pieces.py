@@ -168,10 +168,8 @@ def find_exit(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float)
 
 @called
 def _find_exit_of_arc(piece: Any, x_m: float, y_m: float, radius_m: float, low_m: float) -> float:
-    """Return the first length from `low_m` on at which the circle of an arc leaves another [m].
-
-    The result is infinite if the arc never leaves the other circle.
-    """
+    """Return the first length from `low_m` on at which the circle of an arc leaves another [m]."""
+    # The result is infinite if the arc never leaves the other circle.
     curvature = piece.curvature_1_m
     arc_radius_m = 1.0 / abs(curvature)
     center_x_m, center_y_m = _find_center(piece)
@@ -236,11 +234,9 @@ def locate(path: Any, pieces: Any, arc_m: float) -> Point:
 
 @called
 def _find_side(path: Any, pieces: Any, position: Position, way_m: float, number: int) -> float:
-    """Return a number that is positive if a position is on the left of the path.
-
-    `number` is the first piece with the nearest point, `way_m` the length along this piece to the
-    point.
-    """
+    """Return a number that is positive if a position is on the left of the path."""
+    # `number` is the first piece with the nearest point, `way_m` the length along this piece to the
+    # point.
     piece, count = pieces[number], path.count
     point = locate_on(piece, way_m)
     cos, sin = math.cos(point[2]), math.sin(point[2])

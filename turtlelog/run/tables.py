@@ -93,11 +93,9 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
 
 
 def _list_facts(run: "Run") -> dict[str, str]:
-    """Return the facts of a run that its tables do not contain, as texts or JSON by name.
-
-    `scenario` contains the known parameters by dotted key, `declaration` the declaration of the
-    law.
-    """
+    """Return the facts of a run that its tables do not contain, as texts or JSON by name."""
+    # `scenario` contains the known parameters by dotted key, `declaration` the declaration of the
+    # law.
     goal = None if run.goal_xy_m is None else [*run.goal_xy_m, run.goal_heading_rad]
     described = {
         "goal_m_m_rad": goal,

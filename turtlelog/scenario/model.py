@@ -36,10 +36,8 @@ _AnyTable = TypeVar("_AnyTable", bound=_Table)
 
 
 def _take_keys(table: str) -> Callable[[type[_AnyTable]], type[_AnyTable]]:
-    """Return the class decorator that makes a dataclass of the effects' keys in a table.
-
-    The keys that files always contain come first.
-    """
+    """Return the class decorator that makes a dataclass of the effects' keys in a table."""
+    # The keys that files always contain come first.
     keys = [one for part in EFFECTS if table in part.tables for one in fields(part.tables[table])]
     keys.sort(key=lambda one: ABSENT_BY_DEFAULT.keys() <= one.metadata.keys())
     found = [

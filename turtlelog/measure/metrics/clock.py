@@ -171,10 +171,8 @@ def tell_sample(course: RunContext, row: int) -> float:
 
 @course_metric("run.largest_gap", "s", grows=True, needs_poses=False)
 def _measure_largest_gap(course: RunContext) -> Outcome:
-    """Longest time without a sample.
-
-    The time of the metric is the beginning of the period.
-    """
+    """Longest time without a sample."""
+    # The time of the metric is the beginning of the period.
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
     periods_s = get_sample_periods(course)

@@ -139,10 +139,8 @@ def _measure_largest_wanted(commands: CommandStretch) -> Result:
 
 @curve_metric("saturated_share", "1", needs_whole=False)
 def _measure_saturated_share(curve: Response) -> Outcome:
-    """Share of the samples whose {command} is at its limit.
-
-    The time of the metric is that of the first such sample.
-    """
+    """Share of the samples whose {command} is at its limit."""
+    # The time of the metric is that of the first such sample.
     if math.isnan(curve.limit):
         return math.nan, math.nan, _LIMIT_UNKNOWN
     count, first = count_beyond(curve.commands.values, curve.limit)
@@ -152,10 +150,8 @@ def _measure_saturated_share(curve: Response) -> Outcome:
 
 @_command_metric("saturated_time_share", "1", needs_whole=False)
 def _measure_saturated_time_share(commands: CommandStretch) -> Result:
-    """Share of the time during which the {command} is at its limit.
-
-    The time of the metric is that of the first such sample.
-    """
+    """Share of the time during which the {command} is at its limit."""
+    # The time of the metric is that of the first such sample.
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT

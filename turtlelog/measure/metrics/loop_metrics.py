@@ -83,10 +83,8 @@ def _find_delay_time(curve: Response) -> Outcome:
 
 @step_metric("rise_time", "s", is_awaited=True, needs_whole=False)
 def _find_rise_time(curve: Response) -> Outcome:
-    """Time from first reaching 10 % of the step to first reaching 90 %.
-
-    The time of the metric is the end.
-    """
+    """Time from first reaching 10 % of the step to first reaching 90 %."""
+    # The time of the metric is the end.
     if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
         return math.nan, math.nan, _BEGINS_BEYOND
     begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
@@ -140,10 +138,8 @@ def _measure_undershoot(curve: Response) -> Outcome:
 
 @step_metric("settling_time", "s", is_awaited=True, needs_whole=False)
 def _measure_settling_time(curve: Response) -> Outcome:
-    """Time after which the {signal} stays within 2 % (or `band`) of the step around the {goal}.
-
-    A response ended from outside must have stayed in the band.
-    """
+    """Time after which the {signal} stays within 2 % (or `band`) of the step around the {goal}."""
+    # A response ended from outside must have stayed in the band.
     time_s, values, reference = curve.time_s, curve.values, curve.reference
     settled_s = find_settling_time(time_s, values, curve.initial, reference, curve.band)
     if math.isnan(settled_s):
@@ -166,10 +162,8 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
 
 @curve_metric("crossings", "1", grows=True, applies=has_sides)
 def _count_crossings(curve: Response) -> Outcome:
-    """Number of times that the {signal} passes the {goal}.
-
-    The time of the metric is the first crossing.
-    """
+    """Number of times that the {signal} passes the {goal}."""
+    # The time of the metric is the first crossing.
     rows = find_crossing_rows(curve.error, 0.0, curve.memory)
     at_s = curve.start_s + curve.time_s[rows[0]] if len(rows) > 0 else math.nan
     return float(len(rows)), at_s, FOUND

@@ -114,11 +114,9 @@ _STEPS_AT_ONCE: Final = 65_536
 
 
 def _find_rest(context: RunContext) -> tuple[float, float] | None:
-    """Return how long the robot is at rest, and the observed time [s]; None for a single pose.
-
-    The time between two poses counts as rest if the robot moves by less than the threshold in the
-    half second before or after it. A rest therefore includes its beginning and end.
-    """
+    """Return how long the robot is at rest, and the observed time [s]; None for a single pose."""
+    # The time between two poses counts as rest if the robot moves by less than the threshold in the
+    # half second before or after it. A rest therefore includes its beginning and end.
     spaced = context.spaced_poses
     if spaced is None:
         return None
