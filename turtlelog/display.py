@@ -153,7 +153,11 @@ def format_html(
         lines.append(f'<caption style="text-align:left">{_escape(title)}</caption>')
     if heads:
         columns = zip(*rows, strict=True) if rows else [()] * len(heads)
-        titles = "".join(map(_format_head, heads, columns))
+        sides = ("right" if any(map(_is_number, cells)) else "left" for cells in columns)
+        titles = "".join(
+            f'<th style="text-align:{side}">{_escape(head)}</th>'
+            for head, side in zip(heads, sides, strict=False)
+        )
         lines.append(f"<thead><tr>{titles}</tr></thead>")
     lines.append("<tbody>")
     lines += [f"<tr>{''.join(map(_format_cell, row))}</tr>" for row in rows]
@@ -260,11 +264,6 @@ motion."""
 
 _MARK: Final = 8.0
 """Width of the marks [pixels]; a path that the marks cover is not visible."""
-
-
-def _format_head(head: str, cells: Sequence[object]) -> str:
-    side = "right" if any(map(_is_number, cells)) else "left"
-    return f'<th style="text-align:{side}">{_escape(head)}</th>'
 
 
 def _is_number(cell: object) -> bool:

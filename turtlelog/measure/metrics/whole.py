@@ -62,7 +62,7 @@ def _get_heading_error(course: Any) -> float:
 @compiled_as(_get_heading_error)
 def get_heading_error(course: RunContext) -> float:
     """Return the reference heading minus the final heading [rad]; NaN if unknown."""
-    error_rad = _find_heading_error(course, None)
+    error_rad = _find_heading_error(course, math.inf)
     return math.nan if error_rad is None else error_rad
 
 
@@ -122,40 +122,23 @@ def _compute_position_error_at_15s(context: RunContext) -> Result:
     return _find_cut(context) or Found(error_m, _tell_time(context))
 
 
-def _find_heading_error(context: RunContext, at_s: float | None) -> float | None:
-    """Return the reference heading minus the heading [rad], in [-pi, pi)."""
-    run, time_s = context.run, context.pose_time_s
-    reference = context.heading_reference_rad
+def _find_heading_error(context: RunContext, at_s: float) -> float | None:
+    """Return reference heading minus heading at a time [rad], in [-pi, pi); inf: at the end."""
+    run, time_s, reference = context.run, context.pose_time_s, context.heading_reference_rad
+    row = max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
     if reference is None:
         recorded = context.get_signal("heading_error")
-        if recorded is None:
-            return None
-        return float(recorded.values[_find_row(time_s, at_s)])
+        return None if recorded is None else float(recorded.values[row])
     signal = context.get_signal("heading")
     if signal is None or (run.declaration.loops and not len(run.samples)):
         return None
-    last_s = time_s[-1] if at_s is None else at_s
-    heading_rad = float(np.interp(last_s, time_s, signal.values))
-    return wrap_angle(_read_reference_at(time_s, reference, at_s) - heading_rad)
-
-
-def _read_reference_at(time_s: Values, reference: float | Values, at_s: float | None) -> float:
-    """Return a reference heading, linearly interpolated between rows along the shorter turn."""
-    if not isinstance(reference, np.ndarray):
-        return reference
-    row = _find_row(time_s, at_s)
-    if at_s is None or row == len(time_s) - 1:
-        return float(reference[row])
-    share = max((at_s - time_s[row]) / (time_s[row + 1] - time_s[row]), 0.0)
-    turn_rad = subtract_headings(float(reference[row + 1]), float(reference[row]))
-    return float(reference[row] + share * turn_rad)
-
-
-def _find_row(time_s: Values, at_s: float | None) -> int:
-    """Return the last row at or before a time; without a time, the last row of all."""
-    if at_s is None:
-        return len(time_s) - 1
-    return max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
+    if isinstance(reference, np.ndarray) and row == len(time_s) - 1:
+        reference = float(reference[row])
+    elif isinstance(reference, np.ndarray):  # between rows, along the shorter turn
+        share = max((at_s - time_s[row]) / (time_s[row + 1] - time_s[row]), 0.0)
+        turn_rad = subtract_headings(float(reference[row + 1]), float(reference[row]))
+        reference = float(reference[row] + share * turn_rad)
+    return wrap_angle(reference - float(np.interp(at_s, time_s, signal.values)))
 
 
 def _tell_time(context: RunContext) -> float:
