@@ -157,7 +157,6 @@ def _measure_whiteness(white: Values) -> float | None:
 
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
-
 _LIMITS: Final = (
     *("rate_limit", "rate_limit_beside", "jerk_time_s", "bound", "bound_beside"),
     *("deadband", "reverse_gain", "friction"),

@@ -312,7 +312,6 @@ _OFF: Final = 2.5
 another correction."""
 
 _AROUND: Final = 5
-
 _BLOCK: Final = 12
 """Number of steps on either side whose median is the motion without noise. The same number is the
 size of a block of noise, which with its neighbouring blocks is a second at 36 Hz."""

@@ -41,7 +41,6 @@ from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, Co
 if TYPE_CHECKING:
     from turtlelog.measure.metric_list import MeasureSettings
 
-
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
 
@@ -230,6 +229,7 @@ OfRun = Callable[[RunContext], Result]
 OfLoop = Callable[[RunContext, Response], Result]
 OfCurve = Callable[[Response], Outcome]
 OfCourse = Callable[[RunContext], Outcome]
+
 CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
 NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
 

@@ -77,7 +77,6 @@ _ESSENTIAL_OF_COMMANDS: Final = (
 
 _ESSENTIAL_WITH_GOAL: Final = ("final.position_error", "run.time_to_goal")
 _ESSENTIAL_WITH_PATH: Final = ("run.cross_track_max", "run.cross_track_rms")
-
 _ESSENTIAL_WITH_COMMANDS: Final = (
     *("run.speed_tracking_rms", "run.speed_lag", "run.speed_steps", "run.speed_rise_time"),
     *("run.turn_rate_tracking_rms", "run.turn_rate_lag", "run.turn_rate_steps"),

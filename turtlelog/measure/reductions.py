@@ -17,7 +17,6 @@ from turtlelog.arithmetic import compiled_as, inlined
 Values = NDArray[np.float64]
 Rows = NDArray[np.int64]
 _BLOCK = 128
-
 _LANES = 8
 """Number of values that numpy's `sum` adds at once, each into its own partial sum."""
 
@@ -27,7 +26,6 @@ _BUFFER = 8192
 USES = 4
 """Number of rows of `memory.numbers` used here; each has twice as many numbers as there are
 rows."""
-
 PIECES, _TIMES, _SIZES, _STEPS = range(USES)
 
 

@@ -18,7 +18,6 @@ from turtlelog.run.angles import turn_headings
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
-
 PAIRS: Final = MappingProxyType(
     {
         "xy_m": ("x_m", "y_m"),
@@ -31,7 +30,6 @@ PAIRS: Final = MappingProxyType(
 """Words for the two columns of a pair."""
 
 _WHOLE = frozenset({"time_ns", "sequence", "pose_sequence", "phase"})
-
 _MAY_BE_NAN = frozenset(
     {
         "world_velocity_m_s",

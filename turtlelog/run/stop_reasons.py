@@ -15,13 +15,11 @@ from turtlelog.run.angles import wrap_angle
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
-
 WITHIN_TOLERANCE: Final = "within_tolerance"
 STANDSTILL: Final = "standstill"
 SETTLED: Final = "settled"
 PATH_END: Final = "path_end"
 END_OF_SIGNAL: Final = "end_of_signal"
-
 TIMEOUT: Final = "timeout"
 """The law exceeded its time."""
 
@@ -29,7 +27,6 @@ MAX_DURATION: Final = "max_duration"
 """The scenario's `max_duration_s` had passed."""
 
 LAW_FAILED: Final = "law_failed"
-
 STEP_BUDGET: Final = "step_budget"
 """The law exceeded the time limit of one answer."""
 

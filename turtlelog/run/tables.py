@@ -18,7 +18,6 @@ from turtlelog.run.loops import format_declaration
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
-
 Table = Mapping[str, NDArray[Any]]
 """Columns by name, all of one length: float64, int64, or objects for text."""
 
