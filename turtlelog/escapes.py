@@ -124,10 +124,8 @@ def _show_one(url: str) -> str:
 
 
 def _find_login(rest: str) -> str:
-    """Return user, password and `@` before the host. Without a host, return the whole text.
-
-    A password may contain `/`, as in secret keys of S3, or `?`, which usually follow a host.
-    """
+    """Return user, password and `@` before the host. Without a host, return the whole text."""
+    # A password may contain `/`, as in secret keys of S3, or `?`, which usually follow a host.
     host = re.split(r"[/?#]", rest, maxsplit=1)[0]
     if "@" in host:
         return host[: host.rindex("@") + 1]

@@ -180,10 +180,8 @@ class Effect:
 def _list_neutral(
     effect: Effect, place: Place | None
 ) -> tuple[tuple[Callable[[Any], object], object], ...]:
-    """Return readers of the keys of an effect, or of its action at a place, with neutral values.
-
-    The result is cached, because every run needs it.
-    """
+    """Return readers of the keys of an effect, or of its action at a place, with neutral values."""
+    # The result is cached, because every run needs it.
     neutral = effect.neutral
     keys = () if place is None else effect.actions[place].keys
     return tuple((attrgetter(key), neutral[key]) for key in keys or neutral)

@@ -192,10 +192,8 @@ others."""
 
 
 def _prepare_worker() -> None:
-    """Ignore Ctrl-C, end silently when the parent asks, and print warnings without their place.
-
-    A forked process inherits the handlers of its parent, which raise KeyboardInterrupt.
-    """
+    """Ignore Ctrl-C, end silently when the parent asks, and print warnings without their place."""
+    # A forked process inherits the handlers of its parent, which raise KeyboardInterrupt.
     _pickle_read_only_mappings()
     for number in _OF_PARENT:
         signal.signal(number, signal.SIG_IGN)

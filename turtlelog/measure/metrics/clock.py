@@ -154,8 +154,7 @@ def _list_periods(course: Any) -> Values:
 
 
 @compiled_as(_list_periods)
-def get_sample_periods(course: RunContext) -> Values:
-    """Return the time from each sample to the next [s]."""
+def _get_sample_periods(course: RunContext) -> Values:
     return course.sample_period_s
 
 
@@ -164,8 +163,7 @@ def _tell_row(course: Any, row: int) -> float:
 
 
 @compiled_as(_tell_row)
-def tell_sample(course: RunContext, row: int) -> float:
-    """Return the time of a sample, from the first sample [s]."""
+def _tell_sample(course: RunContext, row: int) -> float:
     return float(course.sample_time_s[row])
 
 
@@ -175,11 +173,11 @@ def _measure_largest_gap(course: RunContext) -> Outcome:
     # The time of the metric is the beginning of the period.
     if course.sample_count == 0:
         return math.nan, math.nan, _ROWS_UNKNOWN
-    periods_s = get_sample_periods(course)
+    periods_s = _get_sample_periods(course)
     if len(periods_s) == 0:
         return math.nan, math.nan, _ONE_SAMPLE
     row = find_furthest_row(periods_s, 1.0)
-    return periods_s[row], tell_sample(course, row), FOUND
+    return periods_s[row], _tell_sample(course, row), FOUND
 
 
 @_period_metric("sample", "burst_samples", "1", fewest=0, grows=True)

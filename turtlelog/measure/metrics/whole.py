@@ -216,16 +216,14 @@ def _compute_straightness(context: RunContext) -> Result:
     return Found(straightness)
 
 
-def find_largest_cross_track(context: RunContext, rows: slice) -> Result:
-    """Return the largest magnitude among the given rows of the poses."""
+def _find_largest_cross_track(context: RunContext, rows: slice) -> Result:
     if not len(context.cross_track_m):
         return NO_LINE
     largest_m, row = find_largest(context.cross_track_m[rows])
     return Found(largest_m, float(context.pose_time_s[rows][row]))
 
 
-def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
-    """Return the root mean square over time among the given rows of the poses."""
+def _compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
     if not len(context.cross_track_m):
         return NO_LINE
     step_s = subtract_neighbours(context.pose_time_s[rows])
@@ -243,8 +241,7 @@ def _project(course: Any) -> Values:
 
 
 @compiled_as(_project)
-def get_cross_track(course: RunContext) -> Values:
-    """Return the distance of every pose to the left of the line or path [m]."""
+def _get_cross_track(course: RunContext) -> Values:
     return course.cross_track_m
 
 
@@ -253,8 +250,7 @@ def _tell_row(course: Any, row: int) -> float:
 
 
 @compiled_as(_tell_row)
-def tell_pose(course: RunContext, row: int) -> float:
-    """Return the time of a pose, from the first sample [s]."""
+def _tell_pose(course: RunContext, row: int) -> float:
     return float(course.pose_time_s[row])
 
 
@@ -265,16 +261,16 @@ _RMS: Final = "RMS distance from the line from start to goal, or from the path g
 @course_metric("run.cross_track_max", "m", _LARGEST, grows=True)
 def _measure_largest_cross_track(course: RunContext) -> Outcome:
     """Return the largest magnitude from the first sample (time zero of the run) on."""
-    offset_m, first = get_cross_track(course), course.first_row
+    offset_m, first = _get_cross_track(course), course.first_row
     if len(offset_m) == 0:
         return math.nan, math.nan, _LINE_UNKNOWN
     largest_m, row = find_largest(offset_m[first:])
-    return largest_m, tell_pose(course, first + row), FOUND
+    return largest_m, _tell_pose(course, first + row), FOUND
 
 
 @run_metric("run.cross_track_rms", "m", _RMS)
 def _compute_rms_of_run(context: RunContext) -> Result:
-    return compute_rms_cross_track(context, slice(context.first_row, None))
+    return _compute_rms_cross_track(context, slice(context.first_row, None))
 
 
 @run_metric("run.iae", "m s", "Integral of the distance to the goal.", grows=True)
@@ -365,9 +361,9 @@ def _moves_along(loop: ControlLoop) -> bool:
 
 @loop_metric("cross_track_max", "m", _LARGEST, grows=True, applies=_moves_along)
 def _compute_cross_track_max(context: RunContext, response: Response) -> Result:
-    return find_largest_cross_track(context, response.rows)
+    return _find_largest_cross_track(context, response.rows)
 
 
 @loop_metric("cross_track_rms", "m", _RMS, applies=_moves_along)
 def _compute_cross_track_rms(context: RunContext, response: Response) -> Result:
-    return compute_rms_cross_track(context, response.rows)
+    return _compute_rms_cross_track(context, response.rows)
