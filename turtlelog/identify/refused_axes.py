@@ -441,11 +441,8 @@ class _Misfit:
     def _list_squares(self, delay_s: float | None) -> Values:
         if delay_s is None:
             return np.asarray(self._rate**2)
-        if delay_s not in self._squares:
-            self._squares[delay_s] = self._leave(delay_s)
-        return self._squares[delay_s]
-
-    def _leave(self, delay_s: float) -> Values:
+        if delay_s in self._squares:
+            return self._squares[delay_s]
         ways = []
         for motion in self._motions:
             way = motion.commands.place(motion.time_s - delay_s).way
@@ -455,4 +452,5 @@ class _Misfit:
         size, along = float(asked @ asked), float(asked @ self._rate)
         # A motion against the commands is not a correlation.
         gain = along / size if size > 0.0 and along > 0.0 else 0.0
-        return np.asarray((self._rate - gain * asked) ** 2)
+        self._squares[delay_s] = (self._rate - gain * asked) ** 2
+        return self._squares[delay_s]

@@ -47,10 +47,6 @@ _INSIDE_S: Final = 0.5
 """Smallest distance of a change of command from the ends of the data [s], equal to the earliest
 searched lag."""
 
-_STEADY: Final = Missing(
-    Status.UNDETERMINED, "the commands do not change: nothing shows how late the robot follows"
-)
-
 _FINE_S: Final = 1e-5
 _FINE_COUNT: Final = 9
 """Resolution of a lag [s], and number of shifts that are tried at a time."""
@@ -104,7 +100,8 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
     rows = slice(first, min(rows.stop, first + _MOST_INTERVALS))
     edges_s = rates.edges_s[rows.start : rows.stop + 1]
     if not _has_change(commands, float(edges_s[0]), float(edges_s[-1])):
-        return _STEADY
+        reason = "the commands do not change: nothing shows how late the robot follows"
+        return Missing(Status.UNDETERMINED, reason)
     return find_lag(edges_s, rates.means[rows], commands)
 
 
@@ -321,10 +318,6 @@ def _find_quantum(values: Values, initial: float, final: float) -> float:
     return float(levels.min(initial=high - low)) if len(levels) < len(steps) else 0.0
 
 
-_NO_STEPS: Final = Missing(
-    Status.NO_STEP,
-    f"no command is held for {HELD_AFTER_S:g} s after one that was for {HELD_BEFORE_S:g} s",
-)
 _NO_ANSWER: Final = Missing(
     Status.NOT_REACHED, "the robot does not do half of any step of its commands while it is held"
 )
@@ -358,7 +351,8 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
         if isinstance(steps, Missing) or rates is None:
             return steps if isinstance(steps, Missing) else ONE_POSE
         if not steps:
-            return _NO_STEPS
+            held = f"no command is held for {HELD_AFTER_S:g} s"
+            return Missing(Status.NO_STEP, f"{held} after one that was for {HELD_BEFORE_S:g} s")
         period_s = compute_median(subtract_neighbours(rates.edges_s))
         if period_s * _FEWEST_RATES > HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST_RATES} Hz"
