@@ -8,7 +8,6 @@ from .columns import (
     Trajectory as Trajectory,
     build_planar_trajectory as build_planar_trajectory,
     build_trajectory as build_trajectory,
-    slice_run as slice_run,
     take_rows as take_rows,
 )
 from .run import (
@@ -26,4 +25,4 @@ from .run import (
     require_run as require_run,
 )
 from .stop_reasons import CUT_SHORT as CUT_SHORT
-from .tables import TABLES as TABLES, tabulate_run as tabulate_run
+from .tables import TABLES as TABLES, slice_run as slice_run, tabulate_run as tabulate_run

@@ -18,14 +18,19 @@ from turtlelog.run.columns import (
     PoseColumns,
     Rebuilding,
     SampleColumns,
-    locate_stretch,
     rebuild_value,
-    slice_run,
 )
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.paths import Path, restore_path
 from turtlelog.run.stop_reasons import CUT_SHORT, find_goal_end
-from turtlelog.run.tables import TABLES, build_pandas, build_xarray, iterate_arrow
+from turtlelog.run.tables import (
+    TABLES,
+    build_pandas,
+    build_xarray,
+    iterate_arrow,
+    locate_stretch,
+    slice_run,
+)
 
 Parameter = bool | int | float | str | list[Any]
 
