@@ -342,20 +342,62 @@ def complete_summaries(
         return tuple(summaries)
     ids = dict.fromkeys(name for found in summaries for name in found.metrics)
     shared = [name for name in ids if name.partition(".")[0] in {"final", "run"}]
-    return tuple(_complete(found, shared, settings, topics or ReadChoice()) for found in summaries)
+    completed = []
+    for found in summaries:
+        lacking = [name for name in shared if name not in found.metrics]
+        if lacking:
+            run = read_as_chosen(found.file, topics or ReadChoice())
+            more = measure_run(run, settings, only=lacking)
+            completed.append(replace(found, metrics={**found.metrics, **more}))
+        else:
+            completed.append(found)
+    return tuple(completed)
 
 
-def _complete(
-    summary: RunSummary,
-    ids: Sequence[str],
-    settings: MeasureSettings | None,
-    topics: ReadChoice,
-) -> RunSummary:
-    lacking = [name for name in ids if name not in summary.metrics]
-    if not lacking:
-        return summary
-    found = measure_run(read_as_chosen(summary.file, topics), settings, only=lacking)
-    return replace(summary, metrics={**summary.metrics, **found})
+def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[str, ...]:
+    """Return the metrics for which at least one run has the data.
+
+    If every run has a law, all metrics are returned, so that tables do not depend on the data.
+    """
+    if not any(found.is_lawless for found in summaries):
+        return tuple(ids)
+    held = {
+        name
+        for found in summaries
+        for name, metric in found.metrics.items()
+        if metric.status is not Status.ABSENT
+    }
+    return tuple(name for name in ids if name in held)
+
+
+def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
+    """Return which inputs would add metrics, if all runs are third-party bags without them."""
+    if not summaries or not all(found.is_lawless for found in summaries):
+        return []
+    return [
+        f"No {unlock}."
+        for lack, unlock in UNLOCKS.items()
+        if all(lack in one.lacks and can_unlock(lack, one.lacks) for one in summaries)
+    ]
+
+
+def can_unlock(lack: str, lacks: Sequence[str]) -> bool:
+    """Return whether adding a missing input would help: a goal needs poses."""
+    return lack != "goal" or "poses" not in lacks
+
+
+UNLOCKS: Final = MappingProxyType(
+    {
+        "poses": "poses: a recorded Odometry, PoseStamped or /tf adds the path, measured rates and"
+        " how the robot follows its commands",
+        "commands": "commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds lags,"
+        " tracking errors and steps",
+        "goal": "goal: --goal X,Y adds final.position_error and run.time_to_goal",
+        "samples": "samples of a controller: only recordings of turtlelog have them, and with them"
+        " metrics of loops",
+    }
+)
+"""Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 
 def describe_end(summary: RunSummary) -> str:
