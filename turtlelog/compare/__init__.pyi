@@ -1,9 +1,12 @@
+from .common_clock import ALIGNMENTS as ALIGNMENTS, Tolerance as Tolerance
 from .difference import (
     MetricDifference as MetricDifference,
     PathDeviation as PathDeviation,
     RunComparison as RunComparison,
+    SignalDifference as SignalDifference,
     compare_metrics as compare_metrics,
     compare_runs as compare_runs,
+    compare_signals as compare_signals,
     measure_path_error as measure_path_error,
     tabulate_differences as tabulate_differences,
 )
@@ -58,11 +61,6 @@ from .run_table import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
 )
-from .signal_comparison import (
-    ALIGNMENTS as ALIGNMENTS,
-    SignalDifference as SignalDifference,
-    compare_signals as compare_signals,
-)
 from .table import (
     Cell as Cell,
     Column as Column,
@@ -81,4 +79,3 @@ from .trajectory_comparison import (
     tabulate_trajectories as tabulate_trajectories,
 )
 from .trajectory_errors import ErrorStatistics as ErrorStatistics
-from .tube import Tolerance as Tolerance
