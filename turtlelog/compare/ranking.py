@@ -130,7 +130,7 @@ class Ranking:
         """
         notes = [_describe_values(found, names) for found in self.differences]
         runs = {
-            condition: _name([names[row] for row in rows])
+            condition: name_few([names[row] for row in rows])
             for condition, rows in self.unknown.items()
         }
         by_runs: dict[str, list[str]] = {}
@@ -364,7 +364,7 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     groups: dict[str, list[str]] = {}
     for name, value in zip(names, found.values, strict=True):
         groups.setdefault(_show(found, value), []).append(name)
-    parts = [f"{value} of {_name(who)}" for value, who in groups.items()]
+    parts = [f"{value} of {name_few(who)}" for value, who in groups.items()]
     more = len(parts) - _MOST_NAMED
     if more > 0:
         parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
@@ -376,7 +376,8 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     return f"{found.key}: {', '.join(parts)}{hint}."
 
 
-def _name(runs: Sequence[str]) -> str:
+def name_few(runs: Sequence[str]) -> str:
+    """Return the names of a few runs in a sentence; the number of more runs."""
     return join_words(runs) if len(runs) <= _MOST_NAMED else describe_count(len(runs), "run")
 
 
