@@ -98,7 +98,7 @@ def answering(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ViewerClient, "connect", lambda _: DyingClient())
     monkeypatch.setattr(snapshot, "start_viewer", start_dying)
-    monkeypatch.setattr(live_viewer, "start_viewer", start_dying)
+    monkeypatch.setattr(viewer, "start_viewer", start_dying)
 
 
 @pytest.mark.usefixtures("answering")

@@ -24,8 +24,8 @@ from turtlelog.draw.rerun.entities import (
     locate_phases,
     name_document,
 )
+from turtlelog.draw.rerun.plane import Bounds, find_plane_bounds
 from turtlelog.draw.rerun.plots import LevelLines, Series
-from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
 from turtlelog.measure import find_signal
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE

@@ -16,7 +16,7 @@ from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.world import draw_points, draw_strips, write_words
+from turtlelog.draw.rerun.plane import draw_points, draw_strips, write_words
 
 _WIDTH: Final = 100.0
 """Width of the picture in its unit of length; one unit is 7 pixels in a window of 1200 x 860."""

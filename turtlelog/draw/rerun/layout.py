@@ -27,7 +27,7 @@ from turtlelog.draw.rerun.content import (
 )
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.explanation_pictures import view_explained
-from turtlelog.draw.rerun.world import draw_points, write_words
+from turtlelog.draw.rerun.plane import draw_points, write_words
 
 Corners = Mapping[str, rrb.Corner2D]
 

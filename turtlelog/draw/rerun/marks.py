@@ -14,7 +14,7 @@ from turtlelog.charts.ideal_curves import LoopStep, find_steps
 from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import LevelLines, Series
-from turtlelog.draw.rerun.timelines import RunStream
+from turtlelog.draw.rerun.recording_stream import RunStream
 from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
 from turtlelog.run.loops import DONE, PAUSE

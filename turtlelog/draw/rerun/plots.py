@@ -24,7 +24,7 @@ from turtlelog.charts.plotted_curves import (
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.timelines import RunStream, Times, build_index
+from turtlelog.draw.rerun.recording_stream import RunStream, Times, build_index
 from turtlelog.run import Run
 
 _REFERENCE_WIDTH: Final = 1.0

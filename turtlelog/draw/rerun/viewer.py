@@ -120,6 +120,28 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
 
 
 @contextmanager
+def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
+    """Open a viewer without a recording until the block ends, and yield it with its address.
+
+    Args:
+        advice: Advice if no window can be opened, in one clause.
+
+    Raises:
+        ShowError: If no window can be opened.
+    """
+    port = find_free_port()
+    options = ["--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
+    with start_viewer(options) as viewer:
+        try:
+            wait_for_viewer(viewer, port)
+        except ConnectionError as err:
+            raise ShowError(
+                f"viewer: expected a window, found: {err}; without a display {advice}"
+            ) from err
+        yield viewer, build_url(port)
+
+
+@contextmanager
 def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     """Start a viewer that listens only on this machine, and end it after the block."""
     # The viewer leaves a folder in the temporary folder, so it gets a folder of its own.
