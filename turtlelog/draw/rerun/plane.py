@@ -26,7 +26,6 @@ from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.recording_stream import (
     RunStream,
     Timelines,
-    build_index,
     choose_trace_rows,
 )
 from turtlelog.log.ros2.bag_surroundings import CELL_M, UNKNOWN, OccupancyMap, Surroundings
@@ -106,7 +105,11 @@ def draw_world(
             radii=rr.Radius.ui_points(0.75),
         )
         stream.log(join_path(entities.BORDER), border, static=True)
-    _draw_tracked_paths(stream, runs)
+    paths = plane_scene.list_paths(runs)
+    if paths:
+        strips = [plane_scene.outline_path(path) for path in paths]
+        look, colors = {"draw_order": _BELOW_TRACES}, [palette.TRACKED] * len(paths)
+        draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
     starts, goals = plane_scene.list_starts(runs), plane_scene.list_goals(runs)
     draw_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
     if len(goals):
@@ -177,33 +180,13 @@ def draw_worst_place(
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
-def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
-    """Draw the paths that laws track as broad lines below the driven paths."""
-    paths = plane_scene.list_paths(runs)
-    if paths:
-        strips, colors = (
-            [plane_scene.outline_path(path) for path in paths],
-            [palette.TRACKED] * len(paths),
-        )
-        look = {"draw_order": _BELOW_TRACES}
-        draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
-
-
 def _draw_names(
-    stream: rr.RecordingStream,
-    start: Values,
-    goal: Values,
-    half_size_m: float,
+    stream: rr.RecordingStream, start: Values, goal: Values, half_size_m: float
 ) -> None:
     """Name start and goal, each on the side away from the path."""
-    (start_x_m, start_y_m), (goal_x_m, goal_y_m) = start, goal
-    aside_m = half_size_m if goal_x_m <= start_x_m else -half_size_m
-    up_m = _NAME_UP * half_size_m
-    places = [
-        (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
-        (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
-    ]
-    colors = [palette.START, palette.GOAL]
+    side = 1.0 if goal[0] <= start[0] else -1.0
+    asides = np.array([(side * _START_ASIDE, _NAME_UP), (-side * _GOAL_ASIDE, _NAME_UP)])
+    places, colors = [start, goal] + half_size_m * asides, [palette.START, palette.GOAL]
     write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
 
 
@@ -329,13 +312,11 @@ def draw_surroundings(
     look = rr.Points2D.from_fields(
         radii=rr.Radius.ui_points(_SCAN_RADIUS), colors=[palette.SCAN], draw_order=_SCAN_ORDER
     )
-    stream.log(join_path(entities.SCAN), look, static=True)
+    scans = RunStream(stream, "", timelines)
+    scans.log(entities.SCAN, look)
     points = rr.Points2D.columns(positions=np.concatenate(seen.scans_xy_m) + shift_m)
-    stream.send_columns(
-        join_path(entities.SCAN),
-        indexes=build_index(timelines.read(seen.time_ns)),
-        columns=points.partition([len(one) for one in seen.scans_xy_m]),
-    )
+    columns = points.partition([len(one) for one in seen.scans_xy_m])
+    scans.send_few(entities.SCAN, seen.time_ns, columns)
 
 
 def _draw_map(stream: rr.RecordingStream, place: OccupancyMap, shift_m: Values) -> None:
@@ -393,6 +374,10 @@ class SpeedTrace:
     colors: list[palette.Color]  # colour of each strip; brighter means faster
     highest_m_s: float  # speed of the brightest colour [m/s]
 
+    def draw(self, run_stream: RunStream) -> None:
+        """Draw the whole path."""
+        log_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
+
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
     """Return the whole path in colours of its speed; None if nothing moves."""
@@ -409,11 +394,6 @@ def build_speed_trace(run: Run) -> SpeedTrace | None:
         colors=[ramp[int(levels[first])] for first, _ in stretches],
         highest_m_s=highest,
     )
-
-
-def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
-    """Draw the whole path in colours of its speed."""
-    log_strips(run_stream, entities.SPEED_PATH, trace.strips, trace.colors, _SPEED_RADIUS)
 
 
 def draw_reference_path(run_stream: RunStream, run: Run) -> None:

@@ -28,9 +28,7 @@ from turtlelog.draw.rerun.recording_stream import RunStream, Times, build_index
 from turtlelog.run import Run
 
 _REFERENCE_WIDTH: Final = 1.0
-
 LINE_WIDTH: Final = 1.5
-
 _THIN_WIDTH: Final = 1.25
 
 _WIDTHS: Final[Mapping[CurveKind, float]] = {
@@ -64,30 +62,19 @@ _MARKERS: Final[Mapping[CurveKind, Marker]] = {
 class Series:
     """Curves that share their times and plot.
 
-    Attributes:
-        entity: Entity path below the run's prefix. The first part of the path names the plot; for a
-            state of a law, the first two parts.
-        labels: Legend, one per curve.
-        colors: Colour of each curve.
-        time_ns: The run's own time [ns], shape (n,), not decreasing.
-        values: One column per curve, shape (n, curves); NaN where nothing is drawn.
-        width: Width of the lines [points].
-        holds: Whether a value is held until the next value instead of interpolated.
-        is_main: Whether the curves are the run's own motion.
-        is_measured: Whether the curves are measured, so that the plot's range must include them.
-        marker: Shape of points. None: lines.
+    The first part of the entity path names the plot; for a state of a law, the first two parts.
     """
 
-    entity: str
-    labels: tuple[str, ...]
-    colors: tuple[palette.Color, ...] = (palette.MAIN,)
-    time_ns: NDArray[np.int64]
-    values: Values
-    width: float = LINE_WIDTH
-    holds: bool = False
-    is_main: bool = True
-    is_measured: bool = True
-    marker: Marker | None = None
+    entity: str  # entity path below the run's prefix
+    labels: tuple[str, ...]  # legend, one per curve
+    colors: tuple[palette.Color, ...] = (palette.MAIN,)  # colour of each curve
+    time_ns: NDArray[np.int64]  # the run's own time [ns], shape (n,), not decreasing
+    values: Values  # one column per curve, shape (n, curves); NaN where nothing is drawn
+    width: float = LINE_WIDTH  # width of the lines [points]
+    holds: bool = False  # whether a value is held until the next one instead of interpolated
+    is_main: bool = True  # whether the curves are the run's own motion
+    is_measured: bool = True  # whether they are measured, so that the plot's range includes them
+    marker: Marker | None = None  # shape of points; None: lines
 
     @property
     def plot(self) -> str:
@@ -133,17 +120,11 @@ def list_compared_series(run: Run, name: str, color: palette.Color) -> tuple[Ser
         if has_track and series.entity == entities.POSITION:
             continue
         is_beside = series.plot in measured and not series.entity.endswith(entities.MEASURED)
-        shown = f"{name} {series.labels[0]}" if is_beside else name
-        found.append(
-            replace(
-                series,
-                labels=(shown,)
-                if len(series.labels) == 1
-                else tuple(f"{shown} {label}" for label in series.labels),
-                colors=(color,) * len(series.labels),
-                width=_THIN_WIDTH if is_beside else LINE_WIDTH,
-            )
-        )
+        labels: tuple[str, ...] = (f"{name} {series.labels[0]}" if is_beside else name,)
+        if len(series.labels) > 1:
+            labels = tuple(f"{labels[0]} {label}" for label in series.labels)
+        colors, width = (color,) * len(labels), _THIN_WIDTH if is_beside else LINE_WIDTH
+        found.append(replace(series, labels=labels, colors=colors, width=width))
     return tuple(found)
 
 
@@ -234,7 +215,9 @@ def _list_group(
             ),
             time_ns=first.curve.time_ns,
             values=np.column_stack([one.curve.values for one in alike]),
-            width=_find_width(first, plots[0]),
+            width=_COMMANDED_WIDTH
+            if first.kind == "run" and plots[0].command is not None
+            else _WIDTHS.get(first.kind, LINE_WIDTH),
             holds=first.curve.holds,
             is_main=first.kind in ("run", "measured"),
             is_measured=first.kind in OWN,
@@ -242,7 +225,11 @@ def _list_group(
         )
         yield series
         if plots[0].is_log and first.kind not in POINTS:
-            yield _take_logarithm(series, name)
+            # In a logarithm of magnitudes, exponential curves are straight.
+            sizes = np.abs(series.values)
+            logs = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
+            entity = entities.name_logarithm(name) + series.entity.removeprefix(name)
+            yield replace(series, entity=entity, values=logs)
 
 
 def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
@@ -268,27 +255,8 @@ def _name_part(found: PlottedCurve) -> str:
     return found.entry.name
 
 
-def _find_width(found: PlottedCurve, plot: TimePlot) -> float:
-    if found.kind == "run" and plot.command is not None:
-        return _COMMANDED_WIDTH
-    return _WIDTHS.get(found.kind, LINE_WIDTH)
-
-
 def _list_state(run: Run, name: str) -> Iterator[Series]:
-    hues = {
-        state: color
-        for group in group_states(run.declaration)
-        for state, color in zip(
-            group.names, palette.choose_run_colors(len(group.names)), strict=True
-        )
-    }
+    names = next(group.names for group in group_states(run.declaration) if name in group.names)
+    color = palette.choose_run_colors(len(names))[names.index(name)]
     for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
-        yield replace(series, colors=(hues[name],))
-
-
-def _take_logarithm(series: Series, name: str) -> Series:
-    """Return the decimal logarithm of magnitudes, in which exponential curves are straight."""
-    sizes = np.abs(series.values)
-    values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
-    entity = entities.name_logarithm(name) + series.entity.removeprefix(name)
-    return replace(series, entity=entity, values=values)
+        yield replace(series, colors=(color,))

@@ -182,7 +182,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     plane.draw_reference_path(run_stream, run)
     plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
-        plane.draw_speed_trace(run_stream, single.by_speed)
+        single.by_speed.draw(run_stream)
     turtles.draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), content.plane.half_size_m)
     if single.ideal is not None:
         turtles.draw_ghost(stream, single.ideal, timelines, content.plane.half_size_m)
