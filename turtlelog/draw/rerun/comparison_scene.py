@@ -87,7 +87,9 @@ def write_comparison_rrd(
         equal="; ".join(equal),
         origin=origin,
     )
-    views, name = layout.build_comparison_layout(content), _name_recording(overlay.names)
+    views, names = layout.build_comparison_layout(content), overlay.names
+    brief = f"{names[0]} to {names[-1]}, {len(names)} runs"
+    name = ", ".join(names) if len(names) <= 4 else brief
     with open_recording(path, name=name, layout=views) as stream:
         drawn = {number: place for place, group in enumerate(groups) for number in group}
         prefixes = [overlay.prefixes[drawn[number]] for number in range(len(runs))]
@@ -100,29 +102,17 @@ def write_comparison_rrd(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Overlay:
-    """Several runs with names and colours. All sequences have the same order.
+    """Several runs with names and colours. All sequences have the same order."""
 
-    Attributes:
-        runs: Runs, at least one.
-        names: Different names of the runs.
-        prefixes: Entity prefixes.
-        colors: Colours of the runs in every view.
-        timelines: Timelines, aligned at the first samples.
-        series: Curves of each run.
-        references: Common level lines.
-        restless: Indices of the runs among many that never come to rest.
-        scale: Number in which many runs differ; None if there is no single number.
-    """
-
-    runs: tuple[Run, ...]
-    names: tuple[str, ...]
-    prefixes: tuple[str, ...]
-    colors: tuple[palette.Color, ...]
-    timelines: tuple[Timelines, ...]
-    series: tuple[tuple[plots.Series, ...], ...]
-    references: tuple[plots.LevelLines, ...]
-    restless: frozenset[int] = frozenset()
-    scale: many_runs.GainScale | None = None
+    runs: tuple[Run, ...]  # at least one
+    names: tuple[str, ...]  # different names of the runs
+    prefixes: tuple[str, ...]  # entity prefixes
+    colors: tuple[palette.Color, ...]  # colours of the runs in every view
+    timelines: tuple[Timelines, ...]  # aligned at the first samples
+    series: tuple[tuple[plots.Series, ...], ...]  # curves of each run
+    references: tuple[plots.LevelLines, ...]  # common level lines
+    restless: frozenset[int] = frozenset()  # runs among many that never come to rest
+    scale: many_runs.GainScale | None = None  # the only number in which many runs differ
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return the content of the recording."""
@@ -187,22 +177,26 @@ def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[s
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
     brief = many_runs.shorten_run_names(firsts, [names[first] for first, *_ in groups])
-    return [
-        name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
-        for name, group in zip(brief, groups, strict=True)
-    ]
-
-
-def _name_equal(name: str, names: Sequence[str]) -> str:
-    if name not in names:
-        return f"{name} ({len(names)} equal runs)"
-    if len(names) == 2:
-        return f"{names[0]} and {names[1]} are equal"
-    return f"{name} and {len(names) - 1} more are equal"
+    told = []
+    for name, group in zip(brief, groups, strict=True):
+        same = [names[number] for number in group]
+        if len(group) == 1:
+            told.append(name)
+        elif name not in same:
+            told.append(f"{name} ({len(group)} equal runs)")
+        elif len(group) == 2:
+            told.append(f"{same[0]} and {same[1]} are equal")
+        else:
+            told.append(f"{name} and {len(group) - 1} more are equal")
+    return told
 
 
 def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
     """Return runs with their colours, curves and timelines."""
+    # Without spaces, which look like escapes.
+    parts = [entities.name_part(name) for name in names]
+    if len({*parts}) < len(parts):
+        parts = [rr.escape_entity_path_part(name) for name in names]
     colors = many_runs.choose_colors_by_value(runs)
     restless = many_runs.find_restless(runs) if len(runs) > many_runs.MANY else frozenset()
     # The legend of the along-track plot has no room for more names than those of the runs.
@@ -212,7 +206,7 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
     return _Overlay(
         runs=tuple(runs),
         names=tuple(names),
-        prefixes=tuple(join_path(RUNS, part) for part in _list_path_parts(names)),
+        prefixes=tuple(join_path(RUNS, part) for part in parts),
         colors=colors,
         timelines=tuple(recording_stream.build_compared_timelines(run) for run in runs),
         series=tuple(
@@ -308,18 +302,6 @@ def _miss(run: Run) -> float:
     return 0.0 if run.goal_xy_m is None else float(np.hypot(*(run.poses.xy_m[-1] - run.goal_xy_m)))
 
 
-def _name_recording(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}, {len(names)} runs"
-
-
-def _list_path_parts(names: Sequence[str]) -> list[str]:
-    """Return a part of an entity path for each name, without spaces, which look like escapes."""
-    plain = [entities.name_part(name) for name in names]
-    if len(set(plain)) == len(plain):
-        return plain
-    return [rr.escape_entity_path_part(name) for name in names]
-
-
 _TIMELINE: Final = "robot_time"
 
 _RESIDUAL: Final = "residual"
@@ -407,7 +389,7 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
     longest = [band for band in found.bands if band.horizon_s == found.bands[-1].horizon_s]
     errors = [
         rrb.TimeSeriesView(
-            origin=_name_errors(band),
+            origin=f"/errors/{band.quantity}",
             name=f"{label_error(band.quantity)} after {band.horizon_s:g} s",
             axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         )
@@ -431,16 +413,12 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
             _draw_axis(stream, traces)
 
 
-def _name_errors(band: ErrorBand) -> str:
-    return f"/errors/{band.quantity}"
-
-
 def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
-    # A 2D view has y downward.
-    pieces = [_flip(piece) for piece in found.predict_pieces()]
+    flip = np.array([1.0, -1.0])  # a 2D view has y downward
+    pieces = [piece * flip for piece in found.predict_pieces()]
     # The recorded path is below, and visible on both sides.
     for name, strips, color, pixels in (
-        ("recorded", [_flip(found.recorded.xy_m)], palette.MEASURED, 2.0 * _PATH_PIXELS),
+        ("recorded", [found.recorded.xy_m * flip], palette.MEASURED, 2.0 * _PATH_PIXELS),
         ("simulated", pieces, palette.MODEL, _PATH_PIXELS),
     ):
         looks: dict[str, Any] = {"draw_order": -pixels, "labels": [name], "show_labels": False}
@@ -448,10 +426,6 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
         plane.draw_strips(stream, f"{_PLANE}/{name}", strips, packed, pixels, **looks)
     starts, packed = [piece[0] for piece in pieces], palette.pack_colors([palette.MODEL])
     plane.draw_points(stream, f"{_PLANE}/begins", starts, packed, 4.0 * _PATH_PIXELS)
-
-
-def _flip(xy_m: Values) -> Values:
-    return np.asarray(xy_m * np.array([1.0, -1.0]))
 
 
 def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:
@@ -466,7 +440,7 @@ def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) ->
     for name, values, color in curves:
         if values is None:
             continue
-        entity = f"{_name_errors(band)}/{name.replace(' ', '_')}"
+        entity = f"/errors/{band.quantity}/{name.replace(' ', '_')}"
         colors = palette.pack_colors([color])
         stream.log(entity, rr.SeriesLines(names=name, colors=colors), static=True)
         stream.send_columns(entity, index, rr.Scalars.columns(scalars=factor * values))

@@ -26,7 +26,7 @@ from turtlelog.draw.rerun.entities import APPLICATION_ID, TICKS, join_path, name
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
 from turtlelog.measure import Metric
-from turtlelog.run import Run
+from turtlelog.run import Parameter, Run
 
 _PATIENCE_S: Final = 5.0
 """Time without growth after which a file counts as stuck [s]."""
@@ -39,11 +39,6 @@ _PROBE: Final = bytes(2**20)
 _STRICT_LOCK: Final = threading.Lock()
 _BEFORE_STRICT: Final[list[bool]] = []
 """Earlier settings, one for each active block of strict mode."""
-
-RUN: Final = "run"
-RUNS: Final = "runs"
-SCENARIO: Final = "scenario"
-METRICS: Final = "metrics"
 
 
 @contextmanager
@@ -70,7 +65,12 @@ def open_recording(
         except BaseException:
             abandon_stream(stream)
             raise
-        _require_end(part_path, path)
+        # Rerun does not fail if the disk is full at the very end of the file.
+        with part_path.open("rb") as file:
+            file.seek(max(part_path.stat().st_size - _END_BYTES, 0))
+            end = file.read()
+        if _END not in end:
+            raise _find_error(part_path, path, "a file without its end" if end else "none")
 
 
 def require_enabled(stream: rr.RecordingStream, name: str) -> None:
@@ -114,7 +114,7 @@ def send_run_properties(
     stream: rr.RecordingStream, run: Run, metrics: Mapping[str, Metric]
 ) -> None:
     """Store properties of a run, its scenario, and its metrics, each with a name."""
-    _send_properties(stream, RUN, _describe_runs([run]), [run], [metrics])
+    _send_properties(stream, "run", _describe_runs([run]), [run], [metrics])
 
 
 def send_comparison_properties(
@@ -129,7 +129,7 @@ def send_comparison_properties(
     Unknown numbers, and numbers that a run's law does not have, are NaN. Unknown texts are empty.
     """
     of_runs = _describe_runs(runs) | {"name": list(names), "entity": list(prefixes)}
-    _send_properties(stream, RUNS, of_runs, runs, metrics)
+    _send_properties(stream, "runs", of_runs, runs, metrics)
 
 
 def draw_documents(stream: rr.RecordingStream, documents: Mapping[str, str]) -> None:
@@ -168,7 +168,14 @@ class _Values:
 def _await(call: Callable[[], None], part_path: Path, path: Path) -> None:
     """Call Rerun and wait as long as its file grows. On a full disk, the call may never return."""
     failures: list[Exception] = []
-    thread = threading.Thread(target=_try, args=(call, failures), name="rerun", daemon=True)
+
+    def attempt() -> None:
+        try:
+            call()
+        except Exception as err:
+            failures.append(err)
+
+    thread = threading.Thread(target=attempt, name="rerun", daemon=True)
     thread.start()
     thread.join(_PATIENCE_S)
     size = -1
@@ -179,22 +186,6 @@ def _await(call: Callable[[], None], part_path: Path, path: Path) -> None:
         thread.join(_PATIENCE_S)
     for err in failures:
         raise _find_error(part_path, path, str(err)) from err
-
-
-def _try(call: Callable[[], None], failures: list[Exception]) -> None:
-    try:
-        call()
-    except Exception as err:
-        failures.append(err)
-
-
-def _require_end(part_path: Path, path: Path) -> None:
-    """Refuse a truncated file, because Rerun does not fail if the disk is full at the very end."""
-    with part_path.open("rb") as stream:
-        stream.seek(max(part_path.stat().st_size - _END_BYTES, 0))
-        end = stream.read()
-    if _END not in end:
-        raise _find_error(part_path, path, "a file without its end" if end else "none")
 
 
 def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
@@ -215,14 +206,16 @@ def _send_properties(
     metrics: Sequence[Mapping[str, Metric]],
 ) -> None:
     stream.send_property(kind, _Properties(of_runs))
-    parameters = [_flatten(run) for run in runs]
-    keys = sorted({key for known in parameters for key in known})
+    keys = sorted({key for run in runs for key in run.parameters})
     if keys:
-        found = {key: _fill([known.get(key) for known in parameters]) for key in keys}
-        stream.send_property(SCENARIO, _Properties(found))
+        found = {key: _fill([run.parameters.get(key) for run in runs]) for key in keys}
+        stream.send_property("scenario", _Properties(found))
     ids = dict.fromkeys(name for known in metrics for name in known)
-    values = {name: [_get_value(known.get(name)) for known in metrics] for name in ids}
-    stream.send_property(METRICS, _Properties(values))
+    measured = {
+        name: [known[name].value if name in known else None for known in metrics] for name in ids
+    }
+    values = {name: _fill(of_each) for name, of_each in measured.items()}
+    stream.send_property("metrics", _Properties(values))
 
 
 def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
@@ -234,23 +227,12 @@ def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
     }
 
 
-def _flatten(run: Run) -> dict[str, float | str]:
-    """Return the scenario's numbers as floats, booleans as 0 and 1, other values as text."""
-    return {
-        key: float(value) if isinstance(value, bool | int | float) else str(value)
-        for key, value in run.parameters.items()
-    }
-
-
-def _fill(values: list[float | str | None]) -> list[float] | list[str]:
-    """Return one value per run, all of one type: text if any value is text."""
-    if any(isinstance(value, str) for value in values):
-        return ["" if value is None else str(value) for value in values]
-    return [float("nan") if value is None else float(value) for value in values]
-
-
-def _get_value(metric: Metric | None) -> float:
-    return float("nan") if metric is None or metric.value is None else metric.value
+def _fill(values: Sequence[Parameter | None]) -> list[float] | list[str]:
+    """Return one value per run: numbers and booleans as floats; texts, if any is not a number."""
+    if all(value is None or isinstance(value, bool | int | float) for value in values):
+        return [float("nan") if value is None else float(value) for value in values]
+    floats = (float(one) if isinstance(one, bool | int | float) else one for one in values)
+    return ["" if value is None else str(value) for value in floats]
 
 
 Times = NDArray[np.int64]
@@ -282,26 +264,23 @@ together than pixels."""
 class Timelines:
     """The times of a run on each timeline. All timelines except the first are optional.
 
-    Attributes:
-        zero_ns: Zero of `sim_time`, in the run's own time [ns].
-        tick_ns: Times of the poses [ns], shape (n,); the indices are ticks.
-        starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
-        epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
-        borders_ns: Times of phase starts, phase ends and events in the run's own time [ns],
-            increasing. Long curves keep the rows next to these times.
+    Times are the run's own. Borders are those of phases and events, increasing; long curves keep
+    the rows next to them.
     """
 
-    zero_ns: int
-    tick_ns: Times | None = None
-    starts_ns: Mapping[str, int] = field(default_factory=dict)
-    epoch_ns: int | None = None
-    borders_ns: Times = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    zero_ns: int  # zero of `sim_time` [ns]
+    tick_ns: Times | None = None  # times of the poses [ns], shape (n,); the indices are ticks
+    starts_ns: Mapping[str, int] = field(default_factory=dict)  # zeros of phases by timeline [ns]
+    epoch_ns: int | None = None  # time from 1970 UTC to the run's time 0 [ns]
+    borders_ns: Times = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # [ns]
 
     def read(self, time_ns: Times) -> dict[str, Times]:
         """Return the run's own times [ns], shape (n,), converted to each timeline."""
         read = {TIMELINE: time_ns - self.zero_ns}
-        if self.tick_ns is not None:
-            read[TICKS] = _count_ticks(self.tick_ns, time_ns)
+        if time_ns is self.tick_ns:
+            read[TICKS] = np.arange(len(time_ns), dtype=np.int64)
+        elif self.tick_ns is not None:  # the last pose at or before each time
+            read[TICKS] = np.searchsorted(self.tick_ns, time_ns, side="right") - 1
         for name, start_ns in self.starts_ns.items():
             read[name] = time_ns - start_ns
         if self.epoch_ns is not None:
@@ -312,11 +291,10 @@ class Timelines:
 def build_run_timelines(run: Run) -> Timelines:
     """Return the timelines of a single run, including ticks; for an import, also wall time."""
     stamp = run.notes.get("original_timestamp")
-    epoch_ns = None if stamp is None else parse_utc(stamp)
     return Timelines(
         zero_ns=run.start_ns,
         tick_ns=run.poses.time_ns,
-        epoch_ns=epoch_ns,
+        epoch_ns=None if stamp is None else parse_utc(stamp),
         borders_ns=_find_borders(run),
     )
 
@@ -332,15 +310,30 @@ def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, 
     """Return the first time of all runs, and slightly more than the last, on each timeline."""
     spans: dict[str, list[Times]] = {}
     for run, own in zip(runs, timelines, strict=True):
-        ends_ns = np.array([_find_first_ns(run), run.end_ns])
-        for name, read in own.read(ends_ns).items():
+        firsts = (
+            table.time_ns[0] for table in (run.poses, run.samples, run.commands) if len(table)
+        )
+        for name, read in own.read(np.array([min(firsts), run.end_ns])).items():
             spans.setdefault(name, []).append(read)
-    return {name: _widen(np.concatenate(found)) for name, found in spans.items()}
+    ends = {name: (int(np.min(found)), int(np.max(found))) for name, found in spans.items()}
+    # Without the addition, the last phase would not be visible.
+    return {
+        name: np.array([first, last + (last - first) // _SHARE_BEYOND])
+        for name, (first, last) in ends.items()
+    }
 
 
 def build_index(times: Mapping[str, Times]) -> list[rr.TimeColumn]:
     """Return index columns in whole nanoseconds, because seconds would be truncated."""
-    return [_build_column(name, values) for name, values in times.items()]
+    columns = []
+    for name, values in times.items():
+        if name == TICKS:
+            columns.append(rr.TimeColumn(name, sequence=values))
+        elif name == WALL_TIMELINE:
+            columns.append(rr.TimeColumn(name, timestamp=values.astype("datetime64[ns]")))
+        else:
+            columns.append(rr.TimeColumn(name, duration=values.astype("timedelta64[ns]")))
+    return columns
 
 
 class RunStream:
@@ -410,20 +403,25 @@ def choose_trace_rows(run: Run) -> NDArray[np.int64]:
 
 def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[str, str]:
     """Return documents, with one more on the data that pictures leave out, if any."""
-    text = _describe_thinning(runs)
-    return {**documents, "Drawn": text} if text else documents
-
-
-def _find_first_ns(run: Run) -> int:
-    tables = (run.poses, run.samples, run.commands)
-    return min(int(table.time_ns[0]) for table in tables if len(table))
+    tables = [table for run in runs for table in (run.poses, run.samples, run.commands)]
+    poses, longest = max(len(run.poses) for run in runs), max(map(len, tables))
+    drawn = []
+    if poses > TRACE_ROWS:
+        drawn.append(f"traces about {TRACE_ROWS:,} of up to {poses:,} poses")
+    if longest > MOST_ROWS:
+        drawn.append(f"curves about {MOST_ROWS:,} of up to {longest:,} rows")
+    if not drawn:
+        return documents
+    kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
+    text = (
+        f"Drawn are of {' and of '.join(drawn)} at most: of every part {join_words(kept)}"
+        f"{_describe_borders(runs)}. What lies between is left out. Metrics are of all."
+    )
+    return {**documents, "Drawn": text}
 
 
 def _find_borders(run: Run) -> Times:
-    """Return times of phase starts, phase ends and events [ns]; empty for a completely drawn run.
-
-    The result is also empty if there are more than `MOST_BORDERS`.
-    """
+    """Return times of phases and events [ns]; empty for a whole run, or if there are too many."""
     borders_ns = None if _is_whole(run) else _list_borders(run)
     return np.zeros(0, dtype=np.int64) if borders_ns is None else borders_ns
 
@@ -446,44 +444,6 @@ def _find_beside(time_ns: Times, borders_ns: Times) -> NDArray[np.int64]:
     """Return the last row before each border, and the first row at or after it."""
     after = np.searchsorted(time_ns, borders_ns)
     return np.unique(np.concatenate([after - 1, after]).clip(0, len(time_ns) - 1))
-
-
-def _widen(values: Times) -> Times:
-    """Return the smallest time, and slightly more than the largest, to show the last phase."""
-    first, last = int(values.min()), int(values.max())
-    return np.array([first, last + (last - first) // _SHARE_BEYOND])
-
-
-def _build_column(name: str, values: Times) -> rr.TimeColumn:
-    if name == TICKS:
-        return rr.TimeColumn(name, sequence=values)
-    if name == WALL_TIMELINE:
-        return rr.TimeColumn(name, timestamp=values.astype("datetime64[ns]"))
-    return rr.TimeColumn(name, duration=values.astype("timedelta64[ns]"))
-
-
-def _count_ticks(tick_ns: Times, time_ns: Times) -> Times:
-    """Return the index of the last pose at or before each time."""
-    if time_ns is tick_ns:
-        return np.arange(len(tick_ns), dtype=np.int64)
-    return np.searchsorted(tick_ns, time_ns, side="right") - 1
-
-
-def _describe_thinning(runs: Sequence[Run]) -> str:
-    tables = [table for run in runs for table in (run.poses, run.samples, run.commands)]
-    poses, longest = max(len(run.poses) for run in runs), max(map(len, tables))
-    drawn = []
-    if poses > TRACE_ROWS:
-        drawn.append(f"traces about {TRACE_ROWS:,} of up to {poses:,} poses")
-    if longest > MOST_ROWS:
-        drawn.append(f"curves about {MOST_ROWS:,} of up to {longest:,} rows")
-    if not drawn:
-        return ""
-    kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
-    return (
-        f"Drawn are of {' and of '.join(drawn)} at most: of every part {join_words(kept)}"
-        f"{_describe_borders(runs)}. What lies between is left out. Metrics are of all."
-    )
 
 
 def _describe_borders(runs: Sequence[Run]) -> str:

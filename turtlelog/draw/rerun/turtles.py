@@ -12,7 +12,7 @@ from turtlelog.charts.close_up import format_length
 from turtlelog.charts.curves import Values
 from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.plane_scene import read_way_to_reference
-from turtlelog.charts.plotted_curves import TIMELINE, locate_run
+from turtlelog.charts.plotted_curves import locate_run
 from turtlelog.charts.robot_curves import find_break_rows
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part
@@ -28,7 +28,6 @@ from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.recording_stream import (
     RunStream,
     Timelines,
-    build_index,
     choose_trace_rows,
 )
 from turtlelog.run import PoseColumns, Run
@@ -55,7 +54,8 @@ def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> 
     _log_arrow_style(run_stream, entities.REFERENCE_POSE, palette.GOAL, _ARROW_RADIUS)
     ways = half_size_m * _ARROW_SHARE * np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
     values = np.column_stack([xy_m, ways])
-    run_stream.send(entities.REFERENCE_POSE, run.samples.time_ns, values, _build_known_arrows)
+    # A row of NaN draws no arrow, and removes the previous arrow.
+    run_stream.send(entities.REFERENCE_POSE, run.samples.time_ns, values, _build_arrows)
 
 
 def draw_arrows(run_stream: RunStream, run: Run) -> None:
@@ -70,7 +70,7 @@ def draw_arrows(run_stream: RunStream, run: Run) -> None:
     if ways_m is not None:
         _log_arrow_style(run_stream, entities.ERROR, palette.ERROR)
         values = np.column_stack([run.poses.xy_m, ways_m])
-        run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_error)
+        run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_arrows)
     table = run.samples if len(run.samples) else run.commands
     if len(table):
         _log_arrow_style(run_stream, entities.COMMAND, palette.COMMAND)
@@ -102,15 +102,11 @@ def _log_arrow_style(
     run_stream.log(entity, style)
 
 
-def _build_known_arrows(values: Values) -> rr.ComponentColumnList:
-    """Build one arrow per row. A row of NaN draws no arrow, and removes the previous arrow."""
+def _build_arrows(values: Values) -> rr.ComponentColumnList:
+    """Build one arrow per row, as origins and vectors; a row that is not finite has no arrow."""
     known = np.isfinite(values).all(axis=1)
     columns = rr.Arrows2D.columns(origins=values[known, :2], vectors=values[known, 2:])
-    return columns.partition(known.astype(np.int64))
-
-
-def _build_error(values: Values) -> rr.ComponentColumnList:
-    return rr.Arrows2D.columns(origins=values[:, :2], vectors=values[:, 2:])
+    return columns if known.all() else columns.partition(known.astype(np.int64))
 
 
 def _build_command(values: Values) -> rr.ComponentColumnList:
@@ -188,10 +184,12 @@ def draw_turtle(run_stream: RunStream, poses: PoseColumns, look: Look, half_size
     places = rr.Points2D.columns(positions=[(0.0, 0.0)])
     run_stream.send_few(entities.TURTLE, first_ns, places)
     radius_m = _SIZE * look.size * half_size_m
-    shade = _shade(look.color, 0.3 if look.is_ghost else 1.3)
+    red, green, blue = (
+        min(round((0.3 if look.is_ghost else 1.3) * part), 255) for part in look.color
+    )
     for entity, strokes, color, above in (
         (entities.BODY, _BODY, look.color, 0.0),
-        (entities.SHELL, (_SHELL,), shade, 1.0),
+        (entities.SHELL, (_SHELL,), (red, green, blue), 1.0),
     ):
         style = rr.LineStrips2D.from_fields(colors=[color], draw_order=order + above)
         run_stream.log(entity, style)
@@ -220,14 +218,8 @@ def draw_trail(
     faint = palette.pack_colors([look.color] * len(strips)) & 0xFFFFFF00 | _FAINT
     radii = rr.Radius.ui_points(look.width)
     run_stream.log(entities.PATH, rr.LineStrips2D(strips, radii=radii, colors=faint))
-    _send_trail(run_stream, run, look, segments)
-
-
-def _send_trail(run_stream: RunStream, run: Run, look: Look, segments: int) -> None:
-    """Send the trail in segments, each at the time of its last pose. Views show past segments.
-
-    Segments never span a gap in the poses, and always have a length.
-    """
+    # Each segment of the trail has the time of its last pose, and views show past segments. A
+    # segment never spans a gap in the poses, and always has a length.
     kept = choose_trace_rows(run)
     if len(kept) < 2:
         return
@@ -261,11 +253,6 @@ def _part_strip(run: Run) -> list[Values]:
     return [strip for strip in strips if len(strip)]
 
 
-def _shade(color: palette.Color, factor: float) -> palette.Color:
-    red, green, blue = (min(round(factor * part), 255) for part in color)
-    return red, green, blue
-
-
 def _build_transforms(values: Values) -> rr.ComponentColumnList:
     half_rad, zeros = values[:, 2] / 2.0, np.zeros(len(values))
     return rr.Transform3D.columns(
@@ -273,10 +260,6 @@ def _build_transforms(values: Values) -> rr.ComponentColumnList:
         quaternion=np.column_stack([zeros, zeros, np.sin(half_rad), np.cos(half_rad)]),
     )
 
-
-IDEAL: Final = "ideal_loop"
-
-_IDEAL_NAME: Final = "ideal loop"
 
 _MOST_GAPS: Final = 1000
 """Number of rows of the line between run and ghost: as many as a trail has segments."""
@@ -332,9 +315,9 @@ def build_ideal_ghost(run: Run) -> Ghost | None:
     poses = find_ideal_poses(run)
     if poses is None:
         return None
-    look = Look(color=palette.GHOST, is_ghost=True)
-    ideal = replace(run, poses=poses)
-    return Ghost(name=_IDEAL_NAME, prefix=join_path(IDEAL), run=ideal, look=look, is_run=False)
+    look, ideal = Look(color=palette.GHOST, is_ghost=True), replace(run, poses=poses)
+    prefix = join_path("ideal_loop")
+    return Ghost(name="ideal loop", prefix=prefix, run=ideal, look=look, is_run=False)
 
 
 def find_ideal_poses(run: Run) -> PoseColumns | None:
@@ -353,10 +336,8 @@ def find_ideal_poses(run: Run) -> PoseColumns | None:
     if loops != {turn.loop.name, way.loop.name} or turn.end_ns > way.start_ns:
         return None
     time_ns = run.poses.time_ns
-    after_s = np.maximum(time_ns - turn.start_ns, 0) / 1e9
-    heading_rad = np.radians(turn.respond(after_s))
-    driven_s = np.maximum(time_ns - way.start_ns, 0) / 1e9
-    along_m = way.respond(driven_s)
+    heading_rad = np.radians(turn.respond(np.maximum(time_ns - turn.start_ns, 0) / 1e9))
+    along_m = way.respond(np.maximum(time_ns - way.start_ns, 0) / 1e9)
     ahead = np.array([np.cos(line.bearing_rad), np.sin(line.bearing_rad)])
     xy_m = line.start_xy_m + along_m[:, np.newaxis] * ahead
     return PoseColumns(time_ns=time_ns, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
@@ -407,40 +388,33 @@ def draw_gap(
     stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds, words: str
 ) -> None:
     """Draw a line from the run to a ghost at the cursor, with the distance as text."""
-    half_size_m = bounds.half_size_m
     rows = np.unique(
         np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
     )
     own_m, other_m = run.poses.xy_m[rows], _follow(run, ghost)[rows]
-    gap_m = measure_gap(run, ghost)[rows]
     # On other timelines the distance is different.
-    index = build_index({TIMELINE: run.poses.time_ns[rows] - run.start_ns})
-    stream.log(
-        join_path(entities.GAP),
-        rr.LineStrips2D.from_fields(
-            radii=rr.Radius.ui_points(_GAP_WIDTH), colors=[palette.GOAL], draw_order=_GAP_ORDER
-        ),
-        static=True,
-    )
+    run_stream = RunStream(stream, "", Timelines(zero_ns=run.start_ns))
+    time_ns, colors = run.poses.time_ns[rows], [palette.GOAL]
+    radii = rr.Radius.ui_points(_GAP_WIDTH)
+    style = rr.LineStrips2D.from_fields(radii=radii, colors=colors, draw_order=_GAP_ORDER)
+    run_stream.log(entities.GAP, style)
     lines = rr.LineStrips2D.columns(strips=[*np.stack([own_m, other_m], axis=1)])
-    stream.send_columns(join_path(entities.GAP), index, lines)
-    stream.log(
-        join_path(entities.GAP_NAME),
-        rr.Points2D.from_fields(
-            radii=rr.Radius.ui_points(0.0), colors=[palette.GOAL], show_labels=True
-        ),
-        static=True,
+    run_stream.send_few(entities.GAP, time_ns, lines)
+    radii = rr.Radius.ui_points(0.0)
+    run_stream.log(
+        entities.GAP_NAME, rr.Points2D.from_fields(radii=radii, colors=colors, show_labels=True)
     )
+    gap_m = measure_gap(run, ghost)[rows]
     is_apart = gap_m >= _APART_M
     middles_m = (own_m + other_m)[is_apart] / 2.0
-    places_m = middles_m + _UP * half_size_m * np.array([[0.0, 1.0]])
     labels = [f"{words}: {format_length(float(gap))}" for gap in gap_m[is_apart]]
     longest = max(map(len, labels), default=0)
-    places_m[:, 0] += _find_aside(run, middles_m[:, 0], bounds, longest * _KEY_LETTER)
-    names = rr.Points2D.columns(positions=places_m, labels=labels)
-    stream.send_columns(
-        join_path(entities.GAP_NAME), index, names.partition(is_apart.astype(np.int64))
+    aside_m = _find_aside(run, middles_m[:, 0], bounds, longest * _KEY_LETTER)
+    places_m = middles_m + np.column_stack(
+        [aside_m, np.full(len(aside_m), _UP * bounds.half_size_m)]
     )
+    names = rr.Points2D.columns(positions=places_m, labels=labels)
+    run_stream.send_few(entities.GAP_NAME, time_ns, names.partition(is_apart.astype(np.int64)))
 
 
 def draw_key(

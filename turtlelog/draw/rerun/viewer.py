@@ -144,10 +144,13 @@ def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
 @contextmanager
 def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     """Start a viewer that listens only on this machine, and end it after the block."""
+    # Only Linux has a command that ends a viewer whose parent was killed.
+    setpriv = shutil.which("setpriv") if sys.platform == "linux" else None
+    guard = [] if setpriv is None else [setpriv, "--pdeathsig", "TERM"]
     # The viewer leaves a folder in the temporary folder, so it gets a folder of its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
-            [*_find_guard(), find_viewer(), "--bind", _LOCAL, *options],
+            [*guard, find_viewer(), "--bind", _LOCAL, *options],
             env={**os.environ, **_NO_TELEMETRY, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -227,12 +230,6 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
         return client
 
 
-def _find_guard() -> list[str]:
-    """Return a command prefix that ends a viewer whose parent was killed. Only Linux has one."""
-    guard = shutil.which("setpriv") if sys.platform == "linux" else None
-    return [] if guard is None else [guard, "--pdeathsig", "TERM"]
-
-
 _KINDS: Final[Mapping[str, str]] = {
     "": "text/html; charset=utf-8",
     "re_viewer.js": "text/javascript",
@@ -267,15 +264,12 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
         thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
         thread.start()
         try:
-            yield _build_address(f"http://{_LOCAL}:{server.server_port}/", list(files))
+            root = f"http://{_LOCAL}:{server.server_port}/"
+            words = [("theme", "dark"), *(("url", root + quote(name)) for name in files)]
+            yield f"{root}?{urlencode(words)}"
         finally:
             server.shutdown()
             thread.join()
-
-
-def _build_address(root: str, names: Sequence[str]) -> str:
-    words = [("theme", "dark"), *(("url", root + quote(name)) for name in names)]
-    return f"{root}?{urlencode(words)}"
 
 
 def _fetch_page() -> dict[str, bytes]:
