@@ -322,9 +322,8 @@ def _find_nearest_held(
 
 def _merge_times(one: Times, other: Times) -> Times:
     """Return the times of both signals, sorted and without duplicates."""
-    if np.array_equal(one, other):
-        both = one
-    else:
+    both = one
+    if not np.array_equal(one, other):
         # Merges sorted runs, where np.union1d would sort anew.
         both = np.sort(np.concatenate([one, other]), kind="stable")
     return both[np.flatnonzero(np.diff(both, prepend=both[0] - 1))]

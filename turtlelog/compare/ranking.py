@@ -266,12 +266,20 @@ def _write_condition(condition: str, found: Conditions) -> str:
 
 def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) -> tuple[str, ...]:
     """Return the intentionally varied keys that differ, in the order of the scenario."""
+    return tuple(
+        key
+        for key, values in collect_values(summaries).items()
+        if len(values) > 1 and (key in purpose or _find_condition(key) in purpose)
+    )
+
+
+def collect_values(summaries: "Sequence[RunSummary]") -> dict[str, set[str]]:
+    """Return the different values of every parameter, as Python writes them."""
     values: dict[str, set[str]] = {}
     for summary in summaries:
         for key, value in summary.parameters.items():
-            if key in purpose or _find_condition(key) in purpose:
-                values.setdefault(key, set()).add(repr(value))
-    return tuple(key for key, found in values.items() if len(found) > 1)
+            values.setdefault(key, set()).add(repr(value))
+    return values
 
 
 def _find_condition(key: str) -> str:

@@ -94,7 +94,6 @@ def _describe_changes(generated: Mapping[str, str]) -> list[str]:
 
 
 def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
-    """Return different names for runs with the same name."""
     files = [run.file for run in runs if isinstance(run, RunSummary) and run.file]
     if len(files) == len(runs) > 1:
         counts = Counter(Path(file).name for file in {*files})

@@ -175,7 +175,10 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
 def _rebuild(values: dict[str, Any]) -> RunSummary:
     # What thousands of runs have in common is in memory once, though each was pickled alone.
     named: dict[str, Any] = {
-        "parameters": {sys.intern(k): _share(one) for k, one in values["parameters"].items()},
+        "parameters": {
+            sys.intern(key): _share_text(one) if isinstance(one, str) else one
+            for key, one in values["parameters"].items()
+        },
         "metrics": dict(map(_unpack, values["metrics"])),
         "declaration": _share_declaration(values["declaration"]),
         "conditions": _share_conditions(values["conditions"]),
@@ -198,23 +201,19 @@ def _unpack(packed: _Packed) -> tuple[str, Metric]:
         value=value,
         unit=sys.intern(unit),
         status=Status(status),
-        reason=_share(reason),
+        reason=_share_text(reason),
         at_s=at_s,
     )
     return sys.intern(key), metric
 
 
-def _share(value: Any) -> Any:
-    """Return a shared copy of an equal text; other values unchanged."""
-    return _keep_text(value) if isinstance(value, str) else value
+@lru_cache(maxsize=1024, typed=True)
+def _share_text(text: str) -> str:
+    return text
 
 
-def _return_same(value: Any) -> Any:
-    return value
-
-
-_keep_text, _share_conditions = (lru_cache(maxsize=1024)(_return_same) for _ in range(2))
-_share_declaration = lru_cache(maxsize=64)(_return_same)
+_share_conditions: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
+_share_declaration: Callable[[Any], Any] = lru_cache(maxsize=64)(lambda value: value)
 
 
 def summarise_run(

@@ -9,6 +9,7 @@ from typing import Any, Final
 from turtlelog.compare import run_selection
 from turtlelog.compare.ranking import (
     Ranking,
+    collect_values,
     judge_runs,
     list_metric_units,
     list_units,
@@ -185,10 +186,7 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
     from turtlelog.effects import EFFECTS
 
     shown = {"name", *(key for found in summaries for key in found.declaration.list_gains())}
-    values: dict[str, set[str]] = {}
-    for summary in summaries:
-        for key, value in summary.parameters.items():
-            values.setdefault(key, set()).add(repr(value))
+    values = collect_values(summaries)
     # A whole scenario omits the keys of an effect that it does not have.
     defaults = {
         f"{table}.{found.name}": found.default

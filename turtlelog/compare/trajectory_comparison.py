@@ -282,7 +282,6 @@ def _associate(
 
 
 def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float | None) -> str:
-    """Return the time spans of both trajectories, and the offset between them."""
     if len(reference) < LEAST_POSES or len(estimate) < LEAST_POSES:
         return f"they have {len(estimate)} and {len(reference)} poses"
     begins, ends = zip(
@@ -340,7 +339,6 @@ _EXTENTS: Final[tuple[DeltaUnit, ...]] = ("m", "deg")
 
 
 def _describe_extent(trajectory: Trajectory) -> str:
-    """Return the length, duration and total turn of a trajectory."""
     span_s = float(trajectory.time_ns[-1] - trajectory.time_ns[0]) / 1e9
     way_m, turn_deg = (float(measure_way_steps(trajectory, unit).sum()) for unit in _EXTENTS)
     told = [f"cover {way_m:.3g} m", *([] if trajectory.clock == "frame" else [f"{span_s:.3g} s"])]

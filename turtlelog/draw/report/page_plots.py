@@ -217,10 +217,7 @@ def _list_curves(
     config: dict[str, Any],
     restless: frozenset[int],
 ) -> dict[str, list[Any]]:
-    """Return curves as a table with one row per curve.
-
-    Held values are stored unchanged; the page's script turns them into steps.
-    """
+    """Return curves as a table, a row per curve; the page's script turns held values into steps."""
     is_alone = len(drawn) == 1
     data: dict[str, list[Any]] = {
         key: [] for key in ("xs", "ys", "color", "name", "dash", "width", "alpha")

@@ -230,7 +230,6 @@ def hash_file(file: str) -> str:
 
 
 def _assemble(title: str, body: str, plots: Plots) -> str:
-    """Return the complete page with all scripts and styles."""
     document = load_library("bokeh.document").Document(title="")
     for figure in plots.roots.values():
         document.add_root(figure)

@@ -192,7 +192,6 @@ def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[s
 
 
 def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
-    """Return runs with their colours, curves and timelines."""
     # Without spaces, which look like escapes.
     parts = [entities.name_part(name) for name in names]
     if len({*parts}) < len(parts):
@@ -236,7 +235,6 @@ def _list_series(
 
 
 def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Draw all runs and their common parts."""
     plane.draw_world(stream, overlay.runs)
     span = recording_stream.read_span(overlay.runs, overlay.timelines)
     plots.draw_references(stream, overlay.references, span)
@@ -273,10 +271,7 @@ def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Conten
 
 
 def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Name the runs that end furthest from the goal at their ends.
-
-    Of very many runs, show all ends.
-    """
+    """Name the runs that end furthest from the goal at their ends; of very many, show all ends."""
     if has_grey_paths(overlay.runs):
         plane.draw_ends(stream, overlay.runs, overlay.colors)
     if content.goal is None:
@@ -361,7 +356,6 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
 
 
 def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
-    """Log the rates of an axis, and the residuals of its model."""
     time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
     index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     for name, color, width in _CURVES:

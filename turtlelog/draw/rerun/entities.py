@@ -57,7 +57,6 @@ HEADING_ERROR: Final = "heading_error_deg"
 ALONG_TRACK: Final = "along_track"
 SPEED: Final = "speed"
 TURN_RATE: Final = "turn_rate"
-COMMANDED: Final = "commanded"
 MEASURED: Final = "as_measured"  # sorted before `commanded`: the viewer draws later names on top
 OUTLIERS: Final = "outliers"
 SENSED: Final = "sensed"
@@ -65,9 +64,6 @@ DROPPED_OUT: Final = "dropped_out"
 STATE: Final = "state"
 IDEAL: Final = "ideal"
 SAMPLED: Final = "sampled"
-AIMED: Final = "reference"
-BEARING_NOW: Final = "bearing_now"
-TO_REFERENCE: Final = "to_reference"
 MARKS: Final = "marks"
 
 PHASE: Final = "phase"
@@ -116,7 +112,6 @@ def _group_plots() -> dict[str, tuple[TimePlot, ...]]:
 GROUPS: Final[Mapping[str, tuple[TimePlot, ...]]] = MappingProxyType(_group_plots())
 """Plots over time of each entity. x and y share an entity."""
 
-
 RESTLESS: Final = frozenset(name for name, plots in GROUPS.items() if plots[0].is_filled)
 """Plots without the curves of those runs among many that never settle."""
 
@@ -130,13 +125,7 @@ def title_plot(entity: str) -> str:
     for name, plots in GROUPS.items():
         if entity == name_logarithm(name):
             return f"log₁₀ {plots[0].label}"
-    return _TITLES[entity]
-
-
-_TITLES: Final[Mapping[str, str]] = {
-    GAP_MM: "Distance to ghost [mm]",
-    GAP_M: "Distance to ghost [m]",
-}
+    return {GAP_MM: "Distance to ghost [mm]", GAP_M: "Distance to ghost [m]"}[entity]
 
 
 def join_path(*parts: str) -> str:

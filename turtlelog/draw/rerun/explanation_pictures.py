@@ -171,7 +171,6 @@ def _measure_words(text: str) -> float:
 
 
 def _write_words(stream: rr.RecordingStream, entity: str, words: Sequence[_Words]) -> None:
-    """Write texts, each around its middle."""
     places = [(x, y - _ABOVE) for x, y, _, _ in words]
     texts, colors = [text for _, _, text, _ in words], [color for *_, color in words]
     write_words(stream, f"{entity}/words", places, texts, colors)

@@ -252,7 +252,6 @@ def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> 
 
 
 def _name_steps(found: Attribution) -> str:
-    """Return the title of the view of the steps."""
     value = found.resimulated if found.as_logged is None else found.as_logged
     if value is None:
         return f"Why {found.metric} has no value"
@@ -262,10 +261,7 @@ def _name_steps(found: Attribution) -> str:
 
 
 def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return text on the values of ghosts, which no bar shows if several causes act together.
-
-    `ghosts` are the metrics of the drawn what-ifs, by the causes that each what-if lacks.
-    """
+    """Return text on the values of ghosts by cause, which no bar shows if causes act together."""
     acting = [share.cause for share in attribution_steps.choose_acting_contributions(found)]
     if len(acting) < 2:
         return ()

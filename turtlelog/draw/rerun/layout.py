@@ -324,7 +324,6 @@ _SCALE_LABELS: Final = 12
 
 
 def _view_legend(names: Sequence[str]) -> rrb.View:
-    """Return a view with the names of many runs, each in the colour of its run."""
     shown = [names[number] for number in choose_names(len(names))]
     last_row = float(arrange_names(shown)[-1, 1])
     title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
@@ -333,7 +332,6 @@ def _view_legend(names: Sequence[str]) -> rrb.View:
 
 
 def _view_scale(title: str) -> rrb.View:
-    """Return a view of the colour bar of many runs."""
     contents = [f"{join_path(entities.LEGEND)}/**"]
     return views.view_picture(title, contents, (-0.3, _SCALE_WIDTH + 0.3), (-0.5, _SCALE_DEPTH))
 

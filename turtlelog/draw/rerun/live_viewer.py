@@ -61,15 +61,11 @@ _GROWTH = 64
 stays a small multiple of the rows."""
 
 _WHOLE = (
-    join_path(entities.PATH),
-    join_path(entities.REFERENCE_PATH),
-    join_path(entities.SENSED_PLACES),
-    join_path(entities.DROPPED_PLACES),
-    join_path(entities.EVENT_PLACES),
-    join_path(entities.REFERENCE),
+    *map(join_path, (entities.PATH, entities.REFERENCE_PATH, entities.REFERENCE)),
+    *map(join_path, (entities.SENSED_PLACES, entities.DROPPED_PLACES, entities.EVENT_PLACES)),
 )
-_UNSETTLED = frozenset({join_path(entities.PHASE)})
-"""Entities whose last row shows how the run ended."""
+_UNSETTLED = join_path(entities.PHASE)
+"""Entity whose last row shows how the run ended."""
 
 
 class GrowingStream(rr.RecordingStream):
@@ -128,17 +124,16 @@ class GrowingStream(rr.RecordingStream):
         first = self._seen.get(entity_path, 0)
         self._seen[entity_path] = first + count
         sent = self._sent.get(entity_path, 0)
-        held = 1 if entity_path in _UNSETTLED and not self._is_last else 0
+        held = 1 if entity_path == _UNSETTLED and not self._is_last else 0
         start, end = max(sent - first, 0), count - held
         if start < end:
             self._sent[entity_path] = first + end
-            parts: list[Any] = [
-                _Part(column, column.as_arrow_array().slice(start, end - start))
-                for column in (*index, *values)
-            ]
-            super().send_columns(
-                entity_path, parts[: len(index)], parts[len(index) :], strict=strict
-            )
+
+            def cut(columns: list[Any]) -> list[Any]:
+                arrays = (column.as_arrow_array().slice(start, end - start) for column in columns)
+                return [*map(_Part, columns, arrays)]
+
+            super().send_columns(entity_path, cut(index), cut(values), strict=strict)
 
     def _is_whole_due(self, name: str) -> bool:
         return self.is_due and name.startswith(_WHOLE)
@@ -395,7 +390,6 @@ def follow_recording(path: str | Path, url: str | None = None) -> Run:
 
 
 def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
-    """Draw new data until the recording ends."""
     grown_s = time.monotonic()
     while not tail.is_finished:
         run = tail.read_run()
@@ -412,11 +406,7 @@ def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
 
 @contextmanager
 def _connect_scene(url: str) -> Iterator[LiveScene]:
-    """Yield a scene in the viewer at an address, as `rerun+http://127.0.0.1:9876/proxy`.
-
-    Raises:
-        ShowError: If the address is invalid, or Rerun is disabled.
-    """
+    """Yield a scene in the viewer at an address, as in follow_recording."""
     stream = GrowingStream(APPLICATION_ID)
     recording_stream.require_enabled(stream, "viewer")
     stream.set_log_time_enabled(False)

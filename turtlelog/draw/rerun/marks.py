@@ -300,7 +300,6 @@ def name_legends(
 def _name_plot(
     curves: Sequence[Series], lines: LevelLines | None, marks: Sequence[Mark]
 ) -> Legends:
-    """Return the items of one plot with their names in its legend."""
     main = next((one for one in curves if one.is_main), curves[0])
     # Marks are sufficient for a curve with the name of its plot.
     is_named = not marks or main.entity != main.plot

@@ -320,10 +320,7 @@ def draw_surroundings(
 
 
 def _draw_map(stream: rr.RecordingStream, place: OccupancyMap, shift_m: Values) -> None:
-    """Draw a map as one picture.
-
-    A cell has the colour of its occupancy; unknown cells are empty.
-    """
+    """Draw a map as one picture in the colours of occupancy; unknown cells are empty."""
     entity, order = (
         (entities.COSTMAP, _COSTMAP_ORDER) if place.is_costmap else (entities.MAP, _MAP_ORDER)
     )

@@ -244,10 +244,7 @@ def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
 
 
 def _name_part(found: PlottedCurve) -> str:
-    """Return the last part of a curve's entity, so that the run's own curve is below commands.
-
-    The viewer draws later names on top.
-    """
+    """Return the last part of an entity: later names are on top, and commands above the run."""
     if found.kind == "measured":
         return entities.MEASURED
     if found.kind == "outlier":

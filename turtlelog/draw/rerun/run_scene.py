@@ -322,7 +322,6 @@ def write_violation_rrd(
 
 
 def _view_signal(violated: ViolatedSignal) -> rrb.View:
-    """Return the view of the signal, its band, and the part outside."""
     part = violated.find_range()
     shown = violated.describe_moment(violated.worst, violated.worst_word)
     outside = violated.describe_outside(violated.worst)
@@ -380,7 +379,6 @@ def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
 
 
 def _draw(run_stream: RunStream, part: str, curve: Curve, label: str, **looks: Any) -> None:
-    """Draw a curve or a point of the violated signal."""
     series = plots.Series(
         entity=f"{entities.VIOLATED}/{part}",
         labels=(label,),

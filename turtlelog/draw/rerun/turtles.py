@@ -459,10 +459,7 @@ def _follow(run: Run, ghost: Ghost) -> Values:
 
 
 def _find_aside(run: Run, x_m: Values, bounds: Bounds, width: float) -> Values:
-    """Return the sideways offset of text [m], on the side without the goal's name.
-
-    `width` is the width of the text, in half-widths of the plane. The text ends inside the view.
-    """
+    """Return the sideways offset of text [m], away from the goal's name and inside the view."""
     goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
     side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0
     at = side * (x_m - bounds.center_xy_m[0]) / bounds.half_size_m
