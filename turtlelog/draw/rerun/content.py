@@ -117,6 +117,7 @@ def describe_content(
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = plotted_curves.group_states(*(run.declaration for run in runs))
     phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
+    of_states = [one for run in series for one in run if one.plot.startswith(f"{entities.STATE}/")]
     return Content(
         prefixes=tuple(prefixes),
         series=tuple(
@@ -135,7 +136,8 @@ def describe_content(
         goal=goal,
         worst=find_worst_place(runs) if goal is None else None,
         states=states,
-        idle=_find_idle(series),
+        idle=frozenset(curves.plot for curves in of_states if not curves.values.any())
+        - {curves.plot for curves in of_states if curves.values.any()},
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
@@ -197,14 +199,6 @@ def _find_emptiest(places: Values) -> str:
         for end, up in (("Top", is_high), ("Bottom", is_low))
     }
     return min(counts, key=lambda corner: counts[corner])
-
-
-def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
-    states = [
-        curves for run in series for curves in run if curves.plot.startswith(f"{entities.STATE}/")
-    ]
-    acting = {curves.plot for curves in states if curves.values.any()}
-    return frozenset(curves.plot for curves in states) - acting
 
 
 def _are_overlaid(group: plotted_curves.StateGroup, series: Sequence[Sequence[Series]]) -> bool:

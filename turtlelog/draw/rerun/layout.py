@@ -1,6 +1,7 @@
 """Layouts: the views of a recording and their places; and the legend of many runs."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -144,9 +145,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
         _build_plane(content, with_arrows=False),
         rrb.Tabs(*tabs, active_tab=0),
     ]
-    stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, {}))]
-    if stacks:
-        parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
+    parts += _list_stacks(content, _COLUMNS, {})
     below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
     return link_views(rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS))
 
@@ -162,10 +161,8 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
     right: list[rrb.View | rrb.Container] = [
         rrb.Tabs(*tabs, *([views.view_events(content)] if content.has_events else []), active_tab=0)
     ]
-    stacks = [cells for column in _EXPLAINED if (cells := _list_cells(content, column, {}, tab=0))]
-    if stacks:
-        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
-        height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
+    height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
+    for plots in _list_stacks(content, _EXPLAINED, {}, tab=0):
         right.append(_add_phases(content, _add_states(content, plots), height))
     return link_views(
         rrb.Horizontal(
@@ -181,9 +178,7 @@ def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
     tabs = [] if content.is_small else _list_tabs(content)
     left += [rrb.Tabs(*tabs, active_tab=0)] if tabs else []
     parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
-    stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, legends))]
-    if stacks:
-        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
+    for plots in _list_stacks(content, _COLUMNS, legends):
         parts.append(_add_phases(content, _add_states(content, plots)))
     root = rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)])
     return link_views(root, end_s=content.end_s)
@@ -227,24 +222,26 @@ def _build_plane(content: Content, *, with_arrows: bool = True) -> rrb.View | rr
     return rrb.Tabs(plane, by_speed, active_tab=0)
 
 
-def _list_cells(
+def _list_stacks(
     content: Content,
-    column: Sequence[Sequence[str]],
+    columns: Sequence[Sequence[Sequence[str]]],
     legends: Corners,
     *,
     tab: int | None = None,
-) -> list[rrb.View | rrb.Container]:
-    cells: list[rrb.View | rrb.Container] = []
-    for cell in column:
-        plots = [
-            views.view_plot(content, plot, None if content.is_small else legends.get(plot))
-            for plot in cell
-            if content.list_curves(plot)
-        ]
-        if plots:
-            active = _choose_tab(content, cell) if tab is None else tab
-            cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
-    return cells
+) -> list[rrb.Container]:
+    """Return the columns of plots side by side, if there is a plot; plots in a cell are tabs."""
+    stacks = []
+    for column in columns:
+        cells: list[rrb.View | rrb.Container] = []
+        for cell in column:
+            shown = [plot for plot in cell if content.list_curves(plot)]
+            corners = [None if content.is_small else legends.get(plot) for plot in shown]
+            plots = [*map(partial(views.view_plot, content), shown, corners)]
+            if plots:
+                active = _choose_tab(content, cell) if tab is None else tab
+                cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
+        stacks += [cells] if cells else []
+    return [rrb.Horizontal(*(rrb.Vertical(*cells) for cells in stacks))] if stacks else []
 
 
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:

@@ -251,7 +251,7 @@ def write_words(
 
 
 def draw_points(
-    stream: rr.RecordingStream,
+    stream: rr.RecordingStream | RunStream,
     entity: str,
     places: ArrayLike,
     colors: Sequence[palette.Color] | NDArray[np.uint32],
@@ -264,7 +264,7 @@ def draw_points(
 
 
 def draw_strips(
-    stream: rr.RecordingStream,
+    stream: rr.RecordingStream | RunStream,
     entity: str,
     strips: Sequence[ArrayLike],
     colors: Sequence[palette.Color] | NDArray[np.uint32],
@@ -373,7 +373,7 @@ class SpeedTrace:
 
     def draw(self, run_stream: RunStream) -> None:
         """Draw the whole path."""
-        log_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
+        draw_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
@@ -405,7 +405,7 @@ def draw_reference_path(run_stream: RunStream, run: Run) -> None:
     stretches = [s for s in _split_where_changed(known) if known[s[0]]]
     strips = [xy_m[first:after] for first, after in stretches]
     colors = [palette.REFERENCE] * len(strips)
-    log_strips(run_stream, entities.REFERENCE_PATH, strips, colors)
+    draw_strips(run_stream, entities.REFERENCE_PATH, strips, colors, TRACE_RADIUS)
 
 
 def draw_sensed(run_stream: RunStream, run: Run) -> None:
@@ -419,13 +419,8 @@ def draw_sensed(run_stream: RunStream, run: Run) -> None:
         (entities.SENSED_PLACES, xy_m[kept], palette.SENSED, _SENSED_ORDER),
         (entities.DROPPED_PLACES, lost_m, palette.DROPPED_OUT, _ON_TRACES),
     ):
-        points = rr.Points2D(
-            places_m[np.isfinite(places_m[:, 0])],
-            radii=rr.Radius.ui_points(_SENSED_RADIUS),
-            colors=[color],
-            draw_order=order,
-        )
-        run_stream.log(entity, points)
+        places_m = places_m[np.isfinite(places_m[:, 0])]
+        draw_points(run_stream, entity, places_m, [color], _SENSED_RADIUS, draw_order=order)
 
 
 def list_placed(run: Run) -> list[Event]:
@@ -438,16 +433,11 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
     events = list_placed(run)
     times_ns = [event.time_ns for event in events]
     rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
-    points = rr.Points2D(
-        run.poses.xy_m[np.maximum(rows, 0)],
-        radii=rr.Radius.ui_points(_EVENT_RADIUS),
-        colors=[
-            palette.WALL_HIT if event.kind == "wall_hit" else palette.EVENT for event in events
-        ],
-        labels=[event.kind.replace("_", " ") for event in events],
-        show_labels=False,
-    )
-    run_stream.log(entities.EVENT_PLACES, points)
+    places_m, kinds = run.poses.xy_m[np.maximum(rows, 0)], [event.kind for event in events]
+    colors = [palette.WALL_HIT if kind == "wall_hit" else palette.EVENT for kind in kinds]
+    look: dict[str, Any] = {"labels": [kind.replace("_", " ") for kind in kinds]}
+    look["show_labels"] = False
+    draw_points(run_stream, entities.EVENT_PLACES, places_m, colors, _EVENT_RADIUS, **look)
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
@@ -456,15 +446,3 @@ def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]
     for first, last in pairwise(bounds):
         if last > first:
             yield first, last
-
-
-def log_strips(
-    run_stream: RunStream,
-    entity: str,
-    strips: Sequence[Values],
-    colors: Sequence[palette.Color],
-    radius: float = TRACE_RADIUS,
-) -> None:
-    """Draw static lines of a run with a radius [points]."""
-    radii = rr.Radius.ui_points(radius)
-    run_stream.log(entity, rr.LineStrips2D(strips, radii=radii, colors=palette.pack_colors(colors)))

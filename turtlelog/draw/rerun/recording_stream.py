@@ -350,9 +350,9 @@ class RunStream:
         # Many curves share their times, so their index columns are built once.
         self._indexes: dict[int, tuple[Times, list[list[rr.TimeColumn]]]] = {}
 
-    def log(self, entity: str, archetype: rr.AsComponents) -> None:
-        """Store static data, valid at all times."""
-        self.stream.log(join_path(self.prefix, entity), archetype, static=True)
+    def log(self, entity: str, archetype: rr.AsComponents, *, static: bool = True) -> None:
+        """Store data that are valid at all times if they are static, as by default."""
+        self.stream.log(join_path(self.prefix, entity), archetype, static=static)
 
     def send(
         self,

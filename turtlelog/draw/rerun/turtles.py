@@ -21,7 +21,6 @@ from turtlelog.draw.rerun.plane import (
     UPWARD,
     Bounds,
     draw_strips,
-    log_strips,
     write_words,
 )
 from turtlelog.draw.rerun.plots import Series
@@ -43,7 +42,7 @@ def draw_growing_path(run_stream: RunStream, run: Run) -> None:
     """Draw the path of a growing run, which has been driven whole, as one bright path."""
     run_stream.log(entities.PLANE, UPWARD)
     strips = _part_strip(run)
-    log_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips))
+    draw_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips), TRACE_RADIUS)
 
 
 def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
@@ -216,8 +215,7 @@ def draw_trail(
     strips = _part_strip(run)
     # The part that is not driven yet is faint.
     faint = palette.pack_colors([look.color] * len(strips)) & 0xFFFFFF00 | _FAINT
-    radii = rr.Radius.ui_points(look.width)
-    run_stream.log(entities.PATH, rr.LineStrips2D(strips, radii=radii, colors=faint))
+    draw_strips(run_stream, entities.PATH, strips, faint, look.width)
     # Each segment of the trail has the time of its last pose, and views show past segments. A
     # segment never spans a gap in the poses, and always has a length.
     kept = choose_trace_rows(run)
