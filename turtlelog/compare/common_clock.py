@@ -182,16 +182,11 @@ class Grid:
     """Points at which a run is compared: its rows, and the reference's rows between them.
 
     Without the reference's times, a run with few rows would be compared at few points only.
-
-    Attributes:
-        at: Times in units of the clock, not decreasing.
-        run_row: The run's row at each point, or the row before.
-        later: Number of further rows of the run with the same time.
     """
 
-    at: Times
-    run_row: Times
-    later: Times
+    at: Times  # times in units of the clock, not decreasing
+    run_row: Times  # the run's row at each point, or the row before
+    later: Times  # number of further rows of the run with the same time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

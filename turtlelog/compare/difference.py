@@ -9,15 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog import measure
 from turtlelog.compare import common_clock
-from turtlelog.compare.common_clock import (
-    CommonClock,
-    Grid,
-    GridValues,
-    Tolerance,
-    align_runs,
-    find_zero_ns,
-    join_phases,
-)
+from turtlelog.compare.common_clock import CommonClock, Grid, GridValues, Tolerance
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.display import fit_line, format_html, format_notebook, show_angle
 from turtlelog.errors import find_near, join_names
@@ -102,7 +94,7 @@ def compare_measured(
     reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
 ) -> RunComparison:
     """Return the comparison of two runs, as `compare_runs` does, with known reference metrics."""
-    clock = align_runs(reference, run, alignment)
+    clock = common_clock.align_runs(reference, run, alignment)
     start_ns, end_ns = map(clock.read_ns, clock.span)
     laws = reference.declaration, run.declaration
     tolerances = dict.fromkeys(measure.list_signal_units(laws), Tolerance())
@@ -241,7 +233,7 @@ def measure_path_error(
     Raises:
         CompareError: If `compare_runs` raises it.
     """
-    clock = align_runs(reference, run, alignment)
+    clock = common_clock.align_runs(reference, run, alignment)
     columns = []
     for name in ("x", "y"):
         theirs, ours = (find_signal(who, name) for who in (reference, run))
@@ -289,28 +281,20 @@ def compare_signals(
     Raises:
         CompareError: If `compare_runs` raises it.
     """
-    clock = align_runs(reference, run, alignment)
+    clock = common_clock.align_runs(reference, run, alignment)
     return compare_aligned_signals(reference, run, clock, tolerances)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SignalTube:
-    """A signal of a run and its tolerance band around a reference, on the compared rows.
+    """A signal of a run and its tolerance band around a reference, on the compared rows."""
 
-    Attributes:
-        time_ns: Time in the run, not decreasing.
-        values: Values of the run, in the signal's unit.
-        reference: Reference value with which each row is compared.
-        low, high: Ends of the band.
-        excess: Distance beyond the tolerance; zero or negative within the tolerance.
-    """
-
-    time_ns: NDArray[np.int64]
-    values: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    excess: NDArray[np.float64]
+    time_ns: NDArray[np.int64]  # time in the run, not decreasing
+    values: NDArray[np.float64]  # values of the run, in the signal's unit
+    reference: NDArray[np.float64]  # reference value with which each row is compared
+    low: NDArray[np.float64]  # lower end of the band
+    high: NDArray[np.float64]  # upper end of the band
+    excess: NDArray[np.float64]  # distance beyond the tolerance; zero or negative within it
 
 
 def trace_tube(
@@ -323,7 +307,7 @@ def trace_tube(
     pair = _read_signals(name, reference, run)
     if pair[0] is None or pair[1] is None or pair[0].kind.compared_as == "label":
         return None
-    clock = align_runs(reference, run, alignment)
+    clock = common_clock.align_runs(reference, run, alignment)
     theirs, ours = clock.place_signal(pair[0], reference), clock.place_signal(pair[1], run)
     grid = common_clock.lay_grid(theirs.time_ns, ours.time_ns, _find_span((theirs, ours), clock))
     if not len(grid.at):
@@ -349,7 +333,7 @@ def trace_tube(
             )
             for beyond in (-_BEYOND, _BEYOND)
         )
-    to_run_ns = find_zero_ns(run, alignment)
+    to_run_ns = common_clock.find_zero_ns(run, alignment)
     return SignalTube(
         time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,
         values=rows.values,
@@ -392,7 +376,7 @@ def compare_aligned_signals(
     """Return the differences of signals, as `compare_signals` does, for runs on a common clock."""
     found: dict[str, SignalDifference] = {}
     grids: dict[str, Grid] = {}
-    phases = join_phases(reference, run)
+    phases = common_clock.join_phases(reference, run)
     is_shared = _share_track(reference, run)
     for name, tolerance in tolerances.items():
         if name in _OF_TRACK and not is_shared:
@@ -478,6 +462,6 @@ def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, S
     )
     if theirs is None or ours is None or ours.kind.compared_as != "label":
         return theirs, ours
-    names = join_phases(reference, run)
+    names = common_clock.join_phases(reference, run)
     numbers = np.array([names.index(phase) for phase in run.phase_names], dtype=np.float64)
     return theirs, replace(ours, values=numbers[ours.values.astype(np.int64)])

@@ -57,7 +57,6 @@ _MOVED: Final = 1e-9
 far."""
 
 _QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
-
 _CENTRAL: Final = (0.025, 0.5, 0.975)
 
 

@@ -383,7 +383,6 @@ def list_needed_metrics(
 
 
 _MOST_NOTES: Final = 5
-
 _USUAL_OF_LOOP: Final = ("settling_time", "overshoot", "rms_error")
 _USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.duration")
 _USUAL_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.turn_rate_effort")

@@ -8,21 +8,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from turtlelog import measure
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, release_frames
 from turtlelog.log import ReadChoice, read_as_chosen
-from turtlelog.measure import (
-    MeasureSettings,
-    Metric,
-    Metrics,
-    choose_metrics,
-    find_metric_kind,
-    list_essential_metrics,
-    list_metrics,
-    measure_run,
-    miss_metric,
-)
+from turtlelog.measure import MeasureSettings, Metric, Metrics
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run, require_run
@@ -119,17 +110,17 @@ class RunSummary:
 
         The result is None if the metric was not measured, or if the id belongs to a parameter.
         """
-        if name in self.metrics or name in list_metrics(self.declaration):
+        if name in self.metrics or name in measure.list_metrics(self.declaration):
             return self.metrics.get(name)
-        is_metric = name not in self.parameters and find_metric_kind(name) is not None
-        return miss_metric(self.declaration, name) if is_metric else None
+        is_metric = name not in self.parameters and measure.find_metric_kind(name) is not None
+        return measure.miss_metric(self.declaration, name) if is_metric else None
 
     def __repr__(self) -> str:
         ended = self.stop_reason or "end not recorded"
         return fit_line(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
 
     def _repr_html_(self) -> str:
-        first = list_essential_metrics(self.declaration)
+        first = measure.list_essential_metrics(self.declaration)
         return Metrics(self.metrics.items(), first=first)._repr_html_()
 
 
@@ -221,7 +212,7 @@ def summarise_run(
 ) -> RunSummary:
     """Return the summary of a run; `metrics` are its metrics if they are already measured."""
     require_run(run)
-    return summarise_measured(run, file, measure_run(run) if metrics is None else metrics)
+    return summarise_measured(run, file, measure.measure_run(run) if metrics is None else metrics)
 
 
 def summarise_measured(
@@ -297,16 +288,16 @@ def summarise_files(
     if isinstance(jobs, int) and jobs < 1:
         raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
     if only is not None and not callable(only):
-        choose_metrics(only, Declaration())  # refuses what names no metric of any law
+        measure.choose_metrics(only, Declaration())  # refuses what names no metric of any law
         only = (only,) if isinstance(only, str) else tuple(only)
-    measure = partial(
+    measure_file = partial(
         _measure_file,
         settings=settings,
         only=only,
         topics=topics or ReadChoice(),
         with_parameters=with_parameters,
     )
-    return map_in_processes(measure, [str(path) for path in paths], jobs)
+    return map_in_processes(measure_file, [str(path) for path in paths], jobs)
 
 
 def _measure_file(
@@ -322,7 +313,7 @@ def _measure_file(
     except TurtlelogError as err:
         return release_frames(err)
     chosen = only(run) if callable(only) else only
-    metrics = measure_run(run, settings, only=chosen)
+    metrics = measure.measure_run(run, settings, only=chosen)
     return summarise_measured(run, path, metrics, with_parameters=with_parameters)
 
 
@@ -346,7 +337,7 @@ def complete_summaries(
         lacking = [name for name in shared if name not in found.metrics]
         if lacking:
             run = read_as_chosen(found.file, topics or ReadChoice())
-            more = measure_run(run, settings, only=lacking)
+            more = measure.measure_run(run, settings, only=lacking)
             completed.append(replace(found, metrics={**found.metrics, **more}))
         else:
             completed.append(found)
@@ -429,7 +420,7 @@ def describe_run_end(run: Run) -> str:
     """Return place and time of a run's end, as `describe_end` does; it measures what that reads."""
     furthest = [_FURTHEST] if run.path is not None else []
     needed = [_LENGTH, *furthest, _DURATION, *_list_rms(run)]
-    return describe_end(summarise_run(run, metrics=measure_run(run, only=needed)))
+    return describe_end(summarise_run(run, metrics=measure.measure_run(run, only=needed)))
 
 
 def _list_rms(run: Run | RunSummary) -> list[str]:

@@ -45,29 +45,19 @@ class Drawn:
 
 @dataclass(slots=True, kw_only=True)
 class Plots:
-    """The plots of a page.
+    """The plots of a page."""
 
-    Attributes:
-        roots: Figures by the id of their place.
-        config: Ids of models for the script by role.
-        thinned: Number of curves drawn with fewer points than were recorded.
-        points: Largest number of points of a curve.
-        kinds: Kinds of curves in the page.
-        crosshair: Line at the time under the mouse, in all plots over time.
-        alternatives: Description of each figure in words, by its place.
-    """
-
-    roots: dict[str, Any] = field(default_factory=dict)
-    config: dict[str, Any] = field(default_factory=dict)
-    thinned: int = 0
-    points: int = MOST_POINTS
-    kinds: set[CurveKind] = field(default_factory=set)
-    crosshair: Any = field(
+    roots: dict[str, Any] = field(default_factory=dict)  # figures by the id of their place
+    config: dict[str, Any] = field(default_factory=dict)  # ids of models for the script by role
+    thinned: int = 0  # number of curves drawn with fewer points than were recorded
+    points: int = MOST_POINTS  # largest number of points of a curve
+    kinds: set[CurveKind] = field(default_factory=set)  # kinds of curves in the page
+    crosshair: Any = field(  # line at the time under the mouse, in all plots over time
         default_factory=lambda: load_library("bokeh.models").Span(
             dimension="height", line_color=RING, line_alpha=0.5
         )
     )
-    alternatives: dict[str, str] = field(default_factory=dict)
+    alternatives: dict[str, str] = field(default_factory=dict)  # figures in words, by place
 
 
 def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> list[NDArray[Any]]:

@@ -298,7 +298,6 @@ def _miss(run: Run) -> float:
 
 
 _TIMELINE: Final = "robot_time"
-
 _RESIDUAL: Final = "residual"
 
 _CURVES: Final[tuple[tuple[str, palette.Color, float], ...]] = (
@@ -366,7 +365,6 @@ def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
 
 
 _PLANE: Final = "/plane"
-
 _PATH_PIXELS: Final = 1.2
 
 

@@ -11,7 +11,6 @@ from turtlelog.charts.time_plots import TIME_PLOTS
 
 APPLICATION_ID: Final = "turtlelog"
 TICKS: Final = "tick"
-
 PLANE: Final = "plane"
 PATH: Final = "plane/path"
 TRAIL: Final = "plane/trail"
@@ -50,7 +49,6 @@ RING_NAMES: Final = "plane/close_up/rings/names"
 MISSES: Final = "plane/close_up/misses"
 WORST: Final = "plane/close_up/worst"
 WORST_NAME: Final = "plane/close_up/worst/name"
-
 POSITION: Final = "position"
 HEADING: Final = "heading_deg"
 HEADING_ERROR: Final = "heading_error_deg"
@@ -65,7 +63,6 @@ STATE: Final = "state"
 IDEAL: Final = "ideal"
 SAMPLED: Final = "sampled"
 MARKS: Final = "marks"
-
 PHASE: Final = "phase"
 DEAD_TIME: Final = "dead_time"
 EVENTS: Final = "events"

@@ -201,7 +201,8 @@ def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Bluepr
 def _list_tabs(content: Content) -> list[rrb.View]:
     tabs: list[rrb.View] = []
     if content.scale_title is not None:
-        tabs.append(_view_scale(content.scale_title))
+        bar, ranges = f"{join_path(entities.LEGEND)}/**", (-0.3, _SCALE_WIDTH + 0.3)
+        tabs.append(views.view_picture(content.scale_title, [bar], ranges, (-0.5, _SCALE_DEPTH)))
     elif content.legend_names:
         tabs.append(_view_legend(content.legend_names))
     tabs += map(views.view_document, content.documents)
@@ -247,8 +248,7 @@ def _list_stacks(
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:
     """Return the index of the first plot that a loop controls, or else 0.
 
-    The along-track error has priority if every run has this signal: next to a path of many metres,
-    the error would not be visible.
+    An along-track error of every run has priority: beside a path of metres it is not visible.
     """
     shown = [plot for plot in cell if content.list_curves(plot)]
     if len(content.list_curves(shown[0])) < len(content.prefixes):
@@ -326,11 +326,6 @@ def _view_legend(names: Sequence[str]) -> rrb.View:
     title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
     ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
     return views.view_picture(title, [join_path(entities.LEGEND)], *ranges)
-
-
-def _view_scale(title: str) -> rrb.View:
-    contents = [f"{join_path(entities.LEGEND)}/**"]
-    return views.view_picture(title, contents, (-0.3, _SCALE_WIDTH + 0.3), (-0.5, _SCALE_DEPTH))
 
 
 def draw_legend(

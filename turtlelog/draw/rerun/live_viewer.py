@@ -73,10 +73,7 @@ class GrowingStream(rr.RecordingStream):
 
     The functions that draw a finished run also draw a growing run with this stream. Rows and static
     data that were already sent are left out. The path, the places of events and the level lines
-    become longer during the run, so the complete lines are sent again.
-
-    Attributes:
-        is_due: Whether the growing static data are sent in this round.
+    become longer during the run, so the complete lines are sent again in rounds that are due.
     """
 
     def __init__(self, application_id: str) -> None:

@@ -117,7 +117,11 @@ def draw_world(
         _draw_tolerances(stream, runs)
     if len(starts) == 1 and len(goals) == 1:
         half_m = half_size_m or find_plane_bounds(runs).half_size_m
-        _draw_names(stream, starts[0], goals[0], half_m)
+        # Each name is on the side away from the path.
+        side = 1.0 if goals[0][0] <= starts[0][0] else -1.0
+        asides = np.array([(side * _START_ASIDE, _NAME_UP), (-side * _GOAL_ASIDE, _NAME_UP)])
+        places, colors = [starts[0], goals[0]] + half_m * asides, [palette.START, palette.GOAL]
+        write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
 
 
 def draw_close_up(
@@ -178,16 +182,6 @@ def draw_worst_place(
     up_m = _ABOVE * LETTERING.line * worst.half_m
     label = plane_scene.label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
-
-
-def _draw_names(
-    stream: rr.RecordingStream, start: Values, goal: Values, half_size_m: float
-) -> None:
-    """Name start and goal, each on the side away from the path."""
-    side = 1.0 if goal[0] <= start[0] else -1.0
-    asides = np.array([(side * _START_ASIDE, _NAME_UP), (-side * _GOAL_ASIDE, _NAME_UP)])
-    places, colors = [start, goal] + half_size_m * asides, [palette.START, palette.GOAL]
-    write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
 
 
 def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
@@ -347,15 +341,10 @@ def widen_plane(bounds: Bounds, seen: Surroundings, shift_m: Values) -> Bounds:
 
 
 _SPEED_LEVELS: Final = 16
-
 _SPEED_RADIUS: Final = 1.75
-
 _SENSED_RADIUS: Final = 1.25
-
 _SENSED_ORDER: Final = 18.0  # lines have 20
-
 _ON_TRACES: Final = 22.0
-
 _EVENT_RADIUS: Final = 4.0
 
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})

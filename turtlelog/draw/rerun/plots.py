@@ -8,19 +8,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.charts import palette
+from turtlelog.charts import palette, plotted_curves
 from turtlelog.charts.curves import Level, Values
-from turtlelog.charts.plotted_curves import (
-    OWN,
-    POINTS,
-    CurveKind,
-    PlottedCurve,
-    TimePlot,
-    group_states,
-    has_own,
-    list_plot_levels,
-    list_plotted,
-)
+from turtlelog.charts.plotted_curves import CurveKind, PlottedCurve, TimePlot
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
@@ -96,9 +86,10 @@ class LevelLines:
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
     """Return the curves with data, of some or all kinds. A single row gives no curve."""
     groups = entities.GROUPS.items()
+    states = [group.names for group in plotted_curves.group_states(run.declaration)]
     found = [
         *(series for name, plots in groups for series in _list_group(run, name, plots, kinds)),
-        *(series for name in list_states(run) for series in _list_state(run, name)),
+        *(series for names in states for series in _list_states(run, names)),
     ]
     return tuple(
         curves
@@ -132,12 +123,12 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
     """Return references of loops, goals, limits and zeros of errors; each once per plot."""
     found = []
     for name, plots in entities.GROUPS.items():
-        shown = [run for run in runs if any(has_own(run, plot) for plot in plots)]
-        levels = [level for plot in plots for level in list_plot_levels(shown, plot)]
+        shown = [run for run in runs if any(plotted_curves.has_own(run, plot) for plot in plots)]
+        levels = [level for plot in plots for level in plotted_curves.list_plot_levels(shown, plot)]
         levels = sorted({*levels}, key=lambda level: (level.value, level.label))
         found.append((name, levels))
         if plots[0].is_log:
-            kept = list_plot_levels(shown, plots[0], "log")
+            kept = plotted_curves.list_plot_levels(shown, plots[0], "log")
             logs = [replace(one, value=float(np.log10(one.value))) for one in kept if one.value]
             found.append((entities.name_logarithm(name), logs))
     return tuple(LevelLines(plot=name, levels=tuple(levels)) for name, levels in found if levels)
@@ -188,11 +179,6 @@ def draw_references(
         stream.send_columns(entity, index, columns)
 
 
-def list_states(run: Run) -> tuple[str, ...]:
-    """Return the states of a run's law in the order of display."""
-    return tuple(name for group in group_states(run.declaration) for name in group.names)
-
-
 def _list_group(
     run: Run,
     name: str,
@@ -202,7 +188,7 @@ def _list_group(
     """Yield the curves of plots with a common entity, such as x and y, for each kind."""
     if kinds is not None and not plots[0].is_compared:
         return
-    listed = [list_plotted(run, plot, kinds) for plot in plots]
+    listed = [plotted_curves.list_plotted(run, plot, kinds) for plot in plots]
     for column in zip(*(_split(curves) for curves in listed), strict=False):
         first = column[0]
         alike = [one for one in column if len(one.curve.time_ns) == len(first.curve.time_ns)]
@@ -220,11 +206,11 @@ def _list_group(
             else _WIDTHS.get(first.kind, LINE_WIDTH),
             holds=first.curve.holds,
             is_main=first.kind in ("run", "measured"),
-            is_measured=first.kind in OWN,
+            is_measured=first.kind in plotted_curves.OWN,
             marker=_MARKERS.get(first.kind),
         )
         yield series
-        if plots[0].is_log and first.kind not in POINTS:
+        if plots[0].is_log and first.kind not in plotted_curves.POINTS:
             # In a logarithm of magnitudes, exponential curves are straight.
             sizes = np.abs(series.values)
             logs = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
@@ -252,8 +238,8 @@ def _name_part(found: PlottedCurve) -> str:
     return found.entry.name
 
 
-def _list_state(run: Run, name: str) -> Iterator[Series]:
-    names = next(group.names for group in group_states(run.declaration) if name in group.names)
-    color = palette.choose_run_colors(len(names))[names.index(name)]
-    for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
-        yield replace(series, colors=(color,))
+def _list_states(run: Run, names: Sequence[str]) -> Iterator[Series]:
+    colors = palette.choose_run_colors(len(names))
+    for name, color in zip(names, colors, strict=True):
+        for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
+            yield replace(series, colors=(color,))

@@ -35,7 +35,6 @@ _DISCONNECT_S: Final = 1.0
 _END: Final = b"RRF2FOOT"
 _END_BYTES: Final = 64
 _PROBE: Final = bytes(2**20)
-
 _STRICT_LOCK: Final = threading.Lock()
 _BEFORE_STRICT: Final[list[bool]] = []
 """Earlier settings, one for each active block of strict mode."""
@@ -229,10 +228,15 @@ def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 def _fill(values: Sequence[Parameter | None]) -> list[float] | list[str]:
     """Return one value per run: numbers and booleans as floats; texts, if any is not a number."""
-    if all(value is None or isinstance(value, bool | int | float) for value in values):
-        return [float("nan") if value is None else float(value) for value in values]
-    floats = (float(one) if isinstance(one, bool | int | float) else one for one in values)
-    return ["" if value is None else str(value) for value in floats]
+    floats = [
+        float("nan") if value is None else float(value)
+        for value in values
+        if value is None or isinstance(value, bool | int | float)
+    ]
+    if len(floats) == len(values):
+        return floats
+    texts = (float(one) if isinstance(one, bool | int | float) else one for one in values)
+    return ["" if value is None else str(value) for value in texts]
 
 
 Times = NDArray[np.int64]

@@ -215,15 +215,10 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
 
 
 _RADIUS: Final = 6.0  # [points], as are the other sizes
-
 _CURVE_WIDTH: Final = 2.0
-
 _OUTSIDE_WIDTH: Final = 4.0
-
 _LIMIT_WIDTH: Final = 1.5
-
 _POINT_SIZE: Final = 6.0
-
 _MARKERS: Final = {"first": "circle", "worst": "diamond", "high": "up", "low": "down"}
 
 _SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
@@ -236,7 +231,6 @@ _MARK_AT: Final = 0.03
 the mark."""
 
 _STRETCH_RADIUS: Final = 2.5
-
 _ABOVE_TRACES: Final = 26.0  # lines have 20
 
 _STROKES: Final = 700

@@ -214,7 +214,8 @@ def draw_trail(
     run_stream.log(entities.PLANE, UPWARD)
     strips = _part_strip(run)
     # The part that is not driven yet is faint.
-    faint = palette.pack_colors([look.color] * len(strips)) & 0xFFFFFF00 | _FAINT
+    bright = palette.pack_colors([look.color] * len(strips))
+    faint = bright & np.uint32(0xFFFFFF00) | np.uint32(_FAINT)
     draw_strips(run_stream, entities.PATH, strips, faint, look.width)
     # Each segment of the trail has the time of its last pose, and views show past segments. A
     # segment never spans a gap in the poses, and always has a length.
@@ -269,7 +270,6 @@ _ONE_M: Final = 1.0
 """Gap from which the plot is in m instead of mm [m]."""
 
 _GAP_WIDTH: Final = 1.0  # [points]
-
 _GAP_ORDER: Final = 27.0  # above turtles
 
 _KEY_LETTER: Final = 0.036
@@ -290,9 +290,7 @@ _KEY_LINE: Final = 0.19
 450, less than the height of text with its frame."""
 
 _KEY_SAMPLE: Final = 0.1
-
 _KEY_GAP: Final = 0.06
-
 _KEY_UP: Final = 0.055
 
 

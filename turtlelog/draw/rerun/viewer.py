@@ -259,7 +259,16 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     require_recordings(paths)
     files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}
     page = _fetch_page()
-    handler = partial(_Handler, page, _write_head_fields(page), files)
+    policy = write_policy(
+        re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL),
+        script_src="'self' 'wasm-unsafe-eval'",  # the viewer is WebAssembly
+        connect_src="'self'",
+        img_src="'self'",
+        worker_src="'self' blob:",
+        frame_ancestors="'none'",
+    )
+    fields = {"Content-Security-Policy": policy, "Referrer-Policy": "no-referrer"}
+    handler = partial(_Handler, page, fields, files)
     with ThreadingHTTPServer((_LOCAL, 0), handler) as server:
         thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
         thread.start()
@@ -284,20 +293,6 @@ def _fetch_page() -> dict[str, bytes]:
 
 _REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
 """Links to fonts and early connections, which no policy covers."""
-
-
-def _write_head_fields(page: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the headers with the policy for the page and its viewer, which is WebAssembly."""
-    scripts = re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL)
-    policy = write_policy(
-        scripts,
-        script_src="'self' 'wasm-unsafe-eval'",
-        connect_src="'self'",
-        img_src="'self'",
-        worker_src="'self' blob:",
-        frame_ancestors="'none'",
-    )
-    return {"Content-Security-Policy": policy, "Referrer-Policy": "no-referrer"}
 
 
 def _fetch(viewer: ViewerProcess, address: str) -> bytes:
