@@ -56,7 +56,10 @@ _MOVED: Final = 1e-9
 """Smallest motion between two poses of a moving robot [m] or [rad]; rounding alone moves a robot as
 far."""
 
-_QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
+_QUANTITIES: Final[tuple[Quantity, Quantity]] = (
+    "position",
+    "heading",
+)
 _CENTRAL: Final = (0.025, 0.5, 0.975)
 
 
@@ -100,7 +103,10 @@ def compare_robot(
     cuts = {}
     for horizon_s in horizons_s:
         sound, gaps, lost = cut_sound(horizon_s)
-        notes += _tell_lost(horizon_s, gaps, lost)
+        after, outliers = f"After {horizon_s:g} s:", describe_count(lost, "outlier")
+        many = f"{describe_count(gaps, 'gap')} of the poses"
+        notes += [f"{after} {many}, over which nothing is predicted."] if gaps else []
+        notes += [f"{after} {outliers}, as the poses jump meanwhile; not counted."] if lost else []
         if sound.shape[1]:
             cuts[horizon_s] = sound
         else:
@@ -265,17 +271,6 @@ def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
     )
     none = take_rows(run.samples, slice(0, 0))
     return replace(run, poses=sensed, samples=none), notes
-
-
-def _tell_lost(horizon_s: float, gaps: int, jumped: int) -> list[str]:
-    told = []
-    if gaps:
-        many = describe_count(gaps, "gap")
-        told.append(f"After {horizon_s:g} s: {many} of the poses, over which nothing is predicted.")
-    if jumped:
-        many = describe_count(jumped, "outlier")
-        told.append(f"After {horizon_s:g} s: {many}, as the poses jump meanwhile; not counted.")
-    return told
 
 
 def _tell_too_short(run: Run, horizons_s: Sequence[float], known_ns: int, jumps: int) -> str:

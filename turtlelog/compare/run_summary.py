@@ -88,7 +88,10 @@ class RunSummary:
         packed = {
             "parameters": dict(self.parameters),
             "notes": dict(self.notes),
-            "metrics": [_pack(key, metric) for key, metric in self.metrics.items()],
+            "metrics": [
+                (key, one.id, one.value, one.unit, one.status.value, one.reason, one.at_s)
+                for key, one in self.metrics.items()
+            ],
         }
         return _rebuild, (values | packed,)
 
@@ -170,35 +173,24 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
             sys.intern(key): _share_text(one) if isinstance(one, str) else one
             for key, one in values["parameters"].items()
         },
-        "metrics": dict(map(_unpack, values["metrics"])),
+        "metrics": {
+            sys.intern(key): Metric(
+                id=sys.intern(name),
+                value=value,
+                unit=sys.intern(unit),
+                status=Status(status),
+                reason=_share_text(reason),
+                at_s=at_s,
+            )
+            for key, name, value, unit, status, reason, at_s in values["metrics"]
+        },
         "declaration": _share_declaration(values["declaration"]),
         "conditions": _share_conditions(values["conditions"]),
     }
     return RunSummary(**values | named)
 
 
-_Packed = tuple[str, str, float | None, str, str, str, float | None]
-
-
-def _pack(key: str, metric: Metric) -> _Packed:
-    status = metric.status.value
-    return key, metric.id, metric.value, metric.unit, status, metric.reason, metric.at_s
-
-
-def _unpack(packed: _Packed) -> tuple[str, Metric]:
-    key, name, value, unit, status, reason, at_s = packed
-    metric = Metric(
-        id=sys.intern(name),
-        value=value,
-        unit=sys.intern(unit),
-        status=Status(status),
-        reason=_share_text(reason),
-        at_s=at_s,
-    )
-    return sys.intern(key), metric
-
-
-@lru_cache(maxsize=1024, typed=True)
+@lru_cache(maxsize=1024)
 def _share_text(text: str) -> str:
     return text
 

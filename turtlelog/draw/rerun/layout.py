@@ -248,7 +248,7 @@ def _list_stacks(
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:
     """Return the index of the first plot that a loop controls, or else 0.
 
-    An along-track error of every run has priority: beside a path of metres it is not visible.
+    An along-track error of every run has priority: beside many metres it would not be visible.
     """
     shown = [plot for plot in cell if content.list_curves(plot)]
     if len(content.list_curves(shown[0])) < len(content.prefixes):

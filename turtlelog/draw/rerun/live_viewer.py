@@ -190,12 +190,10 @@ class LiveScene:
             turtles.draw_growing_path(run_stream, run)
             plane.draw_reference_path(run_stream, run)
             plane.draw_sensed(run_stream, run)
-            plots.draw_references(
-                stream, references, recording_stream.read_span([run], [timelines])
-            )
-        turtles.draw_turtle(
-            run_stream, run.poses, turtles.Look(color=palette.MAIN), self._half_size_m
-        )
+            span = recording_stream.read_span([run], [timelines])
+            plots.draw_references(stream, references, span)
+        look = turtles.Look(color=palette.MAIN)
+        turtles.draw_turtle(run_stream, run.poses, look, self._half_size_m)
         turtles.draw_reference_pose(run_stream, run, self._half_size_m)
         turtles.draw_arrows(run_stream, run)
         marks.draw_phases(run_stream, run)

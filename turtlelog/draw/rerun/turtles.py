@@ -14,15 +14,8 @@ from turtlelog.charts.ideal_curves import find_steps
 from turtlelog.charts.plane_scene import read_way_to_reference
 from turtlelog.charts.plotted_curves import locate_run
 from turtlelog.charts.robot_curves import find_break_rows
-from turtlelog.draw.rerun import entities
+from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.entities import join_path, name_part
-from turtlelog.draw.rerun.plane import (
-    TRACE_RADIUS,
-    UPWARD,
-    Bounds,
-    draw_strips,
-    write_words,
-)
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.recording_stream import (
     RunStream,
@@ -40,9 +33,10 @@ _ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 def draw_growing_path(run_stream: RunStream, run: Run) -> None:
     """Draw the path of a growing run, which has been driven whole, as one bright path."""
-    run_stream.log(entities.PLANE, UPWARD)
+    run_stream.log(entities.PLANE, plane.UPWARD)
     strips = _part_strip(run)
-    draw_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips), TRACE_RADIUS)
+    colors = [palette.MAIN] * len(strips)
+    plane.draw_strips(run_stream, entities.PATH, strips, colors, plane.TRACE_RADIUS)
 
 
 def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
@@ -158,7 +152,7 @@ class Look:
 
     color: palette.Color  # colour of turtle and trail
     is_ghost: bool = False  # whether its shell is hollow, and behind other turtles
-    width: float = TRACE_RADIUS  # radius of the trail [points]
+    width: float = plane.TRACE_RADIUS  # radius of the trail [points]
     size: float = 1.0  # size of the turtle; 1 for a run
 
 
@@ -211,12 +205,12 @@ def draw_trail(
     run_stream: RunStream, run: Run, look: Look, *, segments: int = MOST_SEGMENTS
 ) -> None:
     """Draw the whole path faintly, and the part driven so far as a trail."""
-    run_stream.log(entities.PLANE, UPWARD)
+    run_stream.log(entities.PLANE, plane.UPWARD)
     strips = _part_strip(run)
     # The part that is not driven yet is faint.
     bright = palette.pack_colors([look.color] * len(strips))
     faint = bright & np.uint32(0xFFFFFF00) | np.uint32(_FAINT)
-    draw_strips(run_stream, entities.PATH, strips, faint, look.width)
+    plane.draw_strips(run_stream, entities.PATH, strips, faint, look.width)
     # Each segment of the trail has the time of its last pose, and views show past segments. A
     # segment never spans a gap in the poses, and always has a length.
     kept = choose_trace_rows(run)
@@ -381,7 +375,7 @@ def measure_gap(run: Run, ghost: Ghost) -> Values:
 
 
 def draw_gap(
-    stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds, words: str
+    stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: plane.Bounds, words: str
 ) -> None:
     """Draw a line from the run to a ghost at the cursor, with the distance as text."""
     rows = np.unique(
@@ -416,7 +410,7 @@ def draw_gap(
 def draw_key(
     stream: rr.RecordingStream,
     rows: Sequence[tuple[str, palette.Color]],
-    bounds: Bounds,
+    bounds: plane.Bounds,
     runs: Sequence[Run],
 ) -> None:
     """Name the turtles of a plane at the place with the fewest of their poses."""
@@ -442,10 +436,10 @@ def draw_key(
     ]
     center, colors = np.array(bounds.center_xy_m), [color for _, color in rows]
     lines = [center + half_m * np.array(sample) for sample in samples]
-    draw_strips(stream, entities.KEY, lines, colors, 2.5)
+    plane.draw_strips(stream, entities.KEY, lines, colors, 2.5)
     # In a small window samples are hidden, so that the names have their colours.
     names = [name for name, _ in rows]
-    write_words(stream, entities.KEY_NAMES, center + half_m * np.array(words), names, colors)
+    plane.write_words(stream, entities.KEY_NAMES, center + half_m * np.array(words), names, colors)
 
 
 def _follow(run: Run, ghost: Ghost) -> Values:
@@ -454,7 +448,7 @@ def _follow(run: Run, ghost: Ghost) -> Values:
     return locate_run(ghost.run, ghost.run.start_ns, since_start_s)[0]
 
 
-def _find_aside(run: Run, x_m: Values, bounds: Bounds, width: float) -> Values:
+def _find_aside(run: Run, x_m: Values, bounds: plane.Bounds, width: float) -> Values:
     """Return the sideways offset of text [m], away from the goal's name and inside the view."""
     goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
     side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0

@@ -258,7 +258,12 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     """
     require_recordings(paths)
     files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}
-    page = _fetch_page()
+    ports = {"--port": find_free_port(), "--web-viewer-port": find_free_port()}
+    options = [word for name, port in ports.items() for word in (name, str(port))]
+    with start_viewer(["--serve-web", *options]) as viewer:
+        root = f"http://{_LOCAL}:{ports['--web-viewer-port']}/"
+        page = {name: _fetch(viewer, root + name) for name in _KINDS}
+    page[""] = _REMOTE_LINK.sub(b"", page[""])
     policy = write_policy(
         re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL),
         script_src="'self' 'wasm-unsafe-eval'",  # the viewer is WebAssembly
@@ -279,16 +284,6 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
         finally:
             server.shutdown()
             thread.join()
-
-
-def _fetch_page() -> dict[str, bytes]:
-    """Return the files of the page, from a server of the viewer that ends afterwards."""
-    ports = {"--port": find_free_port(), "--web-viewer-port": find_free_port()}
-    options = [word for name, port in ports.items() for word in (name, str(port))]
-    with start_viewer(["--serve-web", *options]) as viewer:
-        root = f"http://{_LOCAL}:{ports['--web-viewer-port']}/"
-        page = {name: _fetch(viewer, root + name) for name in _KINDS}
-    return page | {"": _REMOTE_LINK.sub(b"", page[""])}
 
 
 _REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
