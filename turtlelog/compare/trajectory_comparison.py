@@ -10,13 +10,7 @@ import numpy as np
 
 from turtlelog.compare import trajectory_errors
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.compare.trajectory_errors import (
-    Alignment,
-    Associated,
-    DeltaUnit,
-    ErrorStatistics,
-    PoseErrors,
-)
+from turtlelog.compare.trajectory_errors import Alignment, DeltaUnit, ErrorStatistics, PoseErrors
 from turtlelog.display import describe_count, fit_line, format_short, join_words
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.run.trajectory import Trajectory
@@ -96,7 +90,7 @@ class TrajectoryComparison:
             compared.
         align: Alignment of the estimate.
         alignment: Transformation of the alignment.
-        reference: Associated poses of the reference.
+        reference: trajectory_errors.Associated poses of the reference.
         estimate: Aligned poses of the estimate at the same times.
         errors: ATE of positions and rotations, then the RPE of each delta.
         absolute: Errors of the ATE, pose by pose.
@@ -178,7 +172,7 @@ def compare_trajectories(
     pair = _associate(reference, estimate, settings)
     is_planar = align in {"se2", "sim2"} or "plane" in {reference.space, estimate.space}
     if is_planar:
-        pair = Associated(*map(trajectory_errors.project_trajectory, pair))
+        pair = trajectory_errors.Associated(*map(trajectory_errors.project_trajectory, pair))
     before = trajectory_errors.measure_absolute_errors(*pair)
     alignment = _align(pair, align, estimate.name, reference.name)
     aligned = trajectory_errors.align_trajectory(pair.estimate, alignment)
@@ -242,7 +236,7 @@ _FLAT_M, _FLAT_RAD = 1e-6, 1e-6
 
 def _associate(
     reference: Trajectory, estimate: Trajectory, settings: TrajectorySettings
-) -> Associated:
+) -> trajectory_errors.Associated:
     if reference.clock != estimate.clock:
         untimed, timed = (
             (reference, estimate) if reference.clock == "frame" else (estimate, reference)
@@ -288,7 +282,9 @@ def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float
     return f"their times do not overlap: {spans[0]} and {spans[1]}{hint}"
 
 
-def _align(pair: Associated, align: AlignIn, name: str, reference: str) -> Alignment:
+def _align(
+    pair: trajectory_errors.Associated, align: AlignIn, name: str, reference: str
+) -> Alignment:
     if align == "none":
         return Alignment(rotation=np.eye(3), translation_m=np.zeros(3))
     if align == "origin":
@@ -338,7 +334,7 @@ def _describe_extent(trajectory: Trajectory) -> str:
 def _list_notes(
     reference: Trajectory,
     estimate: Trajectory,
-    pair: Associated,
+    pair: trajectory_errors.Associated,
     absolute: PoseErrors,
     align: AlignIn,
     settings: TrajectorySettings,

@@ -21,7 +21,6 @@ from turtlelog.draw.documents import document_runs
 from turtlelog.draw.rerun import entities, layout, marks, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import (
     Content,
-    choose_phase_rows,
     describe_content,
     find_corners,
     find_heading_close_up,
@@ -126,7 +125,6 @@ class _Overlay:
             scale_span=""
             if self.scale is None
             else f"{self.scale.word} {layout.tell_span(self.scale)}",
-            phase_rows=choose_phase_rows(self.prefixes),
         )
         if not self.restless:
             return content

@@ -88,6 +88,10 @@ class Content:
     steps_title: str | None = None  # title of the attribution
     luck_title: str | None = None  # title of the picture of values from other starts
 
+    def find_largest_shown(self) -> float:
+        """Return the largest magnitude that any plot shows."""
+        return max((abs(bound) for bounds in self.ranges.values() for bound in bounds), default=1.0)
+
     def list_states(self, group: plotted_curves.StateGroup) -> list[str]:
         """Return the plots of the shown states of a group."""
         plots = [f"{entities.STATE}/{name}" for name in group.names]
@@ -117,6 +121,8 @@ def describe_content(
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = plotted_curves.group_states(*(run.declaration for run in runs))
     phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
+    # Of many runs, a few phases are shown, of the first and the last run among them.
+    rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
     of_states = [one for run in series for one in run if one.plot.startswith(f"{entities.STATE}/")]
     return Content(
         prefixes=tuple(prefixes),
@@ -128,6 +134,7 @@ def describe_content(
         references=frozenset(reference.plot for reference in references),
         legend_names=tuple(names) if len(names) > _MOST_IN_PLOT else (),
         with_phases=sum(len(run.samples) > 0 for run in runs),
+        phase_rows=tuple(prefixes[row] for row in rows) if len(prefixes) > MANY else (),
         has_pause=any(span.phase == PAUSE for run in runs for span in run.find_phase_spans()),
         has_several_phases=any(len(run.find_phase_spans()) > 1 for run in runs),
         has_events=any(run.events for run in runs),
@@ -165,11 +172,6 @@ def _list_notes(runs: Sequence[Run], series: Sequence[Sequence[Series]]) -> dict
     for plot, rows in outliers.items():
         notes[plot] = f"{describe_count(rows, 'outlier')} left out"
     return notes
-
-
-def find_largest_shown(content: Content) -> float:
-    """Return the largest magnitude that any plot shows."""
-    return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
 
 
 def find_corners(
@@ -370,14 +372,6 @@ def view_phases(content: Content) -> rrb.View:
         name=f"Phases{of}{until}{key}",
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )
-
-
-def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
-    """Return the runs whose phases are shown: all, or a few that include the first and last."""
-    if len(prefixes) <= MANY:
-        return ()
-    rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
-    return tuple(prefixes[row] for row in rows)
 
 
 def view_document(title: str) -> rrb.View:

@@ -20,7 +20,7 @@ from turtlelog.draw.rerun import (
     recording_stream,
     turtles,
 )
-from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
+from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.layout import build_explanation_layout
 from turtlelog.draw.rerun.recording_stream import RunStream, open_recording
@@ -117,7 +117,7 @@ def write_explanation_rrd(
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             marks.draw_lines(
-                run_stream, entity, label, color, times_ns, largest=find_largest_shown(content)
+                run_stream, entity, label, color, times_ns, largest=content.find_largest_shown()
             )
         marks.draw_dead_times(run_stream, dead_times)
         recording_stream.draw_documents(stream, texts)

@@ -19,13 +19,7 @@ from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import cut_name
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles
-from turtlelog.draw.rerun.content import (
-    Content,
-    describe_content,
-    find_corners,
-    find_largest_shown,
-    view_curves,
-)
+from turtlelog.draw.rerun.content import Content, describe_content, find_corners, view_curves
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.layout import (
     LEGEND_TITLE,
@@ -205,7 +199,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
 
 def _draw_events(run_stream: RunStream, single: Single, content: Content) -> None:
     """Draw the events at the turtle's places, across the plots, and as a log."""
-    run, largest = single.run, find_largest_shown(content)
+    run, largest = single.run, content.find_largest_shown()
     plane.draw_event_places(run_stream, run)
     times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
     for plot in single.list_lined():
