@@ -143,8 +143,8 @@ def describe_content(
         goal=goal,
         worst=find_worst_place(runs) if goal is None else None,
         states=states,
-        idle=frozenset(curves.plot for curves in of_states if not curves.values.any())
-        - {curves.plot for curves in of_states if curves.values.any()},
+        idle=frozenset(one.plot for one in of_states)
+        - {one.plot for one in of_states if one.values.any()},
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
