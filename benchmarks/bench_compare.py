@@ -13,8 +13,8 @@ import pyfunnel
 
 import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_calls
-from turtlelog.compare.signal_comparison import _measure_rows, align_runs, compare_aligned_signals
-from turtlelog.compare.tube import lay_grid, read_rows
+from turtlelog.compare.common_clock import align_runs, lay_grid, read_rows
+from turtlelog.compare.difference import _measure_rows, compare_aligned_signals
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 
 ROWS = 1_000_000

@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 import turtlelog as tl
 from benchmarks.long_runs import lengthen_run
 from benchmarks.table import ROOT, Cost, Row, run_alone, time_calls, time_commands
-from turtlelog.draw.rerun.timelines import CHUNK_ROWS, RunStream, build_index, build_run_timelines
+from turtlelog.draw.rerun.recording_stream import (
+    CHUNK_ROWS,
+    RunStream,
+    build_index,
+    build_run_timelines,
+)
 
 SAMPLES = 1_000_000
 RECORDING = ROOT / "recordings" / "paper" / "kp10.mcap"

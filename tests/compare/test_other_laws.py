@@ -6,8 +6,8 @@ import pytest
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
+from turtlelog.compare.difference import explain_lack
 from turtlelog.compare.run_selection import list_usual_metrics
-from turtlelog.compare.signal_comparison import explain_lack
 from turtlelog.errors import CompareError
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration

@@ -10,8 +10,8 @@ import turtlelog as tl
 from tests.identify.robots import Log, draw_steps, make_run
 from tests.log.runs import find_shared
 from turtlelog.compare import ErrorBand, RobotComparison
-from turtlelog.compare.driven_commands import _find_delay, cut_pieces
-from turtlelog.compare.robot_comparison import Quantity
+from turtlelog.compare.robot_comparison import Quantity, cut_pieces
+from turtlelog.compare.robot_prediction import _find_delay
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import Scenario

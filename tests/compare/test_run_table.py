@@ -61,11 +61,11 @@ def test_of_a_run_without_its_whole_scenario_no_default_is_assumed() -> None:
 
 def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tl.compare.mark_metric(SUMMARIES, "run.duration") == {2: "best", 0: "worst"}
-    from turtlelog.compare import run_table
+    from turtlelog.compare import ranking
 
     for better, marks in (("higher", {0: "best", 2: "worst"}), (None, {})):
         kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
-        monkeypatch.setattr(run_table, "find_metric_kind", lambda _, kind=kind: kind)
+        monkeypatch.setattr(ranking, "find_metric_kind", lambda _, kind=kind: kind)
         assert tl.compare.mark_metric(SUMMARIES, "run.duration") == marks
 
 

@@ -12,7 +12,7 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import list_entities, read_rows, read_static, read_times
 from tests.effects_cases import build_case
 from turtlelog.charts.curves import find_disturbance
-from turtlelog.draw.rerun.run_scene import GrowingStream, LiveScene
+from turtlelog.draw.rerun.live_viewer import GrowingStream, LiveScene
 from turtlelog.run import Run
 from turtlelog.simulate import RunCollector, iterate_ticks
 

@@ -20,8 +20,8 @@ from turtlelog.check.spec import Check, Spec, Tolerances
 from turtlelog.check.spec_file import count_parts, load_tolerances
 from turtlelog.check.vocabulary import TrajectoryJudge, choose_signals
 from turtlelog.compare import Tolerance
-from turtlelog.compare.difference import compare_metrics
-from turtlelog.compare.signal_comparison import compare_signals, explain_lack, find_zero_ns
+from turtlelog.compare.common_clock import find_zero_ns
+from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
 from turtlelog.display import format_number, format_pair
 from turtlelog.errors import CheckError, CompareError, ExpressionError
 from turtlelog.files.urls import make_path

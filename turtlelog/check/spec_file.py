@@ -21,7 +21,7 @@ from turtlelog.check.spec import (
 )
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import ALIGNMENTS, Tolerance, TrajectorySettings, parse_delta
-from turtlelog.compare.signal_comparison import could_be_alignment
+from turtlelog.compare.common_clock import could_be_alignment
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.display import LATEST_S
 from turtlelog.errors import CheckError, CompareError, LogError, TurtlelogError

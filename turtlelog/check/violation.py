@@ -15,7 +15,7 @@ from turtlelog.check.formula import check_run
 from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, read_signals
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.spec import Check
-from turtlelog.compare.signal_comparison import trace_tube
+from turtlelog.compare.difference import trace_tube
 from turtlelog.expressions import Call, Comparison, Name
 from turtlelog.measure import MIRRORED, find_signal, list_metrics, list_signals, measure_run
 from turtlelog.run import Run

@@ -326,7 +326,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     if choice.sort is None:
         summaries = tl.compare.order_by_gain(summaries)
     else:
-        from turtlelog.compare.run_table import sort_by_column
+        from turtlelog.compare.run_selection import sort_by_column
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
     only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")

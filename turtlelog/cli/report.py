@@ -149,7 +149,7 @@ def build_check_lines(
     """Return results in the form for a report."""
     from turtlelog.check.violation import find_violated_signal
     from turtlelog.draw.report import CheckLine
-    from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
+    from turtlelog.draw.report.drawing import MOST_VIOLATIONS
 
     def tell(value: float | None, unit: str) -> str:
         return "" if value is None else format_number(value, unit)

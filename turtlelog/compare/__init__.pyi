@@ -1,19 +1,14 @@
+from .common_clock import ALIGNMENTS as ALIGNMENTS, Tolerance as Tolerance
 from .difference import (
     MetricDifference as MetricDifference,
     PathDeviation as PathDeviation,
     RunComparison as RunComparison,
+    SignalDifference as SignalDifference,
     compare_metrics as compare_metrics,
     compare_runs as compare_runs,
+    compare_signals as compare_signals,
     measure_path_error as measure_path_error,
     tabulate_differences as tabulate_differences,
-)
-from .metric_table import (
-    list_metric_units as list_metric_units,
-    list_reasons as list_reasons,
-    tabulate_measured as tabulate_measured,
-    tabulate_metrics as tabulate_metrics,
-    tabulate_table1 as tabulate_table1,
-    tabulate_whole_runs as tabulate_whole_runs,
 )
 from .ranking import (
     CONDITIONS as CONDITIONS,
@@ -21,6 +16,8 @@ from .ranking import (
     Conditions as Conditions,
     Ranking as Ranking,
     judge_runs as judge_runs,
+    list_metric_units as list_metric_units,
+    mark_metric as mark_metric,
 )
 from .robot_comparison import (
     ErrorBand as ErrorBand,
@@ -43,27 +40,26 @@ from .run_selection import (
     sort_runs as sort_runs,
 )
 from .run_summary import (
+    UNLOCKS as UNLOCKS,
     RunSummary as RunSummary,
+    can_unlock as can_unlock,
     complete_summaries as complete_summaries,
     describe_end as describe_end,
     describe_reached as describe_reached,
+    drop_absent as drop_absent,
     list_lacks as list_lacks,
+    list_unlocks as list_unlocks,
     summarise_files as summarise_files,
     summarise_run as summarise_run,
 )
 from .run_table import (
-    UNLOCKS as UNLOCKS,
-    can_unlock as can_unlock,
-    drop_absent as drop_absent,
-    list_unlocks as list_unlocks,
-    mark_metric as mark_metric,
+    list_reasons as list_reasons,
     order_parameters as order_parameters,
+    tabulate_measured as tabulate_measured,
+    tabulate_metrics as tabulate_metrics,
     tabulate_runs as tabulate_runs,
-)
-from .signal_comparison import (
-    ALIGNMENTS as ALIGNMENTS,
-    SignalDifference as SignalDifference,
-    compare_signals as compare_signals,
+    tabulate_table1 as tabulate_table1,
+    tabulate_whole_runs as tabulate_whole_runs,
 )
 from .table import (
     Cell as Cell,
@@ -83,4 +79,3 @@ from .trajectory_comparison import (
     tabulate_trajectories as tabulate_trajectories,
 )
 from .trajectory_errors import ErrorStatistics as ErrorStatistics
-from .tube import Tolerance as Tolerance

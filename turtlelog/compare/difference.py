@@ -1,32 +1,22 @@
 """Differences between a run and a reference: signals, metrics, and the path."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.compare.signal_comparison import (
-    CommonClock,
-    align_runs,
-    compare_aligned_signals,
-    share_track,
-)
+from turtlelog import measure
+from turtlelog.compare import common_clock
+from turtlelog.compare.common_clock import CommonClock, Grid, GridValues, Tolerance
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.compare.tube import Tolerance, lay_grid, read_rows
 from turtlelog.display import fit_line, format_html, format_notebook, show_angle
-from turtlelog.measure import (
-    SIGNALS,
-    Metric,
-    find_signal,
-    list_metrics,
-    list_signal_units,
-    measure_run,
-    miss_metric,
-)
+from turtlelog.errors import find_near, join_names
+from turtlelog.measure import SIGNALS, Metric, Signal, find_signal, measure_run
 from turtlelog.measure.references import compute_path_distances
 from turtlelog.measure.step_response import compute_rms
-from turtlelog.replay.differences import SignalDifference
+from turtlelog.replay.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.run import Run, require_run
 
 
@@ -104,11 +94,19 @@ def compare_measured(
     reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
 ) -> RunComparison:
     """Return the comparison of two runs, as `compare_runs` does, with known reference metrics."""
-    clock = align_runs(reference, run, alignment)
+    clock = common_clock.align_runs(reference, run, alignment)
     start_ns, end_ns = map(clock.read_ns, clock.span)
-    names = list_signal_units([reference.declaration, run.declaration])
-    signals = compare_aligned_signals(reference, run, clock, dict.fromkeys(names, Tolerance()))
-    pairs = _pair_metrics((reference, metrics), run)
+    laws = reference.declaration, run.declaration
+    tolerances = dict.fromkeys(measure.list_signal_units(laws), Tolerance())
+    signals = compare_aligned_signals(reference, run, clock, tolerances)
+    ours = measure_run(run)
+    pairs = [
+        MetricDifference(
+            metric=ours[name] if name in ours else measure.miss_metric(laws[1], name),
+            reference=metrics[name] if name in metrics else measure.miss_metric(laws[0], name),
+        )
+        for name in measure.list_metrics(*laws)
+    ]
     return RunComparison(
         name=run.name,
         alignment=alignment,
@@ -116,7 +114,7 @@ def compare_measured(
         overlap_s=end_ns / 1e9 - start_ns / 1e9,
         signals=tuple(signals.values()),
         metrics=tuple(pair for pair in pairs if not pair.differs_in_unit),
-        notes=(*_list_notes(reference, run, clock), *_list_apart(pairs)),
+        notes=tuple(_list_notes(reference, run, clock, pairs)),
     )
 
 
@@ -146,7 +144,11 @@ def tabulate_differences(
             shown = None if known is None else show_angle(known.largest, known.unit)[0]
             cells += [shown, known.at_s] if known else [None, None]
         rows.append((name, show_angle(0.0, units[name])[1], *cells))
-    alignments = dict.fromkeys(_describe_alignment(found.alignment) for found in comparisons)
+    alignments = dict.fromkeys(
+        _ALIGNMENT_WORDS.get(found.alignment)
+        or f"from the start of {found.alignment.removeprefix('phase:')} on"
+        for found in comparisons
+    )
     return Table(
         title=f"Largest differences from {reference}, {', '.join(alignments)}",
         columns=tuple(columns),
@@ -162,47 +164,23 @@ _ALIGNMENT_WORDS: Final = {
 }
 
 
-def _pair_metrics(
-    reference: tuple[Run, Mapping[str, Metric]], run: Run
-) -> tuple[MetricDifference, ...]:
-    """Return every metric of either law. A loop that one law does not declare has `no_phase`."""
-    declarations = reference[0].declaration, run.declaration
-    theirs, ours = reference[1], measure_run(run)
-    return tuple(
-        MetricDifference(
-            metric=ours[name] if name in ours else miss_metric(declarations[1], name),
-            reference=theirs[name] if name in theirs else miss_metric(declarations[0], name),
+def _list_notes(
+    reference: Run, run: Run, clock: CommonClock, pairs: Sequence[MetricDifference]
+) -> Iterator[str]:
+    if not _share_track(reference, run):
+        yield "Along-track and cross-track are not compared: the laws do not track one path."
+    counts = [len(found.samples) for found in (reference, run)]
+    if not clock.tells_time and counts[0] != counts[1]:
+        yield (
+            f"{clock.span[1] + 1} samples are compared by number: {reference.name} has"
+            f" {counts[0]}, {run.name} {counts[1]}."
         )
-        for name in list_metrics(*declarations)
-    )
-
-
-def _list_apart(pairs: Iterable[MetricDifference]) -> Iterator[str]:
     apart = [pair for pair in pairs if pair.differs_in_unit]
     for loop in dict.fromkeys(pair.metric.id.rpartition(".")[0] for pair in apart):
         yield (
             f"The loop {loop} controls another signal in the reference: metrics of other units"
             " are not compared."
         )
-
-
-def _list_notes(reference: Run, run: Run, clock: CommonClock) -> Iterator[str]:
-    if not share_track(reference, run):
-        yield "Along-track and cross-track are not compared: the laws do not track one path."
-    if clock.tells_time:
-        return
-    counts = [len(found.samples) for found in (reference, run)]
-    if counts[0] != counts[1]:
-        yield (
-            f"{clock.span[1] + 1} samples are compared by number: {reference.name} has"
-            f" {counts[0]}, {run.name} {counts[1]}."
-        )
-
-
-def _describe_alignment(alignment: str) -> str:
-    """Return an alignment in words: `from the start of translate on`."""
-    phase = alignment.removeprefix("phase:")
-    return _ALIGNMENT_WORDS.get(alignment, f"from the start of {phase} on")
 
 
 def _list_overlaps(comparisons: Sequence[RunComparison], names: Sequence[str]) -> tuple[str, ...]:
@@ -255,15 +233,15 @@ def measure_path_error(
     Raises:
         CompareError: If `compare_runs` raises it.
     """
-    clock = align_runs(reference, run, alignment)
+    clock = common_clock.align_runs(reference, run, alignment)
     columns = []
     for name in ("x", "y"):
         theirs, ours = (find_signal(who, name) for who in (reference, run))
         assert theirs is not None
         assert ours is not None
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
-        grid = lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
-        columns.append([read_rows(one, grid).values for one in placed])
+        grid = common_clock.lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
+        columns.append([common_clock.read_rows(one, grid).values for one in placed])
     theirs_m, ours_m = (np.column_stack(pair) for pair in zip(*columns, strict=True))
     at_s = np.array([clock.read_ns(int(unit)) for unit in grid.at]) / 1e9
     path_m = reference.poses.xy_m[:: -(-len(reference.poses) // _MOST_POINTS)]
@@ -279,3 +257,211 @@ def measure_path_error(
         largest_apart_at_s=float(at_s[apart.argmax()]),
         rms_apart_m=compute_rms(step_s, apart, None),
     )
+
+
+_OF_TRACK: Final = frozenset({"along_track", "cross_track"})
+"""Signals that refer to the path of a law, or else to the line from start to goal."""
+
+
+def compare_signals(
+    reference: Run,
+    run: Run,
+    tolerances: Mapping[str, Tolerance],
+    *,
+    alignment: str = "first_sample",
+) -> dict[str, SignalDifference]:
+    """Return the deviations of signals from the reference, each with its tolerance.
+
+    Args:
+        reference: Run from which differences are taken.
+        run: Other run.
+        tolerances: Tolerances by signal name; a signal that a run lacks is left out.
+        alignment: Alignment, as in `compare_runs`.
+
+    Raises:
+        CompareError: If `compare_runs` raises it.
+    """
+    clock = common_clock.align_runs(reference, run, alignment)
+    return compare_aligned_signals(reference, run, clock, tolerances)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SignalTube:
+    """A signal of a run and its tolerance band around a reference, on the compared rows."""
+
+    time_ns: NDArray[np.int64]  # time in the run, not decreasing
+    values: NDArray[np.float64]  # values of the run, in the signal's unit
+    reference: NDArray[np.float64]  # reference value with which each row is compared
+    low: NDArray[np.float64]  # lower end of the band
+    high: NDArray[np.float64]  # upper end of the band
+    excess: NDArray[np.float64]  # distance beyond the tolerance; zero or negative within it
+
+
+def trace_tube(
+    reference: Run, run: Run, name: str, tolerance: Tolerance, *, alignment: str = "first_sample"
+) -> SignalTube | None:
+    """Return a numeric signal compared with the reference's; None if no comparison is possible.
+
+    Angles of the reference are shifted by full turns to within half a turn of the run's angles.
+    """
+    pair = _read_signals(name, reference, run)
+    if pair[0] is None or pair[1] is None or pair[0].kind.compared_as == "label":
+        return None
+    clock = common_clock.align_runs(reference, run, alignment)
+    theirs, ours = clock.place_signal(pair[0], reference), clock.place_signal(pair[1], run)
+    grid = common_clock.lay_grid(theirs.time_ns, ours.time_ns, _find_span((theirs, ours), clock))
+    if not len(grid.at):
+        return None
+    rows = common_clock.read_rows(ours, grid)
+    half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
+    nearest = common_clock.find_deciding_values(theirs, rows, tolerance, half_width=half_width)
+    turns = np.zeros(len(nearest))
+    if theirs.kind.compared_as == "angle":
+        turns = 2.0 * np.pi * np.round((rows.values - nearest) / (2.0 * np.pi))
+    limit = common_clock.find_limit(theirs, nearest, tolerance)
+    low, high = nearest, nearest
+    if half_width:
+        # What comes nearest to something far beyond is the outermost value of its window.
+        kind = replace(theirs.kind, compared_as="number")
+        number = replace(theirs, kind=kind)
+        low, high = (
+            common_clock.find_deciding_values(
+                number,
+                GridValues(grid=grid, values=np.full(len(nearest), beyond)),
+                tolerance,
+                half_width=half_width,
+            )
+            for beyond in (-_BEYOND, _BEYOND)
+        )
+    to_run_ns = common_clock.find_zero_ns(run, alignment)
+    return SignalTube(
+        time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,
+        values=rows.values,
+        reference=nearest + turns,
+        low=low - common_clock.find_limit(theirs, low, tolerance) + turns,
+        high=high + common_clock.find_limit(theirs, high, tolerance) + turns,
+        excess=common_clock.measure_distance(theirs, rows.values, nearest) - limit,
+    )
+
+
+_BEYOND: Final = 1e12
+"""A distance larger than any signal, in its unit."""
+
+
+def explain_lack(name: str, reference: Run, run: Run) -> str:
+    """Return why a signal cannot be compared: a run or its law does not have it."""
+    known = list(measure.list_signal_units([reference.declaration, run.declaration]))
+    if name not in known:
+        near = find_near(name, known, most=2)
+        states = ", ".join(found for found in known if found not in SIGNALS) or "none"
+        hint = f"; did you mean {join_names(near)}?" if near else ""
+        return f"neither a signal nor a state of these laws (they have {states}){hint}"
+    if name in _OF_TRACK and not _share_track(reference, run):
+        return "the laws do not track one path"
+    sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
+    lacking = [who for who, held in sides if held is None]
+    if not lacking:
+        return "there is no segment in which both were commanded"
+    reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
+    lawless = [who for who in lacking if name not in measure.list_signals(who.declaration)]
+    if not lawless:
+        return reason
+    states = ", ".join(lawless[0].declaration.states) or "none"
+    return f"{reason}: no state of its law (it has {states})"
+
+
+def compare_aligned_signals(
+    reference: Run, run: Run, clock: CommonClock, tolerances: Mapping[str, Tolerance]
+) -> dict[str, SignalDifference]:
+    """Return the differences of signals, as `compare_signals` does, for runs on a common clock."""
+    found: dict[str, SignalDifference] = {}
+    grids: dict[str, Grid] = {}
+    phases = common_clock.join_phases(reference, run)
+    is_shared = _share_track(reference, run)
+    for name, tolerance in tolerances.items():
+        if name in _OF_TRACK and not is_shared:
+            continue
+        theirs, ours = _read_signals(name, reference, run)
+        if theirs is None or ours is None:
+            continue
+        placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
+        source = f"{theirs.kind.source} {ours.kind.source}"
+        if source not in grids:
+            span = _find_span(placed, clock)
+            grids[source] = common_clock.lay_grid(placed[0].time_ns, placed[1].time_ns, span)
+        if not len(grids[source].at):
+            continue
+        rows = common_clock.read_rows(placed[1], grids[source])
+        found[name] = _measure_rows(placed[0], rows, tolerance, clock, phases)
+    return found
+
+
+def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, int]:
+    """Return the compared segment of two signals; for commands, it begins when both have one."""
+    start, end = clock.span
+    firsts = [int(one.time_ns[0]) for one in placed if one.kind.source == "command"]
+    return max([start, *firsts]), end
+
+
+def _share_track(reference: Run, run: Run) -> bool:
+    """Return whether along-track and cross-track have the same meaning in both runs.
+
+    Both laws track the same path, at any speed, or no path: then each run has its own line.
+    """
+    paths = [
+        None if who.path is None else replace(who.path, speed_m_s=None) for who in (reference, run)
+    ]
+    return paths[0] == paths[1]
+
+
+def _measure_rows(
+    reference: Signal,
+    rows: GridValues,
+    tolerance: Tolerance,
+    clock: CommonClock,
+    phases: list[str],
+) -> SignalDifference:
+    """Return the deviation of a run's rows from the reference's signal, both on one clock."""
+    half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
+    nearest = common_clock.find_deciding_values(reference, rows, tolerance, half_width=half_width)
+    off = common_clock.measure_distance(reference, rows.values, nearest)
+    limit = common_clock.find_limit(reference, nearest, tolerance)
+    outside = off > limit
+    least = int((off - limit).argmax())
+    if not outside[least] and outside.any():
+        least = int(outside.argmax())
+
+    def read_row(row: int) -> Difference:
+        values = float(nearest[row]), float(rows.values[row])
+        is_label = reference.kind.compared_as == "label"
+        sides = [phases[int(value)] if is_label else value for value in values]
+        return Difference(
+            signal=reference.name,
+            time_ns=clock.read_ns(int(rows.grid.at[row])),
+            recorded=sides[0],
+            replayed=sides[1],
+        )
+
+    return SignalDifference(
+        signal=reference.name,
+        unit=reference.kind.unit,
+        rows=len(off),
+        differing=int(outside.sum()),
+        largest=float(off[least]),
+        limit=float(limit[least]),
+        largest_difference=read_row(least) if off[least] else None,
+        first_difference=read_row(int(outside.argmax())) if outside.any() else None,
+    )
+
+
+def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
+    """Return a signal of both runs, None for a run without it; phases have common numbers."""
+    theirs, ours = (
+        find_signal(who, name) if name in measure.list_signals(who.declaration) else None
+        for who in (reference, run)
+    )
+    if theirs is None or ours is None or ours.kind.compared_as != "label":
+        return theirs, ours
+    names = common_clock.join_phases(reference, run)
+    numbers = np.array([names.index(phase) for phase in run.phase_names], dtype=np.float64)
+    return theirs, replace(ours, values=numbers[ours.values.astype(np.int64)])

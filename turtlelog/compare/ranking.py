@@ -1,12 +1,14 @@
-"""Ranking of runs: conditions that must agree before a run is called the best."""
+"""Ranking of runs: conditions that must agree before a run is called the best, and its marks."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import describe_count, format_number, join_words
+from turtlelog.compare.table import Mark
+from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import CompareError, describe_unknown
+from turtlelog.measure import Metric, find_metric_kind
 from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
@@ -128,7 +130,7 @@ class Ranking:
         """
         notes = [_describe_values(found, names) for found in self.differences]
         runs = {
-            condition: _name([names[row] for row in rows])
+            condition: name_few([names[row] for row in rows])
             for condition, rows in self.unknown.items()
         }
         by_runs: dict[str, list[str]] = {}
@@ -242,20 +244,14 @@ def judge_runs(
         if all(one.condition != condition for one in found)
     }
     # What is known of some runs alone may differ; what is known of none is the same lack of all.
-    partly = [one for one in unknown if len(unknown[one]) < len(known)]
-    found += [_describe_partly(one, known, unknown.pop(one)) for one in partly]
+    for condition in [one for one in unknown if len(unknown[one]) < len(known)]:
+        lacking = unknown.pop(condition)
+        values = [
+            None if row in lacking else _write_condition(condition, one)
+            for row, one in enumerate(known)
+        ]
+        found.append(_differ(condition, values, is_unknown=True))
     return Ranking(varied=differing, differences=tuple(found), unknown=unknown)
-
-
-def _describe_partly(
-    condition: str, known: Sequence[Conditions], rows: Collection[int]
-) -> ConditionDifference:
-    """Return a condition that is unknown for some runs, with its keys as text for the others."""
-    values = (
-        None if row in rows else _write_condition(condition, found)
-        for row, found in enumerate(known)
-    )
-    return _differ(condition, values, is_unknown=True)
 
 
 def _write_condition(condition: str, found: Conditions) -> str:
@@ -270,12 +266,20 @@ def _write_condition(condition: str, found: Conditions) -> str:
 
 def _list_varied(summaries: "Sequence[RunSummary]", purpose: Collection[str]) -> tuple[str, ...]:
     """Return the intentionally varied keys that differ, in the order of the scenario."""
+    return tuple(
+        key
+        for key, values in collect_values(summaries).items()
+        if len(values) > 1 and (key in purpose or _find_condition(key) in purpose)
+    )
+
+
+def collect_values(summaries: "Sequence[RunSummary]") -> dict[str, set[str]]:
+    """Return the different values of every parameter, as Python writes them."""
     values: dict[str, set[str]] = {}
     for summary in summaries:
         for key, value in summary.parameters.items():
-            if key in purpose or _find_condition(key) in purpose:
-                values.setdefault(key, set()).add(repr(value))
-    return tuple(key for key, found in values.items() if len(found) > 1)
+            values.setdefault(key, set()).add(repr(value))
+    return values
 
 
 def _find_condition(key: str) -> str:
@@ -308,24 +312,17 @@ def _get_table(condition: str, found: Conditions) -> Keys | None:
 
 def _judge(condition: str, known: Sequence[Conditions]) -> list[ConditionDifference]:
     """Return how runs differ in a condition: in a whole value, or in keys of its table."""
-    if condition == "goal":
-        return _judge_goals(known)
-    if condition == "start":
-        starts = [found.start for found in known]
-        return [] if _are_near(known, starts) else [_differ(condition, starts)]
+    if condition in {"goal", "start"}:
+        places = [found.goal if condition == "goal" else found.start for found in known]
+        if None in places:
+            return [_differ(condition, places, is_unknown=True)]
+        given = [place for place in places if place]
+        is_same = len(given) in {0, len(places)} and _are_near(known, given)
+        return [] if is_same else [_differ(condition, places)]
     kinds = [found.plant for found in known]
     if condition == "plant" and len({*kinds} - {None}) > 1:
         return [ConditionDifference(condition=condition, key="plant.kind", values=tuple(kinds))]
     return _judge_table(condition, known)
-
-
-def _judge_goals(known: Sequence[Conditions]) -> list[ConditionDifference]:
-    goals = [found.goal for found in known]
-    if None in goals:
-        return [_differ("goal", goals, is_unknown=True)]
-    places = [goal for goal in goals if goal]
-    is_same = len(places) in {0, len(goals)} and _are_near(known, places)
-    return [] if is_same else [_differ("goal", goals)]
 
 
 def _differ(
@@ -375,22 +372,20 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     groups: dict[str, list[str]] = {}
     for name, value in zip(names, found.values, strict=True):
         groups.setdefault(_show(found, value), []).append(name)
-    parts = [f"{value} of {_name(who)}" for value, who in groups.items()]
+    parts = [f"{value} of {name_few(who)}" for value, who in groups.items()]
     more = len(parts) - _MOST_NAMED
     if more > 0:
         parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
-    is_goal = found.is_unknown and found.condition == "goal"
-    hint = f". {_advise_goal(found)} gives it" if is_goal else ""
+    hint = ""
+    if found.is_unknown and found.condition == "goal":
+        is_of_all = all(value is None for value in found.values)  # as the option applies to all
+        option = "--goal X,Y" if is_of_all else "turtlelog convert FILE --goal X,Y -o NEW.mcap"
+        hint = f". {option} gives it"
     return f"{found.key}: {', '.join(parts)}{hint}."
 
 
-def _advise_goal(found: ConditionDifference) -> str:
-    """Return the option that sets a goal for runs without a goal; it applies to all files."""
-    is_of_all = all(value is None for value in found.values)
-    return "--goal X,Y" if is_of_all else "turtlelog convert FILE --goal X,Y -o NEW.mcap"
-
-
-def _name(runs: Sequence[str]) -> str:
+def name_few(runs: Sequence[str]) -> str:
+    """Return the names of a few runs in a sentence; the number of more runs."""
     return join_words(runs) if len(runs) <= _MOST_NAMED else describe_count(len(runs), "run")
 
 
@@ -404,3 +399,64 @@ def _show(found: ConditionDifference, value: Any) -> str:
         turned = "" if heading_rad is None else f" at {math.degrees(heading_rad):.4g} deg"
         return f"({x_m:.5g}, {y_m:.5g}) m{turned}"
     return format_number(value) if isinstance(value, float) else str(value)
+
+
+def list_metric_units(metrics: Sequence[Metric]) -> list[str]:
+    """Return the units of a metric's values; several if loops of the same name differ."""
+    valued = [metric.unit for metric in metrics if metric.value is not None]
+    return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
+
+
+def list_units(summaries: "Sequence[RunSummary]", name: str) -> list[str]:
+    """Return the units of a metric in some runs; empty for a parameter."""
+    found = [summary.find_metric(name) for summary in summaries]
+    return list_metric_units([metric for metric in found if metric is not None])
+
+
+def mark_metric(
+    summaries: "Sequence[RunSummary]", name: str, *, ranking: Ranking | None = None
+) -> dict[int, Mark]:
+    """Return which runs are the best and the worst in a metric; empty if all print alike.
+
+    The result is also empty if loops of the same name control signals with different units, or if
+    runs may not be ranked.
+
+    Args:
+        summaries: Runs to mark.
+        name: Id of the metric.
+        ranking: Whether the runs may be ranked, if already known.
+    """
+    if not (judge_runs(summaries) if ranking is None else ranking).is_fair:
+        return {}
+    kind = find_metric_kind(name)
+    better = kind.better if kind and len(list_units(summaries, name)) < 2 else None
+    found = [summary.find_metric(name) if better else None for summary in summaries]
+    values = {row: metric.value for row, metric in enumerate(found) if metric is not None}
+    # Values below the floor of a metric are equally good.
+    floor = -math.inf if kind is None or kind.floor is None else kind.floor
+    known = {row: max(value, floor) for row, value in values.items() if value is not None}
+    low, high = min(known.values(), default=0.0), max(known.values(), default=0.0)
+    # Values that the answer prints alike are equally good: nobody reads a difference between them.
+    unit = list_units(summaries, name)[0] if known else ""
+    if format_short(low, unit) == format_short(high, unit):
+        return {}
+    best, worst = (low, high) if better == "lower" else (high, low)
+    marks: dict[int, Mark] = {row: "best" for row, value in known.items() if value == best}
+    return marks | {row: "worst" for row, value in known.items() if value == worst}
+
+
+def name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
+    """Return which run is the best in all compared metrics; empty if no run is marked."""
+    best = {
+        name: {row for row, mark in found.items() if mark == "best"}
+        for name, found in marks.items()
+        if found
+    }
+    if not best:
+        return ""
+    common = set.intersection(*best.values())
+    if not common:
+        return "no run is best at everything"
+    what = next(iter(best)) if len(best) == 1 else "everything"
+    who = join_words([names[row] for row in sorted(common)])
+    return f"{who} {'is' if len(common) == 1 else 'are'} best at {what}"

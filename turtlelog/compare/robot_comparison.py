@@ -1,4 +1,4 @@
-"""Deviation of a simulated robot from a recorded one, and whether noise explains the errors."""
+"""Errors of a simulated robot beside a recorded one: pieces of a run, bands, noise, the table."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,8 +11,10 @@ from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.identify import AxisTraces
 from turtlelog.run import Clock, PoseColumns
+from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 SEEDS: Final = 39
 """Number of simulations of one motion. Another motion of the same kind lies between the smallest
@@ -390,3 +392,86 @@ def _compare(
         # One more draw of the same kind differs from the mean of others by this.
         spread = each.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(each))
         return float(one - each.mean()), float(spread)
+
+
+_NEAR: Final = 0.1
+"""Share of the horizon within which a pose must lie to end a piece. Errors grow by the same
+share."""
+
+_SPARSE: Final = 0.25
+"""The same share for sparse poses, of which the nearest may be further away."""
+
+_HALF_STEP: Final = 0.55
+"""Largest distance of the nearest pose, relative to the usual time between poses: half, plus
+jitter."""
+
+_MOST_GROWTH: Final = 20
+"""Number of points of the curve of errors over time."""
+
+
+def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int]:
+    """Return the first and last rows of pieces, shape (2, n), and the number of gaps between them.
+
+    Each piece begins where the previous one ends.
+    """
+    row, gaps = int(np.searchsorted(time_ns, known_ns)), 0
+    begins, ends = [], []
+    last = len(time_ns) - 1
+    apart_ns = float(np.median(np.diff(time_ns))) if last else 0.0
+    near_ns = min(max(_NEAR * horizon_ns, _HALF_STEP * apart_ns), _SPARSE * horizon_ns)
+    while row < last and time_ns[last] - time_ns[row] >= horizon_ns - near_ns:
+        wanted_ns = int(time_ns[row]) + horizon_ns
+        after = min(int(np.searchsorted(time_ns, wanted_ns)), last)
+        is_before = wanted_ns - time_ns[after - 1] < abs(time_ns[after] - wanted_ns)
+        end = after - int(is_before)
+        if end > row and abs(int(time_ns[end]) - wanted_ns) <= near_ns:
+            begins.append(row)
+            ends.append(end)
+            row = end
+        else:
+            gaps += 1
+            row = after if after > row else row + 1
+    return np.array([begins, ends], dtype=np.int64).reshape(2, -1), gaps
+
+
+def list_growth_rows(time_ns: Rows, cut: Rows, horizon_s: float) -> Rows:
+    """Return rows at equal times after each beginning, shape (pieces, points)."""
+    usual_s = float(np.median(np.diff(time_ns))) / 1e9
+    points = max(min(_MOST_GROWTH, int(horizon_s / (2.0 * usual_s))), 1)
+    share = np.arange(points + 1) / points
+    wanted_ns = time_ns[cut[0]][:, None] + np.rint(share * horizon_s * 1e9).astype(np.int64)
+    after = np.clip(np.searchsorted(time_ns, wanted_ns), 1, len(time_ns) - 1)
+    is_before = wanted_ns - time_ns[after - 1] < time_ns[after] - wanted_ns
+    rows = np.clip(after - is_before, cut[0][:, None], cut[1][:, None])
+    rows[:, 0] = cut[0]
+    return np.asarray(rows)
+
+
+def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
+    """Return the pieces without jumps, and the number of pieces with jumps."""
+    inside = np.diff(np.searchsorted(jumps, cut, side="right"), axis=0)[0]
+    return cut[:, inside == 0], int(np.count_nonzero(inside))
+
+
+def measure_errors(actual: Values, predicted: Values) -> Values:
+    """Return the errors in distance [m] and turn [rad] at the end of each piece, shape (2, n).
+
+    Both states have the shape (2, n, 3), for beginnings and ends of pieces. The predictions are
+    moved so that they begin at the actual state.
+    """
+    turn_rad = actual[0, :, 2] - predicted[0, :, 2]
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    ahead_m, aside_m = (predicted[1, :, :2] - predicted[0, :, :2]).T
+    moved_m = actual[1, :, :2] - actual[0, :, :2]
+    off_m = np.hypot(
+        moved_m[:, 0] - (cosine * ahead_m - sine * aside_m),
+        moved_m[:, 1] - (sine * ahead_m + cosine * aside_m),
+    )
+    turned_rad = subtract_headings(actual[1, :, 2], actual[0, :, 2])
+    expected_rad = subtract_headings(predicted[1, :, 2], predicted[0, :, 2])
+    return np.array([off_m, np.abs(subtract_headings(turned_rad, expected_rad))])
+
+
+def stack_states(poses: PoseColumns) -> Values:
+    """Return x, y [m] and heading [rad] of poses, shape (n, 3)."""
+    return np.column_stack([poses.xy_m, poses.heading_rad])

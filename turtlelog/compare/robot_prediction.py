@@ -7,41 +7,35 @@ there with all earlier commands.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.compare import driven_commands
-from turtlelog.compare.driven_commands import Rows, Values
+from turtlelog.compare import robot_comparison
 from turtlelog.compare.robot_comparison import (
-    SEEDS,
-    SHORTEST_S,
     ErrorBand,
     ErrorGrowth,
     NoiseLevel,
     Quantity,
     RobotComparison,
-    compare_noise,
+    Rows,
+    Values,
 )
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
-from turtlelog.identify.axis_motion import (
-    AXES,
-    NAMES,
-    Axis,
-    AxisMotion,
-    AxisTraces,
-    join_rates,
-    measure_axis_steps,
-    read_axis_motion,
-)
+from turtlelog.identify import axis_motion
+from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
+from turtlelog.identify.robot_noise import NORMAL_MAD
 from turtlelog.replay.plant_replay import sense_driven
-from turtlelog.run import PoseColumns, Run
+from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows
-from turtlelog.scenario import Scenario
+from turtlelog.run.loops import PLANT_KEYS, read_number
+from turtlelog.scenario import Scenario, flatten_scenario, override_scenario
+from turtlelog.simulate.loop_parts import RANDOM_KEYS, list_streams
 
 HORIZONS_S: Final = (1.0, 5.0)
 """Times for which a motion is predicted before the next anchor [s]."""
@@ -62,8 +56,10 @@ _MOVED: Final = 1e-9
 """Smallest motion between two poses of a moving robot [m] or [rad]; rounding alone moves a robot as
 far."""
 
-_QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
-
+_QUANTITIES: Final[tuple[Quantity, Quantity]] = (
+    "position",
+    "heading",
+)
 _CENTRAL: Final = (0.025, 0.5, 0.975)
 
 
@@ -89,20 +85,28 @@ def compare_robot(
     _require_sense(run, scenario, horizons_s)
     zero_ns = run.start_ns
     run, notes = _take_part(run, scenario)
-    motions = {axis: read_axis_motion(run, axis) for axis in AXES}
-    recorded, commands = run.poses, driven_commands.list_commands(run, motions, scenario)
+    motions = {axis: axis_motion.read_axis_motion(run, axis) for axis in AXES}
+    recorded, commands = run.poses, _list_commands(run, motions, scenario)
     start_ns = min(int(recorded.time_ns[0]), int(commands.time_ns[0]))
     commands = replace(commands, time_ns=commands.time_ns - start_ns)
     times_ns = recorded.time_ns - start_ns
-    states = sense_driven(driven_commands.silence(scenario), commands, times_ns)
+    states = sense_driven(_silence(scenario), commands, times_ns)
     simulated = replace(recorded, xy_m=states[:, :2], heading_rad=states[:, 2])
-    known_ns = driven_commands.find_known(run, scenario)
-    jumps = driven_commands.find_impossible_steps(run, simulated, scenario)
+    known_ns = _find_known(run, scenario)
+    jumps = _find_impossible_steps(run, simulated, scenario)
+
+    def cut_sound(horizon_s: float) -> tuple[Rows, int, int]:
+        cut, gaps = robot_comparison.cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)
+        sound, lost = robot_comparison.drop_jumps(cut, jumps)
+        return sound, gaps, lost
+
     cuts = {}
     for horizon_s in horizons_s:
-        cut, gaps = driven_commands.cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)
-        sound, lost = driven_commands.drop_jumps(cut, jumps)
-        notes += _tell_lost(horizon_s, gaps, lost)
+        sound, gaps, lost = cut_sound(horizon_s)
+        after, outliers = f"After {horizon_s:g} s:", describe_count(lost, "outlier")
+        many = f"{describe_count(gaps, 'gap')} of the poses"
+        notes += [f"{after} {many}, over which nothing is predicted."] if gaps else []
+        notes += [f"{after} {outliers}, as the poses jump meanwhile; not counted."] if lost else []
         if sound.shape[1]:
             cuts[horizon_s] = sound
         else:
@@ -110,21 +114,23 @@ def compare_robot(
     if not cuts:
         raise CompareError(_tell_too_short(run, horizons_s, known_ns, len(jumps)))
     longest = cuts[max(cuts)]
-    short_s = max(SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
-    short, _ = driven_commands.drop_jumps(
-        driven_commands.cut_pieces(recorded.time_ns, round(short_s * 1e9), known_ns)[0], jumps
-    )
-    grown = driven_commands.list_growth_rows(recorded.time_ns, longest, max(cuts))
-    rows = np.unique(
-        np.concatenate([grown.ravel(), short.ravel(), *(cut.ravel() for cut in cuts.values())])
-    )
+    short_s = max(robot_comparison.SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
+    short, _, _ = cut_sound(short_s)
+    grown = robot_comparison.list_growth_rows(recorded.time_ns, longest, max(cuts))
+    rows = np.unique(np.concatenate([one.ravel() for one in (grown, short, *cuts.values())]))
+    # Here sensed poses are never lost or late, so these random effects do nothing.
+    is_random = bool(list_streams(scenario) - {"dropout_lose_pose", "jitter_pose_travel"})
     worlds = np.array(
         [
             sense_driven(replace(scenario, seed=_FIRST_SEED + seed), commands, times_ns[rows])
-            for seed in range(SEEDS if driven_commands.is_random(scenario) else 0)
+            for seed in range(robot_comparison.SEEDS if is_random else 0)
         ]
     )
     stack = _Stack(recorded, states, rows, worlds)
+    rates = [
+        [axis_motion.measure_axis_steps(poses, axis) for poses in (recorded, simulated)]
+        for axis in AXES
+    ]
     return RobotComparison(
         name=run.name,
         scenario=scenario.name,
@@ -141,14 +147,12 @@ def compare_robot(
         simulated=simulated,
         begins=longest[0],
         ends=longest[1],
-        traces=tuple(_trace(axis, motions[axis], recorded, simulated) for axis in AXES),
-        start_s=zero_ns / 1e9,
-        notes=(
-            *notes,
-            *_tell_start(run, zero_ns, known_ns),
-            *_tell_jumps(run, zero_ns, jumps),
-            *_tell_motion(run, motions),
+        traces=tuple(
+            axis_motion.join_rates(axis, motions[axis], time_s, measured, modelled)
+            for axis, ((time_s, measured, _), (_, modelled, _)) in zip(AXES, rates, strict=True)
         ),
+        start_s=zero_ns / 1e9,
+        notes=(*notes, *_list_notes(run, motions, zero_ns, known_ns, jumps)),
     )
 
 
@@ -159,18 +163,17 @@ class _Stack:
         self, recorded: PoseColumns, predicted: Values, rows: Rows, worlds: Values
     ) -> None:
         self._time_ns, self._rows, self._worlds = recorded.time_ns, rows, worlds
-        self._recorded = driven_commands.stack_states(recorded)
+        self._recorded = robot_comparison.stack_states(recorded)
         self._predicted = predicted
 
     def _measure(self, cut: Rows) -> tuple[Values, Values | None]:
         """Return the recorded errors, shape (2, n), and those of each seed, shape (seeds, 2, n)."""
-        recorded = driven_commands.measure_errors(self._recorded[cut], self._predicted[cut])
+        predicted, measure = self._predicted[cut], robot_comparison.measure_errors
+        recorded = measure(self._recorded[cut], predicted)
         if not len(self._worlds):
             return recorded, None
-        found = self._worlds[:, np.searchsorted(self._rows, cut)]
-        return recorded, np.array(
-            [driven_commands.measure_errors(one, self._predicted[cut]) for one in found]
-        )
+        worlds = self._worlds[:, np.searchsorted(self._rows, cut)]
+        return recorded, np.array([measure(one, predicted) for one in worlds])
 
     def measure_bands(self, horizon_s: float, cut: Rows, start_ns: int) -> list[ErrorBand]:
         """Return the errors of position and heading at the ends of pieces."""
@@ -202,7 +205,7 @@ class _Stack:
         if simulated is None or simulated_later is None:
             return ()
         levels = (
-            compare_noise(
+            robot_comparison.compare_noise(
                 quantity,
                 after_s,
                 (recorded[number], simulated[:, number]),
@@ -270,25 +273,6 @@ def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
     return replace(run, poses=sensed, samples=none), notes
 
 
-def _trace(
-    axis: Axis, motion: AxisMotion, recorded: PoseColumns, simulated: PoseColumns
-) -> AxisTraces:
-    time_s, measured, _ = measure_axis_steps(recorded, axis)
-    _, modelled, _ = measure_axis_steps(simulated, axis)
-    return join_rates(axis, motion, time_s, measured, modelled)
-
-
-def _tell_lost(horizon_s: float, gaps: int, jumped: int) -> list[str]:
-    told = []
-    if gaps:
-        many = describe_count(gaps, "gap")
-        told.append(f"After {horizon_s:g} s: {many} of the poses, over which nothing is predicted.")
-    if jumped:
-        many = describe_count(jumped, "outlier")
-        told.append(f"After {horizon_s:g} s: {many}, as the poses jump meanwhile; not counted.")
-    return told
-
-
 def _tell_too_short(run: Run, horizons_s: Sequence[float], known_ns: int, jumps: int) -> str:
     left_s = max((int(run.poses.time_ns[-1]) - known_ns) / 1e9, 0.0)
     extra = f" with {describe_count(jumps, 'jump')}" if jumps else ""
@@ -298,39 +282,166 @@ def _tell_too_short(run: Run, horizons_s: Sequence[float], known_ns: int, jumps:
     )
 
 
-def _tell_start(run: Run, start_ns: int, known_ns: int) -> list[str]:
-    first_ns = int(run.poses.time_ns[0])
-    if known_ns <= first_ns:
-        return []
-    return [
-        f"Predictions begin at {(known_ns - start_ns) / 1e9:.3g} s: what was commanded before the"
-        " first recorded command is not known."
-    ]
-
-
-def _tell_jumps(run: Run, start_ns: int, jumps: Rows) -> list[str]:
-    poses, told = run.poses, []
+def _list_notes(
+    run: Run, motions: Mapping[Axis, AxisMotion], start_ns: int, known_ns: int, jumps: Rows
+) -> Iterator[str]:
+    poses = run.poses
+    if known_ns > poses.time_ns[0]:
+        yield (
+            f"Predictions begin at {(known_ns - start_ns) / 1e9:.3g} s: what was commanded before"
+            " the first recorded command is not known."
+        )
     for row in jumps[:_MOST_NAMED].tolist():
         moved_m = float(np.hypot(*(poses.xy_m[row] - poses.xy_m[row - 1])))
         turned_rad = float(subtract_headings(poses.heading_rad[row], poses.heading_rad[row - 1]))
-        told.append(
+        yield (
             f"Jump: the pose at {(poses.time_ns[row] - start_ns) / 1e9:.3f} s lies {moved_m:.3g} m"
             f" and {np.degrees(turned_rad):.3g} deg from the one before."
         )
-    more = len(jumps) - len(told)
-    return [*told, f"And {describe_count(more, 'jump')} more."] if more else told
-
-
-def _tell_motion(run: Run, motions: Mapping[Axis, AxisMotion]) -> list[str]:
-    told = []
+    if len(jumps) > _MOST_NAMED:
+        yield f"And {describe_count(len(jumps) - _MOST_NAMED, 'jump')} more."
     for axis, motion in motions.items():
         if motion.stops:
             many = describe_count(len(motion.stops), "time")
-            told.append(
-                f"The {NAMES[axis]} stops by itself where no command comes, {many}; the simulated"
-                " robot is stopped then."
+            yield (
+                f"The {axis_motion.NAMES[axis]} stops by itself where no command comes, {many}; the"
+                " simulated robot is stopped then."
             )
     aside = float(np.abs(run.commands.lateral_speed_m_s).max())
     if aside:
-        told.append(f"Commands sideways, up to {aside:.3g} m/s, are left out: the plant has none.")
-    return told
+        yield f"Commands sideways, up to {aside:.3g} m/s, are left out: the plant has none."
+
+
+_FADED: Final = 1e-3
+"""Share of an earlier rate below which the rate no longer counts."""
+
+_BEFORE_S: Final = 60.0
+"""Time before the first pose; of earlier commands, only the last is simulated [s]."""
+
+_HALF: Final = 0.5
+
+_ROUNDING_NS: Final = 1000
+"""Resolution of a double of seconds since 1970 [ns]: a silence ends before the next command."""
+
+_JUMP_RATE: Final = 2.0
+"""Size of a jump, as a multiple of the largest motion that a command can cause in the time."""
+
+_JUMP_NOISE: Final = 12.0
+"""Size of a jump, as a multiple of the standard deviation of the steps between poses: normal noise
+never reaches it."""
+
+_GRAIN: Final = 1e-6
+"""Smallest size of a jump, the 32-bit resolution [m] or [rad]. Without this size, the rounding of a
+robot without noise would be a jump."""
+
+
+def _list_commands(
+    run: Run, motions: Mapping[Axis, AxisMotion], scenario: Scenario
+) -> CommandColumns:
+    """Return the commands during the poses, with a 0 wherever the robot stops by itself."""
+    first_ns, last_ns = int(run.poses.time_ns[0]), int(run.poses.time_ns[-1])
+    columns = run.commands
+    time_ns, speed, turn_rate = columns.time_ns, columns.speed_m_s, columns.turn_rate_rad_s
+    if time_ns[0] >= last_ns:
+        raise CompareError(
+            f"{run.name}: expected commands while poses are recorded, found them from"
+            f" {(time_ns[0] - last_ns) / 1e9:.3g} s after the last pose on"
+        )
+    begin_ns = first_ns - round(_BEFORE_S * 1e9)
+    first = max(int(np.searchsorted(time_ns, begin_ns, side="right")) - 1, 0)
+    after = int(np.searchsorted(time_ns, last_ns, side="right"))
+    held = {"speed": speed[first:after].copy(), "turn_rate": turn_rate[first:after].copy()}
+    time_ns = np.maximum(time_ns[first:after], begin_ns)
+    for axis in AXES:
+        for stop in motions[axis].stops:
+            # It is down to half by then, and the simulated robot takes its own time to get there.
+            begun = max(int(np.searchsorted(time_ns, round(stop.begin_s * 1e9), "right")) - 1, 0)
+            earlier_s = _find_delay(scenario, axis, float(held[axis][begun]), _HALF)
+            stop_ns = round(max(stop.stop_s - earlier_s, stop.begin_s) * 1e9)
+            row = int(np.searchsorted(time_ns, stop_ns, side="right"))
+            if not row:
+                continue
+            time_ns = np.insert(time_ns, row, stop_ns)
+            held = {name: np.insert(value, row, value[row - 1]) for name, value in held.items()}
+            held[axis][row:][time_ns[row:] < round(stop.end_s * 1e9) - _ROUNDING_NS] = 0.0
+    commands = CommandColumns(
+        time_ns=time_ns,
+        speed_m_s=held["speed"],
+        lateral_speed_m_s=np.zeros(len(time_ns)),
+        turn_rate_rad_s=held["turn_rate"],
+    )
+    loop = scenario.loop
+    if loop.queue_policy != "newest" or loop != _silence(scenario).loop:
+        return commands  # by chance or in a queue, a repeated command may have an effect
+    changes = np.diff(held["speed"]) != 0.0
+    changes |= np.diff(held["turn_rate"]) != 0.0
+    return take_rows(commands, np.concatenate([[True], changes]))
+
+
+def _find_known(run: Run, scenario: Scenario) -> int:
+    """Return when rates begin to follow from recorded commands [ns]; if at rest, the beginning."""
+    poses, first_ns = run.poses, int(run.commands.time_ns[0])
+    earlier = poses.time_ns <= first_ns
+    seen_s = (poses.time_ns[earlier][-1] - poses.time_ns[0]) / 1e9 if earlier.any() else 0.0
+    if seen_s >= axis_motion.LOOK_S and all(_stands(run, axis, earlier, seen_s) for axis in AXES):
+        return int(poses.time_ns[0])
+    delays_s = [
+        _find_delay(scenario, axis, float(np.abs(get_commands(run, axis)).max()), _FADED)
+        for axis in AXES
+    ]
+    return first_ns + round(max(delays_s) * 1e9)
+
+
+def _silence(scenario: Scenario) -> Scenario:
+    """Return a scenario without its random effects."""
+    return override_scenario(scenario, dict.fromkeys(RANDOM_KEYS, 0.0))
+
+
+def _find_delay(scenario: Scenario, axis: Axis, command: float, left: float) -> float:
+    """Return the time until the response to a command has decayed to a given fraction [s]."""
+    values, loop = flatten_scenario(scenario), scenario.loop
+    key = PLANT_KEYS[axis]
+    transport_s: float = loop.transport_delay_s
+    transport_s += loop.transport_delay_ticks * scenario.plant.facts.period_s
+    lag_s = read_number(values, f"{key}lag_s")
+    acceleration = read_number(values, f"{key}acceleration", math.inf)
+    gains = [read_number(values, f"{key}{name}gain") for name in ("", "reverse_")]
+    rate = max(map(abs, gains)) * abs(command)
+    rate = min(rate, read_number(values, f"{key}bound", math.inf))
+    fading_s, end = 0.0, left * rate
+    if acceleration < math.inf:
+        bend = min(max(acceleration * lag_s, end), rate)
+        fading_s, rate = (rate - bend) / acceleration, bend
+    if rate > end:
+        fading_s += lag_s * math.log(rate / end)
+    return transport_s + read_number(values, f"{key}dead_time_s") + fading_s
+
+
+def _stands(run: Run, axis: Axis, earlier: NDArray[np.bool_], seen_s: float) -> bool:
+    """Return whether a robot is at rest in a segment, or an axis is never commanded."""
+    largest = float(np.abs(get_commands(run, axis)).max())
+    poses = run.poses
+    if axis == "speed":
+        moved = float(np.hypot(*(poses.xy_m[earlier][-1] - poses.xy_m[0])))
+    else:
+        moved = abs(float(subtract_headings(poses.heading_rad[earlier][-1], poses.heading_rad[0])))
+    return not largest or moved <= axis_motion.STANDING * largest * seen_s
+
+
+def _find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario) -> Rows:
+    """Return the rows of poses that no robot can have reached from the previous pose."""
+    poses = run.poses
+    if len(poses) < 2:
+        return np.zeros(0, dtype=np.int64)
+    steps = np.array([np.arange(len(poses) - 1), np.arange(1, len(poses))])
+    states = (robot_comparison.stack_states(one) for one in (poses, simulated))
+    errors = robot_comparison.measure_errors(*(one[steps] for one in states))
+    apart_s = np.diff(poses.time_ns) / 1e9
+    apart_s = np.maximum(apart_s, np.median(apart_s))
+    gains = scenario.plant.speed_gain, scenario.plant.turn_gain
+    jumps = np.zeros(len(errors[0]), dtype=bool)
+    for error, axis, gain in zip(errors, AXES, gains, strict=True):
+        most = abs(1.0 if gain is None else gain) * float(np.abs(get_commands(run, axis)).max())
+        noise = NORMAL_MAD * float(np.median(error))
+        jumps |= error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
+    return np.flatnonzero(jumps) + 1

@@ -7,11 +7,12 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from turtlelog import expressions
 from turtlelog.compare.run_summary import TEXTS, RunSummary, complete_parameters, describe_run_end
-from turtlelog.compare.table import order_ids
+from turtlelog.compare.table import Cell, Column, order_ids
 from turtlelog.display import cut_name, describe_count, describe_range, split_numbers
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.log import split_topic
@@ -22,7 +23,7 @@ from turtlelog.measure import (
     list_metrics,
 )
 from turtlelog.run import Parameter, Run
-from turtlelog.run.loops import Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.run.stop_reasons import find_goal_end
 
 _MOST_PARAMETERS: Final = 2
@@ -68,14 +69,12 @@ def shorten_names(runs: Sequence[RunSummary]) -> tuple[tuple[RunSummary, ...], l
     """
     names = name_runs(runs)
     long = [len(name) > _LONGEST for name in names]
-    short = _number(
-        [
-            cut_name(label_file(run.file) if run.file else name, _LONGEST, tail=_TAIL)
-            if is_long
-            else name
-            for run, name, is_long in zip(runs, names, long, strict=True)
-        ]
-    )
+    cut = [
+        cut_name(label_file(run.file) if run.file else name, _LONGEST, tail=_TAIL)
+        for run, name in zip(runs, names, strict=True)
+    ]
+    triples = zip(names, cut, long, strict=True)
+    short = _number([brief if is_long else name for name, brief, is_long in triples])
     generated = {
         name: run.name
         for name, run, is_long in zip(short, runs, long, strict=True)
@@ -95,13 +94,16 @@ def _describe_changes(generated: Mapping[str, str]) -> list[str]:
 
 
 def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
-    """Return different names for runs with the same name."""
     files = [run.file for run in runs if isinstance(run, RunSummary) and run.file]
-    if len(runs) == 1 or len(files) < len(runs):
-        differing = _find_differing(runs)
-        return [_add_parameters(run, differing) for run in runs]
-    counts = Counter(Path(file).name for file in {*files})
-    return [file if counts[Path(file).name] > 1 else Path(file).name for file in files]
+    if len(files) == len(runs) > 1:
+        counts = Counter(Path(file).name for file in {*files})
+        return [file if counts[Path(file).name] > 1 else Path(file).name for file in files]
+    names, differing = [], _find_differing(runs)
+    for run in runs:
+        known = _read_parameters(run)
+        values = [f"{word} {_format(known.get(key))}" for key, word in differing.items()]
+        names.append(" ".join([run.name, *values]))
+    return names
 
 
 def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
@@ -129,12 +131,6 @@ def list_differing(runs: Sequence[Run | RunSummary]) -> list[str]:
 def has_one_gain(run: Run | RunSummary) -> bool:
     """Return whether all loops that declare a gain have the same gain."""
     return len({run.parameters.get(key) for key in run.declaration.list_gains()}) == 1
-
-
-def _add_parameters(run: Run | RunSummary, differing: Mapping[str, str]) -> str:
-    known = _read_parameters(run)
-    values = [f"{word} {_format(known.get(key))}" for key, word in differing.items()]
-    return " ".join([run.name, *values])
 
 
 def _read_parameters(run: Run | RunSummary) -> Mapping[str, Parameter]:
@@ -170,8 +166,8 @@ def order_by_gain(runs: Sequence[AnyRun]) -> tuple[AnyRun, ...]:
 
 def _get_gains(run: Run | RunSummary) -> tuple[float, ...]:
     gains = [run.parameters.get(key) for key in run.declaration.list_gains()]
-    known = [float(gain) if isinstance(gain, int | float) else math.inf for gain in gains]
-    return tuple(known) if known else (math.inf,)
+    known = (float(gain) if isinstance(gain, int | float) else math.inf for gain in gains)
+    return tuple(known) or (math.inf,)
 
 
 def select_runs(
@@ -227,10 +223,87 @@ def sort_runs(
     name = by.removeprefix("-")
     if find_metric_kind(name) is None:
         _require_name(name, _list_names(summaries), source)
-    valued = [found for found in summaries if found.find_value(name) is not None]
-    rest = [found for found in summaries if found.find_value(name) is None]
-    valued.sort(key=lambda found: _rank(found.find_value(name)), reverse=by != name)
-    return (*valued, *rest)
+    values = [found.find_value(name) for found in summaries]
+    return _sort(summaries, values, reverse=by != name)
+
+
+def _sort(
+    summaries: Sequence[RunSummary], values: Sequence[Any], *, reverse: bool
+) -> tuple[RunSummary, ...]:
+    """Return runs in the order of their values, numbers before texts, and None last."""
+    pairs = [(one, found) for one, found in zip(values, summaries, strict=True) if one is not None]
+    pairs.sort(
+        key=lambda pair: (0, pair[0]) if isinstance(pair[0], int | float) else (1, str(pair[0])),
+        reverse=reverse,
+    )
+    rest = [found for one, found in zip(values, summaries, strict=True) if one is None]
+    return (*(found for _, found in pairs), *rest)
+
+
+def sort_by_column(
+    summaries: Sequence[RunSummary], by: str, *, source: str = "sort"
+) -> tuple[RunSummary, ...]:
+    """Return the runs in rising order of a gain, by its column title; otherwise as `sort_runs`.
+
+    Raises:
+        CompareError: If no run has this column.
+    """
+    title = by.removeprefix("-")
+    titles = [column.title for column in list_gain_columns(summaries)]
+    if title not in titles:
+        if title == "Kp" and titles:
+            raise CompareError(f"{source}: expected {' or '.join(titles)}, found {title!r}")
+        return sort_runs(summaries, by, source=source)
+    gains = [get_gain(found, title) for found in summaries]
+    numbers = [gain if isinstance(gain, int | float) else None for gain in gains]
+    return _sort(summaries, numbers, reverse=by != title)
+
+
+def list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
+    """Return the gain columns: one column if all loops of each run have the same gain."""
+    known = [
+        found
+        for found in summaries
+        if any(found.parameters.get(key) is not None for key in found.declaration.list_gains())
+    ]
+    is_one = all(map(has_one_gain, known))
+    units: dict[str, list[str]] = {}
+    for found in known:
+        for title, loop in _title_gains(found.declaration).items():
+            units.setdefault("Kp" if is_one else title, []).append(loop.gain_unit)
+    return [
+        Column(title=title, unit=found[0] if len({*found}) == 1 else "")
+        for title, found in units.items()
+    ]
+
+
+def _title_gains(declaration: Declaration) -> dict[str, ControlLoop]:
+    """Return the loops with a gain by column title: `Kp turn`, or the loop's own name."""
+    loops = [loop for loop in declaration.loops if loop.gain is not None]
+    keys = {(loop.command, loop.gain) for loop in loops}
+    counts = {word: sum(command == word for command, _ in keys) for word in _COMMAND_WORDS}
+    return {
+        f"Kp {_COMMAND_WORDS[loop.command] if counts[loop.command] == 1 else loop.name}": loop
+        for loop in loops
+    }
+
+
+def get_gain(summary: RunSummary, title: str) -> Cell:
+    """Return the gain in a column of `list_gain_columns`; None if the run has none."""
+    if title == "Kp":
+        gains = summary.declaration.list_gains()
+        return get_parameter(summary, gains[0]) if gains else None
+    loop = _title_gains(summary.declaration).get(title)
+    return None if loop is None or loop.gain is None else get_parameter(summary, loop.gain)
+
+
+def get_parameter(summary: RunSummary, name: str) -> Cell:
+    """Return a parameter as a cell of a table."""
+    value = summary.parameters.get(name)
+    return str(value).lower() if isinstance(value, bool | list) else value
+
+
+_COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"})
 
 
 def choose_columns(
@@ -310,23 +383,15 @@ def list_needed_metrics(
 
 
 _MOST_NOTES: Final = 5
-
-
 _USUAL_OF_LOOP: Final = ("settling_time", "overshoot", "rms_error")
-
-
 _USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.duration")
-
-
 _USUAL_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.turn_rate_effort")
-
 
 USUAL_OF_MOTION: Final = (
     *("final.position_error", "run.duration", "run.path_length", "run.measured_speed_max"),
     *("run.speed_lag", "run.turn_rate_lag"),
 )
 """Default metrics of runs with an unknown law."""
-
 
 _USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)
 """Patterns of the default metrics for any law, before the runs are read."""
@@ -357,11 +422,6 @@ def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
         for name, metric in missing.items()
     ]
     return ", ".join(lacks) or "the expression has no value"
-
-
-def _rank(value: Any) -> tuple[int, Any]:
-    """Return a sort key that places numbers before texts."""
-    return (0, value) if isinstance(value, int | float) else (1, str(value))
 
 
 def describe_runs(runs: Sequence[Run]) -> str:

@@ -8,21 +8,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from turtlelog import measure
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, release_frames
 from turtlelog.log import ReadChoice, read_as_chosen
-from turtlelog.measure import (
-    MeasureSettings,
-    Metric,
-    Metrics,
-    choose_metrics,
-    find_metric_kind,
-    list_essential_metrics,
-    list_metrics,
-    measure_run,
-    miss_metric,
-)
+from turtlelog.measure import MeasureSettings, Metric, Metrics
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run, require_run
@@ -97,7 +88,10 @@ class RunSummary:
         packed = {
             "parameters": dict(self.parameters),
             "notes": dict(self.notes),
-            "metrics": [_pack(key, metric) for key, metric in self.metrics.items()],
+            "metrics": [
+                (key, one.id, one.value, one.unit, one.status.value, one.reason, one.at_s)
+                for key, one in self.metrics.items()
+            ],
         }
         return _rebuild, (values | packed,)
 
@@ -119,17 +113,17 @@ class RunSummary:
 
         The result is None if the metric was not measured, or if the id belongs to a parameter.
         """
-        if name in self.metrics or name in list_metrics(self.declaration):
+        if name in self.metrics or name in measure.list_metrics(self.declaration):
             return self.metrics.get(name)
-        is_metric = name not in self.parameters and find_metric_kind(name) is not None
-        return miss_metric(self.declaration, name) if is_metric else None
+        is_metric = name not in self.parameters and measure.find_metric_kind(name) is not None
+        return measure.miss_metric(self.declaration, name) if is_metric else None
 
     def __repr__(self) -> str:
         ended = self.stop_reason or "end not recorded"
         return fit_line(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
 
     def _repr_html_(self) -> str:
-        first = list_essential_metrics(self.declaration)
+        first = measure.list_essential_metrics(self.declaration)
         return Metrics(self.metrics.items(), first=first)._repr_html_()
 
 
@@ -175,46 +169,34 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
 def _rebuild(values: dict[str, Any]) -> RunSummary:
     # What thousands of runs have in common is in memory once, though each was pickled alone.
     named: dict[str, Any] = {
-        "parameters": {sys.intern(k): _share(one) for k, one in values["parameters"].items()},
-        "metrics": dict(map(_unpack, values["metrics"])),
+        "parameters": {
+            sys.intern(key): _share_text(one) if isinstance(one, str) else one
+            for key, one in values["parameters"].items()
+        },
+        "metrics": {
+            sys.intern(key): Metric(
+                id=sys.intern(name),
+                value=value,
+                unit=sys.intern(unit),
+                status=Status(status),
+                reason=_share_text(reason),
+                at_s=at_s,
+            )
+            for key, name, value, unit, status, reason, at_s in values["metrics"]
+        },
         "declaration": _share_declaration(values["declaration"]),
         "conditions": _share_conditions(values["conditions"]),
     }
     return RunSummary(**values | named)
 
 
-_Packed = tuple[str, str, float | None, str, str, str, float | None]
+@lru_cache(maxsize=1024)
+def _share_text(text: str) -> str:
+    return text
 
 
-def _pack(key: str, metric: Metric) -> _Packed:
-    status = metric.status.value
-    return key, metric.id, metric.value, metric.unit, status, metric.reason, metric.at_s
-
-
-def _unpack(packed: _Packed) -> tuple[str, Metric]:
-    key, name, value, unit, status, reason, at_s = packed
-    metric = Metric(
-        id=sys.intern(name),
-        value=value,
-        unit=sys.intern(unit),
-        status=Status(status),
-        reason=_share(reason),
-        at_s=at_s,
-    )
-    return sys.intern(key), metric
-
-
-def _share(value: Any) -> Any:
-    """Return a shared copy of an equal text; other values unchanged."""
-    return _keep_text(value) if isinstance(value, str) else value
-
-
-def _return_same(value: Any) -> Any:
-    return value
-
-
-_keep_text, _share_conditions = (lru_cache(maxsize=1024)(_return_same) for _ in range(2))
-_share_declaration = lru_cache(maxsize=64)(_return_same)
+_share_conditions: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
+_share_declaration: Callable[[Any], Any] = lru_cache(maxsize=64)(lambda value: value)
 
 
 def summarise_run(
@@ -222,7 +204,7 @@ def summarise_run(
 ) -> RunSummary:
     """Return the summary of a run; `metrics` are its metrics if they are already measured."""
     require_run(run)
-    return summarise_measured(run, file, measure_run(run) if metrics is None else metrics)
+    return summarise_measured(run, file, measure.measure_run(run) if metrics is None else metrics)
 
 
 def summarise_measured(
@@ -298,16 +280,16 @@ def summarise_files(
     if isinstance(jobs, int) and jobs < 1:
         raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
     if only is not None and not callable(only):
-        choose_metrics(only, Declaration())  # refuses what names no metric of any law
+        measure.choose_metrics(only, Declaration())  # refuses what names no metric of any law
         only = (only,) if isinstance(only, str) else tuple(only)
-    measure = partial(
+    measure_file = partial(
         _measure_file,
         settings=settings,
         only=only,
         topics=topics or ReadChoice(),
         with_parameters=with_parameters,
     )
-    return map_in_processes(measure, [str(path) for path in paths], jobs)
+    return map_in_processes(measure_file, [str(path) for path in paths], jobs)
 
 
 def _measure_file(
@@ -323,7 +305,7 @@ def _measure_file(
     except TurtlelogError as err:
         return release_frames(err)
     chosen = only(run) if callable(only) else only
-    metrics = measure_run(run, settings, only=chosen)
+    metrics = measure.measure_run(run, settings, only=chosen)
     return summarise_measured(run, path, metrics, with_parameters=with_parameters)
 
 
@@ -342,20 +324,62 @@ def complete_summaries(
         return tuple(summaries)
     ids = dict.fromkeys(name for found in summaries for name in found.metrics)
     shared = [name for name in ids if name.partition(".")[0] in {"final", "run"}]
-    return tuple(_complete(found, shared, settings, topics or ReadChoice()) for found in summaries)
+    completed = []
+    for found in summaries:
+        lacking = [name for name in shared if name not in found.metrics]
+        if lacking:
+            run = read_as_chosen(found.file, topics or ReadChoice())
+            more = measure.measure_run(run, settings, only=lacking)
+            completed.append(replace(found, metrics={**found.metrics, **more}))
+        else:
+            completed.append(found)
+    return tuple(completed)
 
 
-def _complete(
-    summary: RunSummary,
-    ids: Sequence[str],
-    settings: MeasureSettings | None,
-    topics: ReadChoice,
-) -> RunSummary:
-    lacking = [name for name in ids if name not in summary.metrics]
-    if not lacking:
-        return summary
-    found = measure_run(read_as_chosen(summary.file, topics), settings, only=lacking)
-    return replace(summary, metrics={**summary.metrics, **found})
+def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[str, ...]:
+    """Return the metrics for which at least one run has the data.
+
+    If every run has a law, all metrics are returned, so that tables do not depend on the data.
+    """
+    if not any(found.is_lawless for found in summaries):
+        return tuple(ids)
+    held = {
+        name
+        for found in summaries
+        for name, metric in found.metrics.items()
+        if metric.status is not Status.ABSENT
+    }
+    return tuple(name for name in ids if name in held)
+
+
+def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
+    """Return which inputs would add metrics, if all runs are third-party bags without them."""
+    if not summaries or not all(found.is_lawless for found in summaries):
+        return []
+    return [
+        f"No {unlock}."
+        for lack, unlock in UNLOCKS.items()
+        if all(lack in one.lacks and can_unlock(lack, one.lacks) for one in summaries)
+    ]
+
+
+def can_unlock(lack: str, lacks: Sequence[str]) -> bool:
+    """Return whether adding a missing input would help: a goal needs poses."""
+    return lack != "goal" or "poses" not in lacks
+
+
+UNLOCKS: Final = MappingProxyType(
+    {
+        "poses": "poses: a recorded Odometry, PoseStamped or /tf adds the path, measured rates and"
+        " how the robot follows its commands",
+        "commands": "commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds lags,"
+        " tracking errors and steps",
+        "goal": "goal: --goal X,Y adds final.position_error and run.time_to_goal",
+        "samples": "samples of a controller: only recordings of turtlelog have them, and with them"
+        " metrics of loops",
+    }
+)
+"""Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 
 def describe_end(summary: RunSummary) -> str:
@@ -388,7 +412,7 @@ def describe_run_end(run: Run) -> str:
     """Return place and time of a run's end, as `describe_end` does; it measures what that reads."""
     furthest = [_FURTHEST] if run.path is not None else []
     needed = [_LENGTH, *furthest, _DURATION, *_list_rms(run)]
-    return describe_end(summarise_run(run, metrics=measure_run(run, only=needed)))
+    return describe_end(summarise_run(run, metrics=measure.measure_run(run, only=needed)))
 
 
 def _list_rms(run: Run | RunSummary) -> list[str]:

@@ -8,25 +8,9 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from turtlelog.compare import trajectory_errors
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.compare.trajectory_errors import (
-    Alignment,
-    Associated,
-    DegenerateError,
-    DeltaUnit,
-    ErrorStatistics,
-    PoseErrors,
-    align_trajectory,
-    associate_trajectories,
-    choose_pairs,
-    find_alignment,
-    find_origin_alignment,
-    measure_absolute_errors,
-    measure_relative_errors,
-    measure_way_steps,
-    project_trajectory,
-    summarise_errors,
-)
+from turtlelog.compare.trajectory_errors import Alignment, DeltaUnit, ErrorStatistics, PoseErrors
 from turtlelog.display import describe_count, fit_line, format_short, join_words
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.run.columns import Trajectory
@@ -106,7 +90,7 @@ class TrajectoryComparison:
             compared.
         align: Alignment of the estimate.
         alignment: Transformation of the alignment.
-        reference: Associated poses of the reference.
+        reference: trajectory_errors.Associated poses of the reference.
         estimate: Aligned poses of the estimate at the same times.
         errors: ATE of positions and rotations, then the RPE of each delta.
         absolute: Errors of the ATE, pose by pose.
@@ -138,7 +122,7 @@ class TrajectoryComparison:
         return None
 
     def __repr__(self) -> str:
-        rmse = format_short(summarise_errors(self.absolute.position_m).rmse, "m")
+        rmse = format_short(trajectory_errors.summarise_errors(self.absolute.position_m).rmse, "m")
         return fit_line(f"<TrajectoryComparison of {self.name}: ATE {rmse} RMSE ({self.align})>")
 
 
@@ -188,23 +172,25 @@ def compare_trajectories(
     pair = _associate(reference, estimate, settings)
     is_planar = align in {"se2", "sim2"} or "plane" in {reference.space, estimate.space}
     if is_planar:
-        pair = Associated(project_trajectory(pair.reference), project_trajectory(pair.estimate))
-    before = measure_absolute_errors(*pair)
+        pair = trajectory_errors.Associated(*map(trajectory_errors.project_trajectory, pair))
+    before = trajectory_errors.measure_absolute_errors(*pair)
     alignment = _align(pair, align, estimate.name, reference.name)
-    aligned = align_trajectory(pair.estimate, alignment)
-    absolute = measure_absolute_errors(pair.reference, aligned)
+    aligned = trajectory_errors.align_trajectory(pair.estimate, alignment)
+    absolute = trajectory_errors.measure_absolute_errors(pair.reference, aligned)
     errors = [*_list_errors("ate", absolute, None)]
     if aligned.clock == "frame" and any(delta.unit == "s" for delta in settings.deltas):
         raise CompareError(f"{estimate.name}: has no times, so no relative motions in s")
     for delta in settings.deltas:
         # Along the reference: noise makes the way of an estimate many times as long.
-        rows = choose_pairs(pair.reference, delta.value, delta.unit, overlaps=settings.overlaps)
+        rows = trajectory_errors.choose_pairs(
+            pair.reference, delta.value, delta.unit, overlaps=settings.overlaps
+        )
         if not len(rows[0]):
             raise CompareError(
                 f"{estimate.name}: no relative motion of {delta}: the {len(aligned)} associated"
                 f" poses of {reference.name} {_describe_extent(pair.reference)}"
             )
-        found = measure_relative_errors(pair.reference, aligned, rows)
+        found = trajectory_errors.measure_relative_errors(pair.reference, aligned, rows)
         errors += _list_errors("rpe", found, delta)
     return TrajectoryComparison(
         name=estimate.name,
@@ -216,7 +202,7 @@ def compare_trajectories(
         estimate=aligned,
         errors=tuple(errors),
         absolute=absolute,
-        before_m=summarise_errors(before.position_m).rmse,
+        before_m=trajectory_errors.summarise_errors(before.position_m).rmse,
         poses=(len(estimate), len(reference)),
         notes=tuple(_list_notes(reference, estimate, pair, absolute, align, settings)),
     )
@@ -250,7 +236,7 @@ _FLAT_M, _FLAT_RAD = 1e-6, 1e-6
 
 def _associate(
     reference: Trajectory, estimate: Trajectory, settings: TrajectorySettings
-) -> Associated:
+) -> trajectory_errors.Associated:
     if reference.clock != estimate.clock:
         untimed, timed = (
             (reference, estimate) if reference.clock == "frame" else (estimate, reference)
@@ -266,7 +252,7 @@ def _associate(
         else round(offset_s * 1e9)
     )
     moved = replace(estimate, time_ns=estimate.time_ns + moved_ns)
-    pair = associate_trajectories(
+    pair = trajectory_errors.associate_trajectories(
         reference,
         moved,
         most_apart_ns=round(settings.most_apart_s * 1e9),
@@ -282,7 +268,6 @@ def _associate(
 
 
 def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float | None) -> str:
-    """Return the time spans of both trajectories, and the offset between them."""
     if len(reference) < LEAST_POSES or len(estimate) < LEAST_POSES:
         return f"they have {len(estimate)} and {len(reference)} poses"
     begins, ends = zip(
@@ -297,19 +282,21 @@ def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float
     return f"their times do not overlap: {spans[0]} and {spans[1]}{hint}"
 
 
-def _align(pair: Associated, align: AlignIn, name: str, reference: str) -> Alignment:
+def _align(
+    pair: trajectory_errors.Associated, align: AlignIn, name: str, reference: str
+) -> Alignment:
     if align == "none":
         return Alignment(rotation=np.eye(3), translation_m=np.zeros(3))
     if align == "origin":
-        return find_origin_alignment(pair.reference, pair.estimate)
+        return trajectory_errors.find_origin_alignment(pair.reference, pair.estimate)
     try:
-        return find_alignment(
+        return trajectory_errors.find_alignment(
             pair.reference.xyz_m,
             pair.estimate.xyz_m,
             dimensions=2 if align.endswith("2") else 3,
             scales=align.startswith("sim"),
         )
-    except DegenerateError as err:
+    except trajectory_errors.DegenerateError as err:
         other = "origin" if align.endswith("2") or "still" in str(err) else "se2"
         raise CompareError(
             f"{name}: not aligned to {reference}: {err}, so the rotation of an alignment in"
@@ -332,17 +319,14 @@ def _list_errors(
     values = {"position": found.position_m, "rotation": found.rotation_rad}
     quantity: Literal["position", "rotation"]
     for quantity in ("position", "rotation"):
-        statistics = summarise_errors(values[quantity])
+        statistics = trajectory_errors.summarise_errors(values[quantity])
         yield TrajectoryError(kind=kind, quantity=quantity, delta=delta, statistics=statistics)
 
 
-_EXTENTS: Final[tuple[DeltaUnit, ...]] = ("m", "deg")
-
-
 def _describe_extent(trajectory: Trajectory) -> str:
-    """Return the length, duration and total turn of a trajectory."""
     span_s = float(trajectory.time_ns[-1] - trajectory.time_ns[0]) / 1e9
-    way_m, turn_deg = (float(measure_way_steps(trajectory, unit).sum()) for unit in _EXTENTS)
+    way_m = trajectory_errors.measure_way_steps(trajectory, "m").sum()
+    turn_deg = trajectory_errors.measure_way_steps(trajectory, "deg").sum()
     told = [f"cover {way_m:.3g} m", *([] if trajectory.clock == "frame" else [f"{span_s:.3g} s"])]
     return f"{join_words(told)} and turn by {turn_deg:.3g} deg"
 
@@ -350,7 +334,7 @@ def _describe_extent(trajectory: Trajectory) -> str:
 def _list_notes(
     reference: Trajectory,
     estimate: Trajectory,
-    pair: Associated,
+    pair: trajectory_errors.Associated,
     absolute: PoseErrors,
     align: AlignIn,
     settings: TrajectorySettings,
@@ -366,7 +350,7 @@ def _list_notes(
             ((pair.reference.xyz_m - pair.reference.xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()
         )
     )
-    rmse_m = summarise_errors(absolute.position_m).rmse
+    rmse_m = trajectory_errors.summarise_errors(absolute.position_m).rmse
     if align in NAMES and rmse_m > _MOST_RMSE * spread_m:
         yield (
             f"The alignment is weak: the error is {rmse_m / spread_m:.0%} of how far the reference"

@@ -122,11 +122,9 @@ def associate_trajectories(
 
 
 def _find_nearest(time_ns: Rows, among_ns: Rows) -> Rows:
-    after = np.clip(np.searchsorted(among_ns, time_ns), 1, max(len(among_ns) - 1, 1))
-    before = after - 1
-    if len(among_ns) == 1:
-        return np.zeros(len(time_ns), dtype=np.int64)
-    is_after = among_ns[after] - time_ns < time_ns - among_ns[before]
+    after = np.minimum(np.searchsorted(among_ns, time_ns), len(among_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    is_after = np.abs(among_ns[after] - time_ns) < np.abs(time_ns - among_ns[before])
     return np.where(is_after, after, before)
 
 
@@ -145,7 +143,6 @@ def _take_at(trajectory: Trajectory, rows: Rows, time_ns: Rows) -> Trajectory:
 
 
 def _interpolate(trajectory: Trajectory, time_ns: Rows) -> Trajectory:
-    """Return a trajectory interpolated at times that it covers."""
     if len(trajectory) == 1:
         return _take_at(trajectory, np.zeros(len(time_ns), dtype=np.int64), time_ns)
     after = np.clip(np.searchsorted(trajectory.time_ns, time_ns), 1, len(trajectory) - 1)

@@ -22,23 +22,28 @@ from .report import (
     write_map_report as write_map_report,
     write_report as write_report,
 )
-from .rerun.comparison_scene import write_comparison_rrd as write_comparison_rrd
+from .rerun.comparison_scene import (
+    write_comparison_rrd as write_comparison_rrd,
+    write_prediction_rrd as write_prediction_rrd,
+    write_robot_rrd as write_robot_rrd,
+)
 from .rerun.explanation_scene import write_explanation_rrd as write_explanation_rrd
 from .rerun.live_viewer import (
     LiveViewer as LiveViewer,
     follow_recording as follow_recording,
-    open_window as open_window,
 )
-from .rerun.robot_scene import (
-    write_prediction_rrd as write_prediction_rrd,
-    write_robot_rrd as write_robot_rrd,
+from .rerun.run_scene import (
+    write_run_rrd as write_run_rrd,
+    write_violation_rrd as write_violation_rrd,
 )
-from .rerun.run_scene import write_run_rrd as write_run_rrd
 from .rerun.snapshot import (
     ShownView as ShownView,
     ViewReport as ViewReport,
     write_snapshot as write_snapshot,
 )
-from .rerun.viewer import open_viewer as open_viewer, serve_recordings as serve_recordings
-from .rerun.violation_scene import write_violation_rrd as write_violation_rrd
+from .rerun.viewer import (
+    open_viewer as open_viewer,
+    open_window as open_window,
+    serve_recordings as serve_recordings,
+)
 from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table

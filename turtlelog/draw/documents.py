@@ -25,10 +25,8 @@ def document_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Ma
         metrics: Metrics of the run, if already measured.
     """
     metrics = measure_run(run) if metrics is None else metrics
-    return {
-        "Metrics": "\n".join(_list_metrics(run, metrics)) + "\n",
-        "Scenario": "\n".join(_list_scenario(run)) + "\n",
-    }
+    texts = {"Metrics": _list_metrics(run, metrics), "Scenario": _list_scenario(run)}
+    return {title: "\n".join(lines) + "\n" for title, lines in texts.items()}
 
 
 def document_runs(
@@ -58,10 +56,7 @@ def document_runs(
 
 
 def _put_ends_first(table: compare.Table) -> compare.Table:
-    """Return a table of runs with their final position errors directly after the gains.
-
-    Next to the pictures there is room for only half of the columns.
-    """
+    """Return a table with final errors next to the gains: pictures leave room for half of it."""
     titles = [column.title for column in table.columns]
     ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
     first = next((place for place, title in enumerate(titles) if "." in title), len(titles))
@@ -88,8 +83,13 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
     yield escape_markdown(run.name, starts_line=True)
     groups = groupby(metrics.values(), lambda metric: metric.id.partition(".")[0])
     tables = [(group, list(found)) for group, found in groups]
-    if not len(run.samples):
-        yield from _summarise_absent([one for one in metrics.values() if one.value is None])
+    if not len(run.samples):  # of a robot's recording, `metrics` lists all reasons
+        missing = [one for one in metrics.values() if one.value is None]
+        if missing:
+            first, *others = dict.fromkeys(metric.reason for metric in missing)
+            more = f", and {describe_count(len(others), 'other reason')}" if others else ""
+            told = f"{describe_count(len(missing), 'metric')} without a value: {first}{more}."
+            yield from ("", escape_markdown(told))
         held = [(group, [one for one in found if one.value is not None]) for group, found in tables]
         tables = [(group, found) for group, found in held if found]
     for group, listed in tables:
@@ -103,16 +103,6 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
         for reason in reasons:
             names = [_shorten(metric.id) for metric in missing if metric.reason == reason]
             yield from ("", f"No {', '.join(names)}: {escape_markdown(reason)}.")
-
-
-def _summarise_absent(missing: Sequence[Metric]) -> Iterable[str]:
-    """Yield a line on the missing values of a robot's recording; `metrics` lists the reasons."""
-    if missing:
-        reasons = dict.fromkeys(metric.reason for metric in missing)
-        first, others = next(iter(reasons)), len(reasons) - 1
-        why = f"{first}, and {describe_count(others, 'other reason')}" if others else first
-        told = f"{describe_count(len(missing), 'metric')} without a value: {why}."
-        yield from ("", escape_markdown(told))
 
 
 def _head_loop(run: Run, name: str) -> str:

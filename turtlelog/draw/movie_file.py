@@ -69,10 +69,10 @@ def write_movie(
     film = plan_film(
         runs, timeline=timeline, length_s=length_s, pictures_per_s=PICTURES_PER_S[suffix]
     )
-    _encode_movie(draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture), path)
+    pictures = draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture)
+    with replace_file(path) as part:
+        (_encode_mp4 if suffix == ".mp4" else _encode_gif)(pictures, part)
 
-
-_MOVIE_FORMATS: Final = (".mp4", ".gif")
 
 PICTURES_PER_S: Final = {".mp4": 24.0, ".gif": 20.0}
 """Picture rates [1/s]. For .mp4, the rate is that of the cinema; VP9 takes 0.13 s of processor time
@@ -90,24 +90,9 @@ def require_encoder(suffix: str) -> None:
         ShowError: If there is no movie format with this suffix.
         LibraryError: If the encoder is not installed.
     """
-    if suffix not in _MOVIE_FORMATS:
+    if suffix not in _SIZES:
         raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
     load_library("cv2" if suffix == ".mp4" else "PIL.Image")
-
-
-def _encode_movie(pictures: Iterable[Picture], path: Path) -> None:
-    """Write pictures of one size. An existing file is replaced when the new one is complete.
-
-    Raises:
-        ShowError: If the file cannot be written.
-    """
-    suffix = path.suffix.lower()
-    require_encoder(suffix)
-    with replace_file(path) as part:
-        if suffix == ".mp4":
-            _encode_mp4(pictures, part)
-        else:
-            _encode_gif(pictures, part)
 
 
 def _encode_mp4(pictures: Iterable[Picture], path: Path) -> None:
@@ -186,9 +171,8 @@ def plan_film(
         ShowError: If a run has no such timeline.
     """
     zeros_ns = tuple(_find_zero_ns(run, timeline) for run in runs)
-    pairs = list(zip(runs, zeros_ns, strict=True))
-    first_s = min((int(run.poses.time_ns[0]) - zero_ns) / 1e9 for run, zero_ns in pairs)
-    last_s = max((int(run.poses.time_ns[-1]) - zero_ns) / 1e9 for run, zero_ns in pairs)
+    ends_ns = [run.poses.time_ns[[0, -1]] - zero for run, zero in zip(runs, zeros_ns, strict=True)]
+    first_s, last_s = float(np.min(ends_ns)) / 1e9, float(np.max(ends_ns)) / 1e9
     whole_s = _choose_length(last_s - first_s) if length_s is None else length_s
     still_s = min(_STILL_S, _MOST_STILL * whole_s)
     driving = max(round((whole_s - still_s) * pictures_per_s), 2)

@@ -23,7 +23,7 @@ from turtlelog.charts.close_up import (
     format_length,
     list_miss_labels,
 )
-from turtlelog.charts.curves import Curve, Values, choose_rows
+from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.many_runs import shorten_run_names
 from turtlelog.charts.robot_curves import part_path
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
@@ -231,7 +231,10 @@ def _set_curve(
         for found in plotted_curves.list_plotted(
             run, plot, plotted_curves.choose_kinds(number, len(runs)) or plotted_curves.COMPARED
         ):
-            time_s, values = _thin(found.curve, zero_ns)
+            curve, time_s = found.curve, (found.curve.time_ns - zero_ns) / 1e9
+            rows = choose_rows(curve.values, _MOST_POINTS)
+            kept = slice(None) if rows is None else rows
+            time_s, values = time_s[kept], curve.values[kept]
             step: Look = {"drawstyle": "steps-post"} if found.curve.holds else {}
             if found.kind not in ("run", "measured"):
                 axes.plot(time_s, values, **step, **_BESIDE)
@@ -252,11 +255,6 @@ def _set_curve(
     axes.set_xlim(float(stage.film.time_s[0]), float(stage.film.time_s[-1]))
     axes.locator_params(axis="y", nbins=4)
     stage.cursors.append(axes.axvline(0.0, color="0.2", linewidth=1.2, animated=True))
-
-
-def _thin(curve: Curve, zero_ns: int) -> tuple[Values, Values]:
-    time_s, rows = (curve.time_ns - zero_ns) / 1e9, choose_rows(curve.values, _MOST_POINTS)
-    return (time_s, curve.values) if rows is None else (time_s[rows], curve.values[rows])
 
 
 def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_up: CloseUp) -> None:
@@ -336,7 +334,6 @@ def _tell_film(film: "Film") -> str:
 
 
 def _find_ratio(figure: Figure, place: tuple[float, float, float, float]) -> float:
-    """Return the ratio of width to height of a place."""
     width, height = figure.get_size_inches()
     return float(place[2] * width / (place[3] * height))
 

@@ -12,8 +12,8 @@ from tests.draw.laws import TRACKERS, build_scenario, build_tracker, simulate_la
 from tests.draw.rerun.headless import start_headless
 from tests.draw.rerun.rrds import list_entities, read_rows, read_times, simulate_preset
 from tests.log.live import start_recording
-from turtlelog.draw.rerun import run_scene
-from turtlelog.draw.rerun.run_scene import GrowingStream, LiveScene
+from turtlelog.draw.rerun import live_viewer
+from turtlelog.draw.rerun.live_viewer import GrowingStream, LiveScene
 from turtlelog.errors import LogError, ShowError
 from turtlelog.simulate import RunCollector, Tick, iterate_ticks
 
@@ -142,7 +142,7 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop a process for a while")
 def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Eight seconds are simulated by the clock: that fills the connection."""
-    monkeypatch.setattr(run_scene, "_FLUSH_S", 0.5)
+    monkeypatch.setattr(live_viewer, "_FLUSH_S", 0.5)
     # Long enough to fill what a connection takes without an answer, however few batches it makes.
     scenario = tl.override_scenario(SHORT, {"max_duration_s": 8.0})
     lags_s: list[float] = []

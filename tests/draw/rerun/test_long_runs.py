@@ -22,7 +22,7 @@ from tests.draw.rerun.rrds import (
 from turtlelog.charts import palette
 from turtlelog.charts.palette import Color, choose_run_colors
 from turtlelog.draw import write_run_rrd
-from turtlelog.draw.rerun import timelines
+from turtlelog.draw.rerun import recording_stream
 from turtlelog.run.columns import take_rows
 
 RUN = simulate_preset("paper-kp10")
@@ -31,7 +31,7 @@ SCALARS = "Scalars:scalars"
 
 
 def test_long_tables_are_sent_in_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timelines, "CHUNK_ROWS", 100)
+    monkeypatch.setattr(recording_stream, "CHUNK_ROWS", 100)
     write_run_rrd(RUN, tmp_path / "run.rrd")
     assert count_chunks(tmp_path / "run.rrd", "/distance") == -(-len(RUN.poses) // 100)
     rows = np.array(read_rows(tmp_path / "run.rrd", "/distance", "Scalars:scalars"))[:, 0]
@@ -44,7 +44,7 @@ def test_what_is_too_long_is_thinned_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.rrd"
-    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    monkeypatch.setattr(recording_stream, "MOST_ROWS", 90)
     write_run_rrd(RUN, path)
     verify(path)
     rows = np.array(read_rows(path, "/turn_rate/commanded", SCALARS))[:, 0]
@@ -61,7 +61,7 @@ def test_borders_of_phases_and_events_of_a_thinned_curve_are_exact(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.rrd"
-    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    monkeypatch.setattr(recording_stream, "MOST_ROWS", 90)
     write_run_rrd(RUN, path)
     spans = [ns for span in RUN.find_phase_spans() for ns in (span.start_ns, span.end_ns)]
     borders_ns = [*spans, *(event.time_ns for event in RUN.events)]
@@ -87,7 +87,7 @@ def test_every_row_of_a_curve_is_sent_up_to_a_quarter_of_a_million(
     rows: int, *, is_thinned: bool
 ) -> None:
     received: Any = Received()
-    stream = timelines.RunStream(received, "", timelines.Timelines(zero_ns=0))
+    stream = recording_stream.RunStream(received, "", recording_stream.Timelines(zero_ns=0))
     values = np.sin(np.arange(rows) / 7.0)
     stream.send("curve", np.arange(rows), values, lambda part: rr.Scalars.columns(scalars=part))
     assert (received.rows < rows) == is_thinned
@@ -99,25 +99,25 @@ def test_borders_are_kept_up_to_sixteen_thousand(
     monkeypatch: pytest.MonkeyPatch, beyond: int
 ) -> None:
     """More of them would undo the thinning."""
-    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    monkeypatch.setattr(recording_stream, "MOST_ROWS", 90)
     spans = {ns for span in RUN.find_phase_spans() for ns in (span.start_ns, span.end_ns)}
     times_ns = range(1, 2**14 - len(spans) + beyond + 1)
     events = tuple(tl.run.Event(time_ns=ns, kind="wall_hit", text="") for ns in times_ns)
-    found = timelines.build_run_timelines(replace(RUN, events=events)).borders_ns
+    found = recording_stream.build_run_timelines(replace(RUN, events=events)).borders_ns
     assert len(found) == (0 if beyond else 2**14)
 
 
 def test_of_a_run_with_too_many_borders_no_rows_beside_them_are_promised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    monkeypatch.setattr(recording_stream, "MOST_ROWS", 90)
     events = tuple(tl.run.Event(time_ns=ns, kind="wall_hit", text="") for ns in range(2**14 + 1))
     crowded = replace(RUN, name="crowded", events=events)
     beside = "the rows beside each border of a phase and each event"
-    text = timelines.add_thinning({}, [RUN, crowded])["Drawn"]
+    text = recording_stream.add_thinning({}, [RUN, crowded])["Drawn"]
     assert f"{beside} (not of crowded: more than 16,384)." in text
-    assert f"{beside}." in timelines.add_thinning({}, [RUN])["Drawn"]
-    assert "beside" not in timelines.add_thinning({}, [crowded])["Drawn"]
+    assert f"{beside}." in recording_stream.add_thinning({}, [RUN])["Drawn"]
+    assert "beside" not in recording_stream.add_thinning({}, [crowded])["Drawn"]
     rows = slice(80)
     short = replace(
         crowded,
@@ -125,13 +125,13 @@ def test_of_a_run_with_too_many_borders_no_rows_beside_them_are_promised(
         samples=take_rows(RUN.samples, rows),
         commands=take_rows(RUN.commands, rows),
     )
-    assert f"{beside}." in timelines.add_thinning({}, [RUN, short])["Drawn"]
+    assert f"{beside}." in recording_stream.add_thinning({}, [RUN, short])["Drawn"]
 
 
 def test_a_long_trace_is_thinned_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(timelines, "TRACE_ROWS", 100)
+    monkeypatch.setattr(recording_stream, "TRACE_ROWS", 100)
     write_run_rrd(RUN, tmp_path / "run.rrd")
     trace = join_strips(tmp_path / "run.rrd", "/plane/path")
     assert len(trace) <= 101

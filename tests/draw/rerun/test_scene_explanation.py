@@ -25,8 +25,14 @@ from turtlelog.charts.attribution_steps import StepScale
 from turtlelog.charts.palette import choose_turtle_size
 from turtlelog.draw import write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.explanation_pictures import choose_ticks, write_tick
-from turtlelog.draw.rerun.ghosts import build_ideal_ghost, find_ideal_poses, list_gaps, measure_gap
-from turtlelog.draw.rerun.plane import MOST_SEGMENTS, count_segments
+from turtlelog.draw.rerun.turtles import (
+    MOST_SEGMENTS,
+    build_ideal_ghost,
+    count_segments,
+    find_ideal_poses,
+    list_gaps,
+    measure_gap,
+)
 from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution, attribute_run, identify_run, simulate_what_ifs
 from turtlelog.run import Run

@@ -14,7 +14,7 @@ from tests.draw.rerun.rrds import (
     read_static,
     read_times,
 )
-from turtlelog.draw.rerun.world import Bounds, widen_plane
+from turtlelog.draw.rerun.plane import Bounds, widen_plane
 from turtlelog.log import Surroundings
 from turtlelog.log.ros2.bag_surroundings import UNKNOWN, OccupancyMap
 

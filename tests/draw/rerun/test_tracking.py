@@ -21,9 +21,9 @@ from tests.draw.rerun.rrds import (
 from turtlelog.charts.plane_scene import find_worst_place
 from turtlelog.draw import write_comparison_rrd, write_run_rrd
 from turtlelog.draw.rerun.content import find_corners
+from turtlelog.draw.rerun.plane import find_plane_bounds
 from turtlelog.draw.rerun.plots import Series
 from turtlelog.draw.rerun.run_scene import build_single
-from turtlelog.draw.rerun.world import find_plane_bounds
 from turtlelog.measure import read_signal
 
 KANAYAMA, PURSUIT = simulate_tracker("kanayama"), simulate_tracker("pure-pursuit")

@@ -13,7 +13,7 @@ import pytest
 from rerun.experimental import ViewerClient
 
 from turtlelog.draw import write_snapshot
-from turtlelog.draw.rerun import live_viewer, snapshot, viewer
+from turtlelog.draw.rerun import snapshot, viewer
 from turtlelog.draw.rerun.viewer import ViewerProcess, wait_for_viewer
 from turtlelog.errors import ShowError
 
@@ -98,7 +98,7 @@ def answering(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(ViewerClient, "connect", lambda _: DyingClient())
     monkeypatch.setattr(snapshot, "start_viewer", start_dying)
-    monkeypatch.setattr(live_viewer, "start_viewer", start_dying)
+    monkeypatch.setattr(viewer, "start_viewer", start_dying)
 
 
 @pytest.mark.usefixtures("answering")
@@ -127,6 +127,6 @@ def test_a_snapshot_by_a_viewer_that_draws_nothing_names_what_is_missing(
 def test_a_window_that_draws_nothing_is_none() -> None:
     with (
         pytest.raises(ShowError, match=r"expected a window, found: .*render context.*; without"),
-        live_viewer.open_window("take a picture"),
+        viewer.open_window("take a picture"),
     ):
         pytest.fail("the window counts as open")

@@ -25,8 +25,8 @@ from tests.draw.rerun.rrds import (
 from turtlelog.charts import palette
 from turtlelog.charts.plotted_curves import name_phase_timeline
 from turtlelog.draw import write_comparison_rrd, write_explanation_rrd, write_run_rrd
-from turtlelog.draw.rerun.timelines import build_compared_timelines
-from turtlelog.draw.rerun.world import find_plane_bounds
+from turtlelog.draw.rerun.plane import find_plane_bounds
+from turtlelog.draw.rerun.recording_stream import build_compared_timelines
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration

@@ -1,7 +1,8 @@
-"""The figures of a report with their descriptions in words, its plane and close-up of the goal."""
+"""Figures of a report with descriptions: the plane, the goal, and the signals of failed checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 from turtlelog.charts import plane_scene
 from turtlelog.charts.close_up import CloseUp, format_length
 from turtlelog.charts.curves import Values, choose_rows
-from turtlelog.charts.palette import Color, choose_turtle_size, to_hex
+from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, choose_turtle_size, to_hex
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.charts.robot_curves import find_break_rows, part_path
+from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import describe_count
 from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
@@ -43,29 +45,19 @@ class Drawn:
 
 @dataclass(slots=True, kw_only=True)
 class Plots:
-    """The plots of a page.
+    """The plots of a page."""
 
-    Attributes:
-        roots: Figures by the id of their place.
-        config: Ids of models for the script by role.
-        thinned: Number of curves drawn with fewer points than were recorded.
-        points: Largest number of points of a curve.
-        kinds: Kinds of curves in the page.
-        crosshair: Line at the time under the mouse, in all plots over time.
-        alternatives: Description of each figure in words, by its place.
-    """
-
-    roots: dict[str, Any] = field(default_factory=dict)
-    config: dict[str, Any] = field(default_factory=dict)
-    thinned: int = 0
-    points: int = MOST_POINTS
-    kinds: set[CurveKind] = field(default_factory=set)
-    crosshair: Any = field(
+    roots: dict[str, Any] = field(default_factory=dict)  # figures by the id of their place
+    config: dict[str, Any] = field(default_factory=dict)  # ids of models for the script by role
+    thinned: int = 0  # number of curves drawn with fewer points than were recorded
+    points: int = MOST_POINTS  # largest number of points of a curve
+    kinds: set[CurveKind] = field(default_factory=set)  # kinds of curves in the page
+    crosshair: Any = field(  # line at the time under the mouse, in all plots over time
         default_factory=lambda: load_library("bokeh.models").Span(
             dimension="height", line_color=RING, line_alpha=0.5
         )
     )
-    alternatives: dict[str, str] = field(default_factory=dict)
+    alternatives: dict[str, str] = field(default_factory=dict)  # figures in words, by place
 
 
 def thin(plots: Plots, columns: Sequence[NDArray[Any]], kept: NDArray[Any]) -> list[NDArray[Any]]:
@@ -110,7 +102,10 @@ _MOST_TOLD: Final = 4
 
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
     """Draw the plane, and the close-up of the goal if there is one."""
-    models = load_library("bokeh.models")
+    models, whole_m = load_library("bokeh.models"), WORLD_SIZE_M
+    if not plane_scene.is_in_world([one.run for one in drawn]):
+        places = np.concatenate([one.run.poses.xy_m for one in drawn])
+        whole_m = max(float(np.ptp(places, axis=0).max()), 0.1)
     poses_of: dict[str, list[Any]] = {key: [] for key in ("t", "x", "y", "h")}
     for one in drawn:
         poses, breaks = one.run.poses, find_break_rows(one.run)
@@ -160,17 +155,10 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             for legend in figure.legend:
                 legend.update(visible=shown is None, location="bottom_left")
         figure.x_range.renderers = figure.y_range.renderers = still
-        size_m = 0.07 * shown.half_m if shown else 0.045 * _measure_size(drawn)
+        size_m = 0.07 * shown.half_m if shown else 0.045 * whole_m
         size_m *= choose_turtle_size(len(drawn))
         plots.config["planes"].append({"turtles": turtles.id, "size": size_m})
     plots.config["trails"] = trails.id
-
-
-def _measure_size(drawn: Sequence[Drawn]) -> float:
-    if plane_scene.is_in_world([one.run for one in drawn]):
-        return WORLD_SIZE_M
-    places = np.concatenate([one.run.poses.xy_m for one in drawn])
-    return max(float(np.ptp(places, axis=0).max()), 0.1)
 
 
 def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> list[Any]:
@@ -198,18 +186,13 @@ def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> l
                 fill_alpha=0.0, line_alpha=0.0,
             )
         )  # fmt: skip
-        _draw_rings(figure, shown)
+        for ring_m, ring in zip(shown.rings_m, shown.list_rings(), strict=True):
+            figure.line(*ring.T, color=RING, alpha=0.6)
+            figure.text(
+                [x], [y + ring_m], text=[format_length(ring_m)], text_color=RING,
+                text_font_size="11px", text_align="center", text_baseline="bottom",
+            )  # fmt: skip
     return still
-
-
-def _draw_rings(figure: Any, shown: CloseUp) -> None:
-    x, y = shown.goal_xy_m
-    for ring_m, ring in zip(shown.rings_m, shown.list_rings(), strict=True):
-        figure.line(*ring.T, color=RING, alpha=0.6)
-        figure.text(
-            [x], [y + ring_m], text=[format_length(ring_m)], text_color=RING,
-            text_font_size="11px", text_align="center", text_baseline="bottom",
-        )  # fmt: skip
 
 
 def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
@@ -220,11 +203,9 @@ def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
     for group in plane_scene.find_gain_ends([one.run for one in drawn]):
         color = colors[group.middle_run]
         figure.line(
-            *group.around_xy_m.T,
-            color=color,
-            line_width=1.5,
+            *group.around_xy_m.T, color=color, line_width=1.5,
             legend_label=plane_scene.OUTLINE_LABEL,
-        )
+        )  # fmt: skip
         figure.scatter(
             *group.median_xy_m.reshape(2, 1), marker="diamond", size=13, line_color="white",
             fill_color=color, legend_label=plane_scene.MEDIAN_LABEL,
@@ -238,7 +219,13 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
     x_m, y_m = zip(*(end.xy_m for end in ends), strict=True)
     figure.scatter(x_m, y_m, size=9, color=colors)
     some = ends if len(ends) <= _MOST_TOLD else (ends[0], ends[-1])
-    told = [one for n, one in enumerate(some) if not _is_near(one, some[:n], shown)]
+    # Texts within 8 % of the view's height would overlap.
+    near_m = 0.16 * shown.half_m
+    told = [
+        end
+        for number, end in enumerate(some)
+        if not any(abs(end.xy_m[1] - other.xy_m[1]) < near_m for other in some[:number])
+    ]
     for number, end in enumerate(told):
         # The nearest is labelled on the left, all others on the right: turtles come from one side.
         is_left = number == 0 and len(told) > 1
@@ -250,9 +237,127 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
         )  # fmt: skip
 
 
-def _is_near(end: Any, others: Sequence[Any], shown: CloseUp) -> bool:
-    """Return whether the text of an end would overlap another: within 8 % of the view's height."""
-    return any(abs(end.xy_m[1] - other.xy_m[1]) < 0.16 * shown.half_m for other in others)
+MOST_VIOLATIONS: Final = 6
+"""Largest number of failed checks with a plot; the table lists all failed checks."""
+
+RED: Final = to_hex(VIOLATION)
+
+_CLOSE: Final = 0.3
+"""Distance between two moments, as a share of the width, below which their texts would overlap."""
+
+
+def draw_violations(
+    plots: Plots, found: Sequence[tuple[ViolatedSignal, Color | None]], x_range: Any
+) -> None:
+    """Draw the signal of each failed check, in its run's colour, on the common time axis.
+
+    The page gets places `violation-0`, `violation-1` and so on.
+    """
+    for number, (violated, color) in enumerate(found[:MOST_VIOLATIONS]):
+        _draw_violation(plots, f"violation-{number}", violated, color or MAIN, x_range)
+
+
+def _draw_violation(
+    plots: Plots, place: str, violated: ViolatedSignal, color: Color, x_range: Any
+) -> None:
+    models = load_library("bokeh.models")
+    shown = violated.find_range()
+    low, high = shown.low, shown.high
+    title = violated.title.replace("_", " ")
+    title = f"{title}, {shown.note}" if shown.note else title
+    figure = make_figure(
+        plots, place, title, x_range=x_range, height=260, y_range=models.Range1d(low, high),
+        x_axis_label="time from the first sample [s]",
+    )  # fmt: skip
+    _draw_band(figure, violated, (low, high), x_range.end)
+    curve = violated.curve
+    draw = partial(figure.step, mode="after") if curve.holds else figure.line
+    time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
+    draw(time_s, values, color=to_hex(color), line_width=1.8)
+    is_red = violated.outside.copy()
+    if curve.holds:
+        is_red[1:] |= violated.outside[:-1]
+    red = np.where(is_red, curve.values, np.nan)
+    time_s, red = thin(plots, [curve.time_s, red], red)
+    draw(time_s, red, color=RED, line_width=3.5)
+    _name_moments(plots, figure, violated, (low, high), x_range.end)
+    cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
+    figure.add_layout(cursor)
+    plots.config["cursors"].append(cursor.id)
+    tips = [("time", "$x{0.000} s"), (violated.name, f"$y{{0.0000}} {violated.unit}")]
+    figure.add_tools(models.CrosshairTool(overlay=plots.crosshair))
+    figure.add_tools(models.HoverTool(tooltips=tips, line_policy="nearest"))
+
+
+def _draw_band(
+    figure: Any, violated: ViolatedSignal, height: tuple[float, float], end_s: float
+) -> None:
+    """Shade the allowed band over its time, and name its limits."""
+    time_s = violated.curve.time_s
+    whole = np.ones(len(time_s))
+    ends = {"low": violated.low, "high": violated.high}
+    below, above = (
+        whole * edge if end is None else end
+        for edge, end in zip(height, ends.values(), strict=True)
+    )
+    asked = np.isfinite(below) & np.isfinite(above)
+    if asked.any():
+        nowhere = np.where(asked, 0.0, np.nan)
+        figure.varea(
+            store(time_s), store(below + nowhere), store(above + nowhere),
+            fill_color=to_hex(ALLOWED), fill_alpha=0.13,
+        )  # fmt: skip
+    if violated.reference is not None:
+        figure.line(store(time_s), store(violated.reference), color=RING)
+    for side, name in violated.describe_limits().items():
+        end = ends[side]
+        if end is None:
+            continue
+        figure.line(
+            store(time_s), store(end), color=to_hex(ALLOWED), line_dash="dashed", line_width=1.6
+        )
+        known = np.flatnonzero(np.isfinite(end))
+        if len(known):
+            row = known[0]
+            # If the band begins late, its name would leave the plot on the right.
+            is_late = time_s[row] > 0.7 * end_s
+            figure.text(
+                [time_s[row]], [end[row]], text=[name], text_color=to_hex(ALLOWED),
+                text_font_size="12px", x_offset=-4 if is_late else 4,
+                text_align="right" if is_late else "left", y_offset=-2 if side == "high" else 2,
+                text_baseline="bottom" if side == "high" else "top",
+            )  # fmt: skip
+
+
+def _name_moments(
+    plots: Plots,
+    figure: Any,
+    violated: ViolatedSignal,
+    height: tuple[float, float],
+    end_s: float,
+) -> None:
+    """Mark the worst and the first moment, named on the side that has more room."""
+    named = [(violated.worst, violated.worst_word)]
+    if violated.first != violated.worst:
+        named.append((violated.first, "first"))
+    # A violation is an extreme: there is room beyond it, and less on the other side.
+    is_above = violated.worst.value >= sum(height) / 2.0
+    is_close = abs(violated.first.time_s - violated.worst.time_s) < _CLOSE * end_s
+    for moment, word in named:
+        if word == "first" and is_close:
+            is_above = not is_above
+        figure.scatter(
+            [moment.time_s], [moment.value], size=10, color=RED, line_color="white",
+            marker="circle" if word != "first" else "inverted_triangle",
+        )  # fmt: skip
+        is_late = moment.time_s > 0.5 * end_s
+        words = figure.text(
+            [moment.time_s], [moment.value], text=[violated.describe_moment(moment, word)],
+            text_color=RED, text_font_size="13px", text_font_style="bold",
+            text_align="right" if is_late else "left", x_offset=-6 if is_late else 6,
+            y_offset=-9 if is_above else 9, text_baseline="bottom" if is_above else "top",
+        )  # fmt: skip
+        plots.config["words"].append(words.glyph.id)
 
 
 _MOST_NAMED: Final = 6
@@ -269,20 +374,17 @@ def describe_plot(title: str, curves: Sequence[tuple[str, Values]]) -> str:
     if not known:
         return f"{title}: no values."
     if len(known) <= _MOST_NAMED:
-        said = [f"{name}: {_describe_values(values)}" for name, values in known]
+        said = [
+            f"{name}: from {_write(values[0])} to {_write(values[-1])}, {_write_range(values)}"
+            for name, values in known
+        ]
         return f"{title} over time. {'; '.join(said)}."
     values = np.concatenate([values for _, values in known])
-    return (
-        f"{title} over time of {describe_count(len(known), 'run')},"
-        f" between {_write(values.min())} and {_write(values.max())}."
-    )
+    return f"{title} over time of {describe_count(len(known), 'run')}, {_write_range(values)}."
 
 
-def _describe_values(values: Values) -> str:
-    return (
-        f"from {_write(values[0])} to {_write(values[-1])},"
-        f" between {_write(values.min())} and {_write(values.max())}"
-    )
+def _write_range(values: Values) -> str:
+    return f"between {_write(values.min())} and {_write(values.max())}"
 
 
 def _write(value: float) -> str:

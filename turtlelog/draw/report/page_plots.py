@@ -1,20 +1,20 @@
-"""The plots of a report as models of Bokeh, and their ids for the page's script."""
+"""Plots over time of a report as models of Bokeh, their marks, and their ids for the script."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts import plotted_curves
-from turtlelog.charts.characteristics import Characteristic, list_characteristics
+from turtlelog.charts import characteristics, palette, plotted_curves
+from turtlelog.charts.characteristics import Characteristic
 from turtlelog.charts.close_up import find_close_up
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import describe_restless, find_restless
-from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
+from turtlelog.charts.palette import to_hex
 from turtlelog.charts.robot_curves import list_seen_gaps
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.draw.report import drawing
-from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots
+from turtlelog.draw.report.drawing import RING, Drawn, Plots
 from turtlelog.draw.report.sections import CheckLine
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
@@ -45,7 +45,7 @@ _WIDTH: Final = 1.8
 _THIN: Final = 1.2
 """Width of all curves except the run's own curve [pixels]."""
 
-_STROKES: Final[Mapping[Dash, str]] = {
+_STROKES: Final[Mapping[palette.Dash, str]] = {
     "solid": "solid",
     "dashed": "dashed",
     "dotted": "dotted",
@@ -62,17 +62,15 @@ of view. With such outliers, the other rows would take less than a twentieth of 
 
 
 def draw_plots(
-    drawn: Sequence[drawing.Drawn],
+    drawn: Sequence[Drawn],
     metrics: Sequence[Mapping[str, Metric]],
     failed: Sequence[CheckLine],
-) -> drawing.Plots:
+) -> Plots:
     """Return the plane, the close-up of the goal, if any, and the plots over time.
 
     `drawn` are the runs, whose metrics these are, and then the ghosts. `failed` are failed checks.
     """
-    plots = drawing.Plots(
-        points=max(_LEAST_POINTS, min(drawing.MOST_POINTS, _MOST_OF_ALL // len(drawn)))
-    )
+    plots = Plots(points=max(_LEAST_POINTS, min(drawing.MOST_POINTS, _MOST_OF_ALL // len(drawn))))
     inks = [{"name": one.name, "color": to_hex(one.color), "ghost": one.is_ghost} for one in drawn]
     kinds = ("plots", "planes", "marks", "cursors", "figures", "words")
     plots.config = {"runs": inks, **{kind: [] for kind in kinds}}
@@ -88,12 +86,12 @@ def draw_plots(
     plots.config["x_range"] = x_range.id
     plots.config["room_s"] = _ROOM * end_s
     pairs = zip(runs, metrics, strict=False)
-    marks = [list_characteristics(run, known) for run, known in pairs]
+    marks = [characteristics.list_characteristics(run, known) for run, known in pairs]
     for name in _choose_plots(runs):
         _draw_plot(plots, drawn, name, x_range, (marks, failed), restless)
     colors = {one.name: one.color for one in drawn if not one.is_ghost}
     found = [(one.signal, colors.get(one.run)) for one in failed if one.signal is not None]
-    draw_violations(plots, found, x_range)
+    drawing.draw_violations(plots, found, x_range)
     return plots
 
 
@@ -105,8 +103,17 @@ def _choose_plots(runs: Sequence[Run]) -> list[str]:
         if _is_due(runs, plot) and any(plotted_curves.has_own(run, plot) for run in runs)
     ]
     groups = plotted_curves.group_states(*(run.declaration for run in runs))
-    states = [name for group in groups for name in group.names]
-    return names + [name for name in states if _moves(runs, name)][:_MOST_STATES]
+    states = [
+        name
+        for group in groups
+        for name in group.names
+        if any(
+            curve.values.any()
+            for run in runs
+            for curve in plotted_curves.list_own(run, find_plot(name, runs))
+        )
+    ]
+    return names + states[:_MOST_STATES]
 
 
 def _is_due(runs: Sequence[Run], plot: plotted_curves.TimePlot) -> bool:
@@ -117,15 +124,9 @@ def _is_due(runs: Sequence[Run], plot: plotted_curves.TimePlot) -> bool:
     return any(True for run in runs for entry in aims for _ in entry.read(run))
 
 
-def _moves(runs: Sequence[Run], state: str) -> bool:
-    """Return whether a state of a law is ever different from 0."""
-    plot = find_plot(state, runs)
-    return any(curve.values.any() for run in runs for curve in plotted_curves.list_own(run, plot))
-
-
 def _draw_plot(
-    plots: drawing.Plots,
-    drawn: Sequence[drawing.Drawn],
+    plots: Plots,
+    drawn: Sequence[Drawn],
     name: str,
     x_range: Any,
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[CheckLine]],
@@ -148,7 +149,7 @@ def _draw_plot(
     for level in plotted_curves.list_plot_levels(runs, plot):
         if level.kind == "target":
             span = models.Span(
-                location=level.value, dimension="width", line_color=drawing.RING, line_dash="dashed"
+                location=level.value, dimension="width", line_color=RING, line_dash="dashed"
             )
             figure.add_layout(span)
     listed = _list_plotted(drawn, plot, restless)
@@ -168,12 +169,17 @@ def _draw_plot(
     signals = {entry.signal for entry in plot.curves if entry.signal}
     mark_plots(plots, figure, drawn, signals, marked[0])
     for found in marked[1]:
-        if found.first_violation_s is not None and _concerns(found, name):
+        checked = {signal.removeprefix("measured_") for signal in found.names}
+        # A violation without a signal is marked in all plots.
+        is_here = name in checked or checked.isdisjoint(TIME_PLOTS)
+        if found.first_violation_s is not None and is_here:
             figure.add_layout(
-                models.Span(location=found.first_violation_s, dimension="height", line_color=RED,
-                            line_dash="dotted", line_width=2)
+                models.Span(
+                    location=found.first_violation_s, dimension="height",
+                    line_color=drawing.RED, line_dash="dotted", line_width=2,
+                )
             )  # fmt: skip
-    cursor = models.Span(location=0.0, dimension="height", line_color=drawing.RING, line_width=1)
+    cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
     figure.add_layout(cursor)
     plots.config["cursors"].append(cursor.id)
     value = f"$snap_y{{0.0000}} {plot.unit}"
@@ -185,17 +191,8 @@ def _draw_plot(
     )
 
 
-def _concerns(found: CheckLine, name: str) -> bool:
-    """Return whether a violation is marked in a plot.
-
-    Without a signal, it is marked in all plots.
-    """
-    signals = {signal.removeprefix("measured_") for signal in found.names}
-    return name in signals or signals.isdisjoint(TIME_PLOTS)
-
-
 def _list_plotted(
-    drawn: Sequence[drawing.Drawn], plot: plotted_curves.TimePlot, restless: frozenset[int]
+    drawn: Sequence[Drawn], plot: plotted_curves.TimePlot, restless: frozenset[int]
 ) -> list[tuple[int, plotted_curves.PlottedCurve]]:
     """Return the curves of a plot with the indices of their runs, in the order of drawing."""
     listed = [
@@ -214,16 +211,13 @@ def _list_plotted(
 
 
 def _list_curves(
-    plots: drawing.Plots,
-    drawn: Sequence[drawing.Drawn],
+    plots: Plots,
+    drawn: Sequence[Drawn],
     listed: Sequence[tuple[int, plotted_curves.PlottedCurve]],
     config: dict[str, Any],
     restless: frozenset[int],
 ) -> dict[str, list[Any]]:
-    """Return curves as a table with one row per curve.
-
-    Held values are stored unchanged; the page's script turns them into steps.
-    """
+    """Return curves as a table, a row per curve; the page's script turns held values into steps."""
     is_alone = len(drawn) == 1
     data: dict[str, list[Any]] = {
         key: [] for key in ("xs", "ys", "color", "name", "dash", "width", "alpha")
@@ -232,14 +226,16 @@ def _list_curves(
         one, curve = drawn[number], found.curve
         is_main = found.kind in ("run", "measured")
         time_s, values = drawing.thin(plots, [curve.time_s, curve.values], curve.values)
-        color = choose_curve_color(found.kind, one.color, is_alone=is_alone)
+        color = palette.choose_curve_color(found.kind, one.color, is_alone=is_alone)
         told = found.label if is_alone else f"{one.name}: {found.label}"
         row = {
             "xs": time_s,
             "ys": values,
             "color": to_hex(color),
             "name": one.name if is_main and not is_alone else told,
-            "dash": _STROKES[SUPPOSED_DASH if one.is_ghost else choose_dash(found.kind)],
+            "dash": _STROKES[
+                palette.SUPPOSED_DASH if one.is_ghost else palette.choose_dash(found.kind)
+            ],
             "width": _THIN if one.is_ghost or found.kind != "run" else _WIDTH,
             "alpha": _DIMMED if number in restless else 1.0,
         }
@@ -251,16 +247,16 @@ def _list_curves(
     return data
 
 
-def _shade_gaps(figure: Any, drawn: Sequence[drawing.Drawn]) -> None:
+def _shade_gaps(figure: Any, drawn: Sequence[Drawn]) -> None:
     """Shade gaps without poses of a single run, with their duration as text."""
     models = load_library("bokeh.models")
     for start_s, end_s, words in list_seen_gaps(drawn[0].run) if len(drawn) == 1 else ():
         box = models.BoxAnnotation(
-            left=start_s, right=end_s, fill_color=drawing.RING, fill_alpha=0.12, line_color=None,
-            hatch_pattern="/", hatch_color=drawing.RING, hatch_alpha=0.3, level="underlay",
+            left=start_s, right=end_s, fill_color=RING, fill_alpha=0.12, line_color=None,
+            hatch_pattern="/", hatch_color=RING, hatch_alpha=0.3, level="underlay",
         )  # fmt: skip
         text = models.Label(
-            x=(start_s + end_s) / 2.0, y=4, y_units="screen", text=words, text_color=drawing.RING,
+            x=(start_s + end_s) / 2.0, y=4, y_units="screen", text=words, text_color=RING,
             text_font_size="11px", text_align="center",
         )  # fmt: skip
         figure.add_layout(box)
@@ -269,7 +265,7 @@ def _shade_gaps(figure: Any, drawn: Sequence[drawing.Drawn]) -> None:
 
 def _set_height(
     figure: Any,
-    drawn: Sequence[drawing.Drawn],
+    drawn: Sequence[Drawn],
     plot: plotted_curves.TimePlot,
     curves: Sequence[Values],
     restless: frozenset[int],
@@ -293,11 +289,138 @@ def _keep_in_view(figure: Any, curves: Sequence[Values]) -> None:
         return
     rest = np.quantile(values, [_RARE, 1.0 - _RARE])
     room = float(np.ptp(rest))
-    whole = float(np.ptp(values))
-    if room == 0.0 or whole < _FAR_OFF * room:
+    if room == 0.0 or np.ptp(values) < _FAR_OFF * room:
         return
     figure.y_range = load_library("bokeh.models").Range1d(
         float(rest[0]) - 0.1 * room, float(rest[1]) + 0.1 * room
     )
     far = float(values[np.abs(values - rest.mean()).argmax()])
     figure.title.text += f", close up: single values go to {far:.4g}"
+
+
+MOST_MARKED: Final = 4
+"""Largest number of runs with marks; with more runs, marks would hide each other."""
+
+_DEAD: Final = to_hex(palette.DEAD_TIME)
+
+_WORDS: Final = "#767676"
+"""Colour of text, with a contrast of 4.5 to white and 4.6 to black."""
+
+_LINE_PX: Final = 17
+
+_NEAR: Final = 0.2
+"""Distance between dots, as a share of the width, below which their texts are one below another."""
+
+_LATE: Final = 0.6
+"""Share of the width from which text is on the left of dots, because it would leave the plot on the
+right."""
+
+_SHAPES: Final[Mapping[characteristics.MarkShape, str]] = {
+    "disc": "circle",
+    "square": "square",
+    "cross": "x",
+}
+"""Mark shapes of Bokeh."""
+
+
+def mark_plots(
+    plots: Plots,
+    figure: Any,
+    drawn: Sequence[Drawn],
+    signals: Collection[str],
+    found: Sequence[Sequence[Characteristic]],
+) -> None:
+    """Mark the characteristics of a plot's signals, and pauses, for each of the first runs drawn.
+
+    For a single run, names are next to the dots.
+    """
+    if len(found) > MOST_MARKED:
+        return
+    is_alone = len(found) == 1
+    dots = []
+    for number, marks in enumerate(found):
+        run = drawn[number].run
+        if all(characteristics.read_marked_curve(run, signal) is None for signal in signals):
+            continue
+        color = to_hex(drawn[number].color)
+        own = [mark for mark in marks if mark.signal in signals and mark.level is not None]
+        shades = [*_shade_spans(figure, marks, own, RING if is_alone else color)]
+        made = [*_draw_dots(figure, own, drawn[number].name, color)]
+        dots += made
+        words = _write_words(plots, figure, own) if is_alone else []
+        ids = [one.id for one in (*shades, *made, *words)]
+        plots.config["marks"] += [{"run": number, "renderer": key} for key in ids]
+    if dots:
+        hover = load_library("bokeh.models").HoverTool(renderers=dots, tooltips="@text")
+        hover.visible = False
+        figure.add_tools(hover)
+
+
+def _shade_spans(
+    figure: Any, marks: Sequence[Characteristic], own: Sequence[Characteristic], color: str
+) -> Iterator[Any]:
+    """Shade pauses; of its own marks, settling bands from the loop's start on, and dead times."""
+    shaded = [mark for mark in own if mark.kind in {"settling_time", "dead_time"}]
+    for mark in (*(mark for mark in marks if mark.kind == "pause"), *shaded):
+        if mark.span_s is None or (mark.kind == "settling_time" and mark.levels is None):
+            continue
+        edges = dict(zip(("left", "right"), mark.span_s, strict=True))
+        ink, alpha = (_DEAD, 0.3) if mark.kind == "dead_time" else (color, 0.14)
+        if mark.kind == "settling_time" and mark.levels is not None:
+            edges |= {"left": mark.start_s, "bottom": mark.levels[0], "top": mark.levels[1]}
+            alpha = 0.18
+        box = load_library("bokeh.models").BoxAnnotation(
+            fill_color=ink, fill_alpha=alpha, line_color=None, level="underlay", **edges
+        )
+        figure.add_layout(box)
+        yield box
+
+
+def _draw_dots(
+    figure: Any, marks: Sequence[Characteristic], name: str, color: str
+) -> Iterator[Any]:
+    """Draw a dot at the place of each metric on the curve, for metrics that have a dot."""
+    for mark in marks:
+        text = ", ".join(characteristics.list_mark_texts(mark, marks))
+        if mark.shape is None or not text:
+            continue
+        source = load_library("bokeh.models").ColumnDataSource(
+            data={"x": [mark.marked_s], "y": [mark.level], "text": [f"{name}: {text}"]}
+        )
+        yield figure.scatter(
+            "x", "y", source=source, marker=_SHAPES[mark.shape], size=9, line_color=color,
+            line_width=1.8, fill_color=color, fill_alpha=0.25,
+        )  # fmt: skip
+
+
+def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> Iterator[Any]:
+    """Write the name of each dot next to it. The names of close dots form a column."""
+    end_s = float(plots.config["end_s"])
+    known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
+    told = [(mark, ", ".join(characteristics.list_mark_texts(mark, marks))) for mark in known]
+    words = [(mark, text) for mark, text in told if text]
+    levels = [float(mark.level or 0.0) for mark, _ in words]
+    curves = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
+    ends = [float(end) for ys in curves for end in (np.nanmin(ys), np.nanmax(ys))]
+    middle = (min(ends) + max(ends)) / 2.0 if ends else np.inf
+    cluster: list[int] = []
+    was_low = False
+    for number, (mark, text) in enumerate(words):
+        is_low = levels[number] <= middle
+        if cluster and (
+            mark.marked_s - words[cluster[0]][0].marked_s > _NEAR * end_s or is_low != was_low
+        ):
+            cluster = []
+        cluster.append(number)
+        was_low, first = is_low, words[cluster[0]][0]
+        is_late = first.marked_s > _LATE * end_s
+        step = _LINE_PX * (len(cluster) - 1)
+        word = figure.text(
+            [(first if is_late else words[cluster[-1]][0]).marked_s], [levels[cluster[0]]],
+            text=[f"{mark.sign} {text}"], text_color=_DEAD if mark.kind == "dead_time" else _WORDS,
+            text_font_size="12px", text_align="right" if is_late else "left",
+            x_offset=-10 if is_late else 12, y_offset=(-12 - step) if is_low else (12 + step),
+            text_baseline="bottom" if is_low else "top",
+        )  # fmt: skip
+        plots.config["words"].append(word.glyph.id)
+        yield word

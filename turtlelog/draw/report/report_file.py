@@ -3,9 +3,9 @@
 import json
 import platform
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from hashlib import sha256
+from hashlib import file_digest
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
@@ -52,8 +52,6 @@ _KINDS: Final[Mapping[CurveKind, str]] = {
     "beside": "lighter: the distance to the reference",
 }
 """Descriptions of the kinds of curves other than the run's own."""
-
-_LARGE: Final = 2**20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,11 +112,22 @@ def write_report(
     drawn += _list_ghosts(explanation)
     failed = [line for line in checks if line.verdict == "FAIL"]
     plots = draw_plots(drawn, metrics, failed)
-    body = _write_conclusion(runs, names, metrics, explanation, checks)
-    body += _write_stage(plots, len(runs), origin)
+    sentences = sections.conclude_runs(runs, names, metrics)
+    sentences.append(
+        sections.conclude_checks([(line.run, line.check, line.verdict) for line in checks])
+    )
+    cause = ""
     if explanation is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
-        body += _write_explanation(name, explanation)
+        if explanation.attribution is not None:
+            sentences.append(sections.conclude_cause(name, explanation.attribution))
+            cause = sections.write_attribution(name, explanation.attribution)
+        else:
+            text = sections.show(f"{name} is not explained: {explanation.note}")
+            cause = f'<section id="cause"><p class="note">{text}</p></section>'
+    told = "".join(f"<p>{sections.show(text)}</p>" for text in filter(None, sentences))
+    body = f'<section id="conclusion">{told}</section>' if told else ""
+    body += _write_stage(plots, len(runs), origin) + cause
     body += sections.write_checks(checks) if checks else ""
     body += _write_tables(runs, names, metrics)
     keyed = [(file_of[id(run)], hash_file(file_of[id(run)])) for run in runs]
@@ -154,31 +163,6 @@ def _list_ghosts(explanation: Explanation | None) -> list[Drawn]:
         )
         for name, run in explanation.what_ifs.items()
     ]
-
-
-def _write_conclusion(
-    runs: Sequence[Run],
-    names: Sequence[str],
-    metrics: Sequence[Mapping[str, Metric]],
-    explanation: Explanation | None,
-    checks: Sequence[sections.CheckLine],
-) -> str:
-    sentences = sections.conclude_runs(runs, names, metrics)
-    sentences.append(
-        sections.conclude_checks([(line.run, line.check, line.verdict) for line in checks])
-    )
-    if explanation is not None and explanation.attribution is not None:
-        name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
-        sentences.append(sections.conclude_cause(name, explanation.attribution))
-    found = "".join(f"<p>{sections.show(text)}</p>" for text in filter(None, sentences))
-    return f'<section id="conclusion">{found}</section>' if found else ""
-
-
-def _write_explanation(name: str, explanation: Explanation) -> str:
-    if explanation.attribution is not None:
-        return sections.write_attribution(name, explanation.attribution)
-    text = f"{name} is not explained: {explanation.note}"
-    return f'<section id="cause"><p class="note">{sections.show(text)}</p></section>'
 
 
 def _write_stage(plots: Plots, count: int, origin: str) -> str:
@@ -241,15 +225,11 @@ def hash_file(file: str) -> str:
         return ", ".join(f"{one.name} {hash_file(str(one))}" for one in inner)
     if not file or not path.is_file():
         return ""
-    found = sha256()
     with path.open("rb") as stream:
-        while chunk := stream.read(_LARGE):
-            found.update(chunk)
-    return found.hexdigest()
+        return file_digest(stream, "sha256").hexdigest()
 
 
 def _assemble(title: str, body: str, plots: Plots) -> str:
-    """Return the complete page with all scripts and styles."""
     document = load_library("bokeh.document").Document(title="")
     for figure in plots.roots.values():
         document.add_root(figure)
@@ -261,17 +241,15 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
     code = files("turtlelog.draw.report").joinpath("page.js").read_text("utf-8")
     # An end tag in a text would end the script.
     library = "\n".join(resources.js_raw).replace("</script", "<\\/script")
+    drawn, roles = (
+        text.replace("<", "\\u003c") for text in (drawing, json.dumps(config, allow_nan=False))
+    )
     scripts = f"""<script>{library}</script>
-<script type="application/json" id="drawing">{_escape(drawing)}</script>
-<script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
+<script type="application/json" id="drawing">{drawn}</script>
+<script type="application/json" id="config">{roles}</script>
 <script>{code}</script>"""
     policy = write_policy_tag(library, code)
     return sections.write_page(title, "report", f"<main>\n{body}</main>\n{scripts}", policy=policy)
-
-
-def _escape(code: str) -> str:
-    """Return JSON with `<` escaped, so that it cannot end a script."""
-    return code.replace("<", "\\u003c")
 
 
 def write_map_report(
@@ -288,17 +266,21 @@ def write_map_report(
     Raises:
         ShowError: If the file cannot be written.
     """
-    body = "".join(
-        (
-            _conclude_sweep(view, limits),
-            *(
-                _write_sweep_figure(view, limits, kind, title)
-                for kind, title in _list_sweep_figures(view)
-            ),
-            sections.write_table(_tabulate_sweep(view)),
-            _write_origin(view, command),
-        )
-    )
+    kinds: list[tuple[MapKind, str]] = [("curves", "Against one key")]
+    if view.y is not None:
+        kinds.insert(0, ("map", f"{view.x.name} and {view.y.name}"))
+    if sum(len(axis) > 1 for axis in view.results.axes) > 1:
+        kinds.append(("tornado", "How far each key moves a metric"))
+    body = _conclude_sweep(view, limits)
+    for kind, title in kinds:
+        picture = b64encode(draw_sweep_svg(view, limits, kind)).decode()
+        image = f'<img alt="{sections.show(title)}" src="data:image/svg+xml;base64,{picture}">'
+        body += f"<section><h2>{sections.show(title)}</h2><figure>{image}</figure></section>"
+    file = str(view.results.path)
+    versions = f"turtlelog {__version__}, Python {platform.python_version()}"
+    digest = f"<p>{sections.show(file)}: sha256 <code>{hash_file(file)}</code></p>"
+    body += sections.write_table(_tabulate_sweep(view))
+    body += sections.wrap_provenance(versions, command, digest)
     text = sections.write_page(
         Path(view.results.path).name,
         "plot",
@@ -309,22 +291,6 @@ def write_map_report(
     )
     with replace_file(path) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _list_sweep_figures(view: SweptView) -> Iterator[tuple[MapKind, str]]:
-    if view.y is not None:
-        yield "map", f"{view.x.name} and {view.y.name}"
-    yield "curves", "Against one key"
-    if sum(len(axis) > 1 for axis in view.results.axes) > 1:
-        yield "tornado", "How far each key moves a metric"
-
-
-def _write_sweep_figure(
-    view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, title: str
-) -> str:
-    picture = b64encode(draw_sweep_svg(view, limits, kind)).decode()
-    image = f'<img alt="{sections.show(title)}" src="data:image/svg+xml;base64,{picture}">'
-    return f"<section><h2>{sections.show(title)}</h2><figure>{image}</figure></section>"
 
 
 def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
@@ -342,12 +308,10 @@ def _conclude_sweep(view: SweptView, limits: Sequence[LoopLimits]) -> str:
 
 
 def _tabulate_sweep(view: SweptView) -> compare.Table:
+    titles = ("metric", "unit", "least", "greatest", "without a value", "best row", "its keys")
     return compare.Table(
         title="Metrics of the rows that are shown",
-        columns=(
-            *(compare.Column(title=title) for title in ("metric", "unit", "least", "greatest")),
-            *(compare.Column(title=title) for title in ("without a value", "best row", "its keys")),
-        ),
+        columns=tuple(compare.Column(title=title) for title in titles),
         rows=tuple(_list_cells(view, metric) for metric in view.results.metrics),
         notes=("A row is run again by turtlelog run --from TABLE --row NUMBER.",),
     )
@@ -364,10 +328,3 @@ def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | Non
     number = "" if row is None else str(view.results.row_numbers[row])
     missing = str(len(values) - len(known))
     return metric.name, unit, least, most, missing, number, keys
-
-
-def _write_origin(view: SweptView, command: str) -> str:
-    file = str(view.results.path)
-    versions = f"turtlelog {__version__}, Python {platform.python_version()}"
-    digest = f"<p>{sections.show(file)}: sha256 <code>{hash_file(file)}</code></p>"
-    return sections.wrap_provenance(versions, command, digest)

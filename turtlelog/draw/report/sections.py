@@ -1,6 +1,6 @@
 """The text parts of a report: conclusions, tables, steps of an attribution, checks, provenance."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -12,9 +12,10 @@ from turtlelog.charts.many_runs import group_equal
 from turtlelog.charts.palette import to_hex
 from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.compare import Table, format_cell, judge_runs, summarise_run
+from turtlelog.compare.ranking import name_few
 from turtlelog.compare.run_selection import describe_runs, list_differing
 from turtlelog.display import describe_count, join_words
-from turtlelog.draw.report.marked_plots import MOST_VIOLATIONS
+from turtlelog.draw.report.drawing import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, choose_named, write_sentences
 from turtlelog.measure import Metric
@@ -206,18 +207,13 @@ def _write_differences(runs: Sequence[Run], names: Sequence[str]) -> str:
 
 
 def _list_scenario(run: Run) -> str:
+    known: list[tuple[str, object]] = [*run.parameters.items()]
+    known += [(f"note {name}", text) for name, text in run.notes.items()]
+    known += [("not recorded", ", ".join(run.absent))] if run.absent else []
     rows = [
-        f'<tr><th scope="row">{show(key)}</th><td>{show(value)}</td></tr>'
-        for key, value in _iterate_known(run)
+        f'<tr><th scope="row">{show(key)}</th><td>{show(value)}</td></tr>' for key, value in known
     ]
     return _wrap_table("", ["key", "value"], rows) if rows else "<p>None is recorded.</p>"
-
-
-def _iterate_known(run: Run) -> Iterator[tuple[str, object]]:
-    yield from run.parameters.items()
-    yield from ((f"note {name}", text) for name, text in run.notes.items())
-    if run.absent:
-        yield "not recorded", ", ".join(run.absent)
 
 
 def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
@@ -257,13 +253,11 @@ def conclude_runs(
         sentences.append(ranked if ranking.is_fair else why)
     for group in group_equal(runs):
         if len(group) > 1:
-            same = [names[number] for number in group]
-            who = join_words(same) if len(same) <= _MOST_NAMED else describe_count(len(same), "run")
-            sentences.append(f"{who} are equal in every row.")
+            sentences.append(f"{name_few([names[n] for n in group])} are equal in every row.")
     cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
     if cut:
-        who = join_words(cut) if len(cut) <= _MOST_NAMED else describe_count(len(cut), "run")
-        sentences.append(f"{who} did not come to {'its' if len(cut) == 1 else 'their'} own end.")
+        whose = "its" if len(cut) == 1 else "their"
+        sentences.append(f"{name_few(cut)} did not come to {whose} own end.")
     return sentences
 
 

@@ -1,46 +1,37 @@
-"""Several runs in one Rerun recording, in the same views."""
+"""Comparisons as Rerun recordings: several runs in the same views, or a robot and its model."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from turtlelog.charts import many_runs, palette
 from turtlelog.charts.close_up import name_ends
+from turtlelog.charts.curves import Values
 from turtlelog.charts.plane_scene import has_grey_paths, move_near
-from turtlelog.compare import name_runs, order_by_gain
+from turtlelog.charts.robot_curves import label_error
+from turtlelog.charts.time_plots import TIME_PLOTS
+from turtlelog.compare import ErrorBand, RobotComparison, name_runs, order_by_gain
+from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.draw.documents import document_runs
-from turtlelog.draw.rerun import entities, plane, plots, world
+from turtlelog.draw.rerun import entities, layout, marks, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import (
     Content,
-    choose_phase_rows,
     describe_content,
+    find_corners,
     find_heading_close_up,
     find_ranges,
+    view_curves,
 )
-from turtlelog.draw.rerun.entities import ALONG_TRACK, RUNS, join_path, name_part
-from turtlelog.draw.rerun.layout import (
-    build_comparison_layout,
-    draw_legend,
-    draw_scale,
-    is_small,
-    tell_span,
-    title_scale,
-)
-from turtlelog.draw.rerun.marks import draw_phases, list_events
-from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
-from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
-from turtlelog.draw.rerun.timelines import (
-    RunStream,
-    Timelines,
-    add_thinning,
-    build_compared_timelines,
-    read_span,
-)
+from turtlelog.draw.rerun.entities import RUNS, join_path
+from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, open_recording
+from turtlelog.draw.rerun.turtles import Look
 from turtlelog.errors import ShowError
+from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.measure import measure_run
 from turtlelog.run import Run, list_runs
 
@@ -84,51 +75,43 @@ def write_comparison_rrd(
     metrics = [measure_run(run) for run in runs]
     if documents is None:
         documents = document_runs(runs, metrics=metrics)
-    documents = add_thinning(documents, runs)
+    documents = recording_stream.add_thinning(documents, runs)
     groups = many_runs.group_equal(runs)
     near, origin = move_near(runs)
     overlay = _build_overlay([near[first] for first, *_ in groups], _name_groups(runs, groups))
     equal = [name for name, group in zip(overlay.names, groups, strict=True) if len(group) > 1]
     content = replace(
         overlay.describe(documents),
-        is_small=is_small(size),
+        is_small=layout.is_small(size),
         equal="; ".join(equal),
         origin=origin,
     )
-    layout = build_comparison_layout(content)
-    with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
+    views, names = layout.build_comparison_layout(content), overlay.names
+    brief = f"{names[0]} to {names[-1]}, {len(names)} runs"
+    name = ", ".join(names) if len(names) <= 4 else brief
+    with open_recording(path, name=name, layout=views) as stream:
         drawn = {number: place for place, group in enumerate(groups) for number in group}
         prefixes = [overlay.prefixes[drawn[number]] for number in range(len(runs))]
-        send_comparison_properties(stream, runs, name_runs(runs), prefixes, metrics)
+        recording_stream.send_comparison_properties(
+            stream, runs, name_runs(runs), prefixes, metrics
+        )
         _draw_overlay(stream, overlay, content)
-        draw_documents(stream, documents)
+        recording_stream.draw_documents(stream, documents)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Overlay:
-    """Several runs with names and colours. All sequences have the same order.
+    """Several runs with names and colours. All sequences have the same order."""
 
-    Attributes:
-        runs: Runs, at least one.
-        names: Different names of the runs.
-        prefixes: Entity prefixes.
-        colors: Colours of the runs in every view.
-        timelines: Timelines, aligned at the first samples.
-        series: Curves of each run.
-        references: Common level lines.
-        restless: Indices of the runs among many that never come to rest.
-        scale: Number in which many runs differ; None if there is no single number.
-    """
-
-    runs: tuple[Run, ...]
-    names: tuple[str, ...]
-    prefixes: tuple[str, ...]
-    colors: tuple[palette.Color, ...]
-    timelines: tuple[Timelines, ...]
-    series: tuple[tuple[plots.Series, ...], ...]
-    references: tuple[plots.LevelLines, ...]
-    restless: frozenset[int] = frozenset()
-    scale: many_runs.GainScale | None = None
+    runs: tuple[Run, ...]  # at least one
+    names: tuple[str, ...]  # different names of the runs
+    prefixes: tuple[str, ...]  # entity prefixes
+    colors: tuple[palette.Color, ...]  # colours of the runs in every view
+    timelines: tuple[Timelines, ...]  # aligned at the first samples
+    series: tuple[tuple[plots.Series, ...], ...]  # curves of each run
+    references: tuple[plots.LevelLines, ...]  # common level lines
+    restless: frozenset[int] = frozenset()  # runs among many that never come to rest
+    scale: many_runs.GainScale | None = None  # the only number in which many runs differ
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return the content of the recording."""
@@ -138,9 +121,10 @@ class _Overlay:
         calm = [number for number in range(len(self.runs)) if number not in self.restless]
         content = replace(
             content,
-            scale_title=None if self.scale is None else title_scale(self.scale),
-            scale_span="" if self.scale is None else f"{self.scale.word} {tell_span(self.scale)}",
-            phase_rows=choose_phase_rows(self.prefixes),
+            scale_title=None if self.scale is None else layout.title_scale(self.scale),
+            scale_span=""
+            if self.scale is None
+            else f"{self.scale.word} {layout.tell_span(self.scale)}",
         )
         if not self.restless:
             return content
@@ -191,32 +175,37 @@ def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[s
     names = name_runs(runs)
     firsts = [runs[first] for first, *_ in groups]
     brief = many_runs.shorten_run_names(firsts, [names[first] for first, *_ in groups])
-    return [
-        name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
-        for name, group in zip(brief, groups, strict=True)
-    ]
-
-
-def _name_equal(name: str, names: Sequence[str]) -> str:
-    if name not in names:
-        return f"{name} ({len(names)} equal runs)"
-    if len(names) == 2:
-        return f"{names[0]} and {names[1]} are equal"
-    return f"{name} and {len(names) - 1} more are equal"
+    told = []
+    for name, group in zip(brief, groups, strict=True):
+        same = [names[number] for number in group]
+        if len(group) == 1:
+            told.append(name)
+        elif name not in same:
+            told.append(f"{name} ({len(group)} equal runs)")
+        elif len(group) == 2:
+            told.append(f"{same[0]} and {same[1]} are equal")
+        else:
+            told.append(f"{name} and {len(group) - 1} more are equal")
+    return told
 
 
 def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
-    """Return runs with their colours, curves and timelines."""
+    # Without spaces, which look like escapes.
+    parts = [entities.name_part(name) for name in names]
+    if len({*parts}) < len(parts):
+        parts = [rr.escape_entity_path_part(name) for name in names]
     colors = many_runs.choose_colors_by_value(runs)
     restless = many_runs.find_restless(runs) if len(runs) > many_runs.MANY else frozenset()
     # The legend of the along-track plot has no room for more names than those of the runs.
-    references = [found for found in plots.list_references(runs) if found.plot != ALONG_TRACK]
+    references = [
+        found for found in plots.list_references(runs) if found.plot != entities.ALONG_TRACK
+    ]
     return _Overlay(
         runs=tuple(runs),
         names=tuple(names),
-        prefixes=tuple(join_path(RUNS, part) for part in _list_path_parts(names)),
+        prefixes=tuple(join_path(RUNS, part) for part in parts),
         colors=colors,
-        timelines=tuple(build_compared_timelines(run) for run in runs),
+        timelines=tuple(recording_stream.build_compared_timelines(run) for run in runs),
         series=tuple(
             _list_series(run, names[number], colors[number], is_restless=number in restless)
             if len(runs) > many_runs.MANY
@@ -244,14 +233,13 @@ def _list_series(
 
 
 def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Draw all runs and their common parts."""
-    world.draw_world(stream, overlay.runs)
-    span = read_span(overlay.runs, overlay.timelines)
+    plane.draw_world(stream, overlay.runs)
+    span = recording_stream.read_span(overlay.runs, overlay.timelines)
     plots.draw_references(stream, overlay.references, span)
     if overlay.scale is not None:
-        draw_scale(stream, overlay.scale, overlay.colors)
+        layout.draw_scale(stream, overlay.scale, overlay.colors)
     elif content.legend_names:
-        draw_legend(stream, overlay.names, overlay.colors)
+        layout.draw_legend(stream, overlay.names, overlay.colors)
     if len(overlay.runs) > many_runs.MANY:
         _show_ends(stream, overlay, content)
     for number, run in enumerate(overlay.runs):
@@ -260,33 +248,30 @@ def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Conten
             color=overlay.colors[number], size=palette.choose_turtle_size(len(overlay.runs))
         )
         way = _OF_MANY if has_grey_paths(overlay.runs) else look
-        draw_trail(run_stream, run, way, segments=count_segments(len(overlay.runs)))
+        turtles.draw_trail(run_stream, run, way, segments=turtles.count_segments(len(overlay.runs)))
         plane.draw_reference_path(run_stream, run)
-        draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
-        draw_phases(run_stream, run)
-        list_events(run_stream, run, overlay.names[number])
+        turtles.draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
+        marks.draw_phases(run_stream, run)
+        marks.list_events(run_stream, run, overlay.names[number])
         for curves in overlay.series[number]:
             plots.draw_series(run_stream, curves)
     if content.goal is not None:
-        world.draw_close_up(
+        plane.draw_close_up(
             stream,
             name_ends(content.goal, overlay.name_briefly()),
             overlay.runs[0],
             overlay.prefixes,
             overlay.colors,
-            lettering=world.SMALL_LETTERING if content.is_small else world.LETTERING,
+            lettering=plane.SMALL_LETTERING if content.is_small else plane.LETTERING,
         )
     if content.worst is not None:
-        world.draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
+        plane.draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
 
 
 def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
-    """Name the runs that end furthest from the goal at their ends.
-
-    Of very many runs, show all ends.
-    """
+    """Name the runs that end furthest from the goal at their ends; of very many, show all ends."""
     if has_grey_paths(overlay.runs):
-        world.draw_ends(stream, overlay.runs, overlay.colors)
+        plane.draw_ends(stream, overlay.runs, overlay.colors)
     if content.goal is None:
         return
     misses = [(_miss(run), number) for number, run in enumerate(overlay.runs)]
@@ -301,7 +286,7 @@ def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) 
         return
     places = [overlay.runs[number].poses.xy_m[-1] for number in furthest]
     names = [overlay.name_run(number) for number in furthest]
-    world.write_words(
+    plane.write_words(
         stream, entities.EXTREMES, places, names, [overlay.colors[number] for number in furthest]
     )
 
@@ -310,13 +295,142 @@ def _miss(run: Run) -> float:
     return 0.0 if run.goal_xy_m is None else float(np.hypot(*(run.poses.xy_m[-1] - run.goal_xy_m)))
 
 
-def _name_recording(names: Sequence[str]) -> str:
-    return ", ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}, {len(names)} runs"
+_TIMELINE: Final = "robot_time"
+_RESIDUAL: Final = "residual"
+
+_CURVES: Final[tuple[tuple[str, palette.Color, float], ...]] = (
+    ("commanded", palette.REFERENCE, 1.5),
+    ("measured", palette.MEASURED, 1.0),
+    ("modelled", palette.MODEL, 2.5),
+    (_RESIDUAL, palette.ERROR, 1.0),
+)
+"""Curves of each axis in the order of drawing, with widths [points]; noise must not hide the
+model."""
 
 
-def _list_path_parts(names: Sequence[str]) -> list[str]:
-    """Return a part of an entity path for each name, without spaces, which look like escapes."""
-    plain = [name_part(name) for name in names]
-    if len(set(plain)) == len(plain):
-        return plain
-    return [rr.escape_entity_path_part(name) for name in names]
+def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
+    """Write a recording of the axes that a model knows, for a run.
+
+    Args:
+        model: Result of `turtlelog.identify_robot`.
+        run: Run whose motion is shown: an identified run, or another run.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
+
+    Raises:
+        ShowError: If no axis is known, or the file cannot be written.
+    """
+    traces = [trace_axis(axis, run) for axis in model.axes if axis.is_known]
+    if not traces:
+        reasons = "; ".join(axis.reason for axis in model.axes)
+        raise ShowError(f"{path}: no axis was identified: {reasons}")
+    views = [view for found in traces for view in _list_views(found)]
+    shares = [2.0, 1.0] * len(traces)
+    linked = layout.link_views(rrb.Vertical(*views, row_shares=shares))
+    with open_recording(path, name=f"{run.name}, identified", layout=linked) as stream:
+        for found in traces:
+            _draw_axis(stream, found)
+
+
+def _list_views(found: AxisTraces) -> list[rrb.View]:
+    """Return a view of the rates of an axis, and a view of the model's residuals."""
+    title = TIME_PLOTS[found.axis].label
+    rates = [f"/{found.axis}/{name}" for name, _, _ in _CURVES if name != _RESIDUAL]
+    low, high = float(np.nanmin(found.commanded)), float(np.nanmax(found.commanded))
+    command = plots.Series(
+        entity="command",
+        labels=(title,),
+        time_ns=np.rint(found.time_s * 1e9).astype(np.int64),
+        values=found.commanded[:, np.newaxis],
+    )
+    limits = (low, high if high > low else low + 1.0)
+    corner = find_corners([command], {command.plot: limits})[command.plot]
+    legend, hidden = rrb.PlotLegend(rrb.Corner2D[corner]), rrb.PlotLegend(visible=False)
+    residual = [f"/{found.axis}/{_RESIDUAL}"]
+    return [
+        view_curves(title, rates, None, legend),
+        view_curves(f"residual: {title}", residual, None, hidden),
+    ]
+
+
+def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
+    time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
+    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
+    for name, color, width in _CURVES:
+        entity = f"/{found.axis}/{name}"
+        style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]), widths=[width])
+        stream.log(entity, style, static=True)
+        stream.send_columns(entity, index, rr.Scalars.columns(scalars=getattr(found, name)))
+
+
+_PLANE: Final = "/plane"
+_PATH_PIXELS: Final = 1.2
+
+
+def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
+    """Write a recording of a recorded robot next to a simulated robot.
+
+    Args:
+        found: Result of `turtlelog.compare.compare_robot`.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
+
+    Raises:
+        ShowError: If the file cannot be written.
+    """
+    longest = [band for band in found.bands if band.horizon_s == found.bands[-1].horizon_s]
+    errors = [
+        rrb.TimeSeriesView(
+            origin=f"/errors/{band.quantity}",
+            name=f"{label_error(band.quantity)} after {band.horizon_s:g} s",
+            axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        )
+        for band in longest
+    ]
+    rates = [view for traces in found.traces for view in _list_views(traces)[:1]]
+    plane = rrb.Spatial2DView(
+        origin=_PLANE,
+        name="recorded path, and predictions that begin on it",
+        background=palette.GROUND,
+    )
+    linked = layout.link_views(
+        rrb.Horizontal(plane, rrb.Vertical(*errors, *rates), column_shares=[1.0, 1.2])
+    )
+    name = f"{found.name} beside {found.scenario}"
+    with open_recording(path, name=name, layout=linked) as stream:
+        _draw_plane(stream, found)
+        for band in longest:
+            _draw_errors(stream, band, found.start_s)
+        for traces in found.traces:
+            _draw_axis(stream, traces)
+
+
+def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
+    flip = np.array([1.0, -1.0])  # a 2D view has y downward
+    pieces = [piece * flip for piece in found.predict_pieces()]
+    # The recorded path is below, and visible on both sides.
+    for name, strips, color, pixels in (
+        ("recorded", [found.recorded.xy_m * flip], palette.MEASURED, 2.0 * _PATH_PIXELS),
+        ("simulated", pieces, palette.MODEL, _PATH_PIXELS),
+    ):
+        looks: dict[str, Any] = {"draw_order": -pixels, "labels": [name], "show_labels": False}
+        packed = palette.pack_colors([color])
+        plane.draw_strips(stream, f"{_PLANE}/{name}", strips, packed, pixels, **looks)
+    starts, packed = [piece[0] for piece in pieces], palette.pack_colors([palette.MODEL])
+    plane.draw_points(stream, f"{_PLANE}/begins", starts, packed, 4.0 * _PATH_PIXELS)
+
+
+def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:
+    _, factor = SHOWN_UNITS[band.quantity]
+    time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
+    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
+    curves: list[tuple[str, Values | None, palette.Color]] = [
+        ("recorded", band.recorded, palette.MEASURED),
+        ("least simulated", band.low, palette.REFERENCE),
+        ("largest simulated", band.high, palette.REFERENCE),
+    ]
+    for name, values, color in curves:
+        if values is None:
+            continue
+        entity = f"/errors/{band.quantity}/{name.replace(' ', '_')}"
+        colors = palette.pack_colors([color])
+        stream.log(entity, rr.SeriesLines(names=name, colors=colors), static=True)
+        stream.send_columns(entity, index, rr.Scalars.columns(scalars=factor * values))

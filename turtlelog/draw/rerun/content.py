@@ -1,5 +1,6 @@
 """The content of a recording, and the views that show it."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -17,15 +18,9 @@ from turtlelog.charts.robot_curves import tell_gap
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.display import describe_count
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.entities import (
-    TICKS,
-    join_path,
-    locate_dead_times,
-    locate_phases,
-    name_document,
-)
+from turtlelog.draw.rerun.entities import join_path
+from turtlelog.draw.rerun.plane import Bounds, find_plane_bounds
 from turtlelog.draw.rerun.plots import LevelLines, Series
-from turtlelog.draw.rerun.world import Bounds, find_plane_bounds
 from turtlelog.measure import find_signal
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE
@@ -46,89 +41,56 @@ _MOST_IN_PLOT = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Content:
-    """The content of a recording for its layout.
+    """The content of a recording for its layout. An empty text or None: there is no such thing."""
 
-    Attributes:
-        prefixes: Entity prefix of each run. If there is only one run, its prefix is empty.
-        series: Entity paths of the curves, in the order of drawing.
-        references: Plots that have level lines.
-        lines: Entity paths of vertical lines, shown in every plot.
-        legends: Plots with a legend. None: the plots with several curves.
-        highest_speed_m_s: Speed of the brightest colour of the trace by speed; None: no trace.
-        steps_title: Title of the attribution; None without an attribution.
-        luck_title: Title of the picture of values from other starts; None without this picture.
-        starts: Text on other ends in the close-up of the goal, for the title of the close-up.
-        has_pause: Whether a run has a pause.
-        has_dead_time: Whether the first run's dead times are drawn.
-        legend_names: Names of the runs if they need a separate view, otherwise empty.
-        with_phases: Number of runs with samples.
-        has_several_phases: Whether a run goes from one phase to another.
-        has_events: Whether a run has events.
-        documents: Titles of the documents.
-        plane: Bounds of the plane.
-        goal: Close-up of the goal; None without a close-up.
-        ranges: Fixed ranges of values, by plot.
-        close_ups: Plots whose range does not contain all of their curves.
-        controlled: Plots of signals that a loop of a run controls.
-        worst: Largest deviations of runs from their path; None if they are not shown.
-        states: States of the laws, in groups.
-        overlaid: Groups whose states share a plot.
-        idle: Plots of states that are always 0 in every run, which need no view.
-        notes: Text next to the title of a plot, on gaps and on outliers beyond the range.
-        phase_rows: Prefixes of the runs whose phases are shown. Empty: all runs.
-        timelines: Names of all timelines. On each timeline, a trail grows to the cursor.
-        ghosts: Entity prefixes of ghosts in the plane.
-        arrows: Text on the arrows in the plane; empty without arrows.
-        origin: Text on the origin of shifted coordinates; empty if they are not shifted.
-        equal: Text on runs with equal rows, drawn as one curve; empty without them.
-        is_small: Whether the window is too small for legends, phases and documents.
-        scale_title: Title of the colour bar of many runs; None without a bar.
-        scale_span: Text on the range of the bar, for views without room for it.
-        end_s: End of the plots [s]. None: the plots show everything.
-        length_s: Duration of the longest run [s], if the plots end earlier.
-        restless: Note that names the runs that never come to rest; their commands are not shown.
-        corners: Rerun's name of the corner for the legend, by plot, if curves leave room.
-    """
+    prefixes: tuple[str, ...]  # entity prefix of each run; of a single run empty
+    ghosts: tuple[str, ...] = ()  # entity prefixes of ghosts in the plane
+    timelines: tuple[str, ...] = ()  # on each of them, a trail grows to the cursor
+    is_small: bool = False  # whether the window is too small for legends, phases and documents
 
-    prefixes: tuple[str, ...]
-    series: tuple[str, ...]
-    references: frozenset[str]
-    lines: tuple[str, ...] = ()
-    legends: frozenset[str] | None = None
-    highest_speed_m_s: float | None = None
-    steps_title: str | None = None
-    luck_title: str | None = None
-    starts: str = ""
-    has_pause: bool = False
-    has_dead_time: bool = False
-    legend_names: tuple[str, ...]
-    with_phases: int
-    has_several_phases: bool = True
-    has_events: bool
-    documents: tuple[str, ...]
-    plane: Bounds
-    goal: CloseUp | None
-    ranges: Mapping[str, tuple[float, float]]
-    close_ups: frozenset[str] = frozenset()
-    controlled: frozenset[str] = frozenset()
-    worst: WorstPlace | None = None
-    states: tuple[plotted_curves.StateGroup, ...] = ()
-    overlaid: frozenset[plotted_curves.StateGroup] = frozenset()
-    idle: frozenset[str] = frozenset()
-    notes: Mapping[str, str] = field(default_factory=dict)
-    corners: Mapping[str, str] = field(default_factory=dict)
-    arrows: str = ""
-    origin: str = ""
-    equal: str = ""
-    is_small: bool = False
-    phase_rows: tuple[str, ...] = ()
-    timelines: tuple[str, ...] = ()
-    ghosts: tuple[str, ...] = ()
-    scale_title: str | None = None
-    scale_span: str = ""
-    end_s: float | None = None
-    length_s: float = 0.0
-    restless: str = ""
+    plane: Bounds  # bounds of the plane
+    goal: CloseUp | None  # close-up of the goal
+    worst: WorstPlace | None = None  # largest deviations of runs from their path, if shown
+    highest_speed_m_s: float | None = None  # of the brightest colour of the trace by speed
+    arrows: str = ""  # text on the arrows in the plane
+    origin: str = ""  # text on the origin of shifted coordinates
+    equal: str = ""  # text on runs with equal rows, drawn as one curve
+    starts: str = ""  # text on other ends in the close-up of the goal, for its title
+
+    series: tuple[str, ...]  # entity paths of the curves, in the order of drawing
+    references: frozenset[str]  # plots that have level lines
+    lines: tuple[str, ...] = ()  # entity paths of vertical lines, shown in every plot
+    ranges: Mapping[str, tuple[float, float]]  # fixed ranges of values, by plot
+    close_ups: frozenset[str] = frozenset()  # plots whose range does not contain all their curves
+    controlled: frozenset[str] = frozenset()  # plots of signals that a loop of a run controls
+    notes: Mapping[str, str] = field(default_factory=dict)  # text beside the title, by plot
+    restless: str = ""  # runs that never come to rest, whose commands are not shown
+    end_s: float | None = None  # end of the plots [s]; None: the plots show everything
+    length_s: float = 0.0  # duration of the longest run [s], if the plots end earlier
+
+    states: tuple[plotted_curves.StateGroup, ...] = ()  # states of the laws, in groups
+    overlaid: frozenset[plotted_curves.StateGroup] = frozenset()  # whose states share a plot
+    idle: frozenset[str] = frozenset()  # plots of states that are always 0, which need no view
+
+    legends: frozenset[str] | None = None  # plots with a legend; None: those of several curves
+    corners: Mapping[str, str] = field(default_factory=dict)  # Rerun's name, by plot with room
+    legend_names: tuple[str, ...]  # names of the runs if they need a separate view
+    scale_title: str | None = None  # title of the colour bar of many runs
+    scale_span: str = ""  # text on the range of the bar, for views without room for it
+
+    with_phases: int  # number of runs with samples
+    has_several_phases: bool = True  # whether a run goes from one phase to another
+    phase_rows: tuple[str, ...] = ()  # prefixes of runs whose phases are shown; empty: all runs
+    has_pause: bool = False  # whether a run has a pause
+    has_dead_time: bool = False  # whether the first run's dead times are drawn
+    has_events: bool  # whether a run has events
+    documents: tuple[str, ...]  # titles of the documents
+    steps_title: str | None = None  # title of the attribution
+    luck_title: str | None = None  # title of the picture of values from other starts
+
+    def find_largest_shown(self) -> float:
+        """Return the largest magnitude that any plot shows."""
+        return max((abs(bound) for bounds in self.ranges.values() for bound in bounds), default=1.0)
 
     def list_states(self, group: plotted_curves.StateGroup) -> list[str]:
         """Return the plots of the shown states of a group."""
@@ -159,6 +121,9 @@ def describe_content(
     close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = plotted_curves.group_states(*(run.declaration for run in runs))
     phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
+    # Of many runs, a few phases are shown, of the first and the last run among them.
+    rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
+    of_states = [one for run in series for one in run if one.plot.startswith(f"{entities.STATE}/")]
     return Content(
         prefixes=tuple(prefixes),
         series=tuple(
@@ -169,6 +134,7 @@ def describe_content(
         references=frozenset(reference.plot for reference in references),
         legend_names=tuple(names) if len(names) > _MOST_IN_PLOT else (),
         with_phases=sum(len(run.samples) > 0 for run in runs),
+        phase_rows=tuple(prefixes[row] for row in rows) if len(prefixes) > MANY else (),
         has_pause=any(span.phase == PAUSE for run in runs for span in run.find_phase_spans()),
         has_several_phases=any(len(run.find_phase_spans()) > 1 for run in runs),
         has_events=any(run.events for run in runs),
@@ -177,42 +143,35 @@ def describe_content(
         goal=goal,
         worst=find_worst_place(runs) if goal is None else None,
         states=states,
-        idle=_find_idle(series),
+        idle=frozenset(one.plot for one in of_states)
+        - {one.plot for one in of_states if one.values.any()},
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
         timelines=(
             plotted_curves.TIMELINE,
-            TICKS,
+            entities.TICKS,
             plotted_curves.WALL_TIMELINE,
             *map(plotted_curves.name_phase_timeline, phases),
         ),
-        notes={**_note_gaps(runs, series), **_count_outliers(series)},
+        notes=_list_notes(runs, series),
         controlled=frozenset(
             entities.name_plot(plot) for run in runs for plot in list_controlled(run)
         ),
     )
 
 
-def _note_gaps(runs: Sequence[Run], series: Sequence[Sequence[Series]]) -> dict[str, str]:
-    """Return the longest gap of a single run for each plot whose curve breaks there."""
-    words = tell_gap(runs)
+def _list_notes(runs: Sequence[Run], series: Sequence[Sequence[Series]]) -> dict[str, str]:
+    """Return by plot the longest gap of a single run, and the number of outliers out of range."""
+    words, outliers = tell_gap(runs), Counter[str]()
     curves = [one for one in series[0] if one.is_main and words]
-    return {one.plot: words for one in curves if np.isnan(one.values).any()}
-
-
-def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:
-    """Return text on the number of outliers beyond the range, by plot."""
-    found: dict[str, int] = {}
-    for curves in (curves for run in series for curves in run):
-        if curves.entity.endswith(f"/{entities.OUTLIERS}"):
-            found[curves.plot] = found.get(curves.plot, 0) + len(curves.time_ns)
-    return {plot: f"{describe_count(rows, 'outlier')} left out" for plot, rows in found.items()}
-
-
-def find_largest_shown(content: Content) -> float:
-    """Return the largest magnitude that any plot shows."""
-    return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
+    notes = {one.plot: words for one in curves if np.isnan(one.values).any()}
+    for one in (one for run in series for one in run):
+        if one.entity.endswith(f"/{entities.OUTLIERS}"):
+            outliers[one.plot] += len(one.time_ns)
+    for plot, rows in outliers.items():
+        notes[plot] = f"{describe_count(rows, 'outlier')} left out"
+    return notes
 
 
 def find_corners(
@@ -242,14 +201,6 @@ def _find_emptiest(places: Values) -> str:
         for end, up in (("Top", is_high), ("Bottom", is_low))
     }
     return min(counts, key=lambda corner: counts[corner])
-
-
-def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
-    states = [
-        curves for run in series for curves in run if curves.plot.startswith(f"{entities.STATE}/")
-    ]
-    acting = {curves.plot for curves in states if curves.values.any()}
-    return frozenset(curves.plot for curves in states) - acting
 
 
 def _are_overlaid(group: plotted_curves.StateGroup, series: Sequence[Sequence[Series]]) -> bool:
@@ -324,21 +275,20 @@ def view_speed(content: Content, highest_m_s: float) -> rrb.View:
     return _view_bounds(title, [*_list_planes(content), *hidden], content.plane)
 
 
-def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
-    """Return the close-up of the goal, without arrows and names, which would cover it."""
-    bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
-    outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
-    name = f"At the goal, {close_up.describe()}{content.starts}{outlines}"
-    return _view_close_up(content, name, bounds)
+def view_close_up(content: Content) -> rrb.View | None:
+    """Return the close-up of the goal or of the largest deviation from the path, if there is one.
 
-
-def view_worst(content: Content, worst: WorstPlace) -> rrb.View:
-    """Return the view of the largest deviation from the tracked path."""
-    bounds = Bounds(center_xy_m=worst.center_xy_m, half_size_m=worst.half_m)
-    return _view_close_up(content, f"Furthest off the path, ±{format_length(worst.half_m)}", bounds)
-
-
-def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
+    It has neither arrows nor names, which would cover it.
+    """
+    if content.goal is not None:
+        bounds = Bounds(center_xy_m=content.goal.goal_xy_m, half_size_m=content.goal.half_m)
+        outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
+        name = f"At the goal, {content.goal.describe()}{content.starts}{outlines}"
+    elif content.worst is not None:
+        bounds = Bounds(center_xy_m=content.worst.center_xy_m, half_size_m=content.worst.half_m)
+        name = f"Furthest off the path, ±{format_length(content.worst.half_m)}"
+    else:
+        return None
     hidden = [entities.NAMES, entities.SPEED_PATH, entities.GAP]
     prefixes = (*content.prefixes, *content.ghosts)
     hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in _ARROWS]
@@ -408,14 +358,14 @@ def view_curves(
 def view_phases(content: Content) -> rrb.View:
     """Return the view of the phases, one row per run. A pause is too short for its name."""
     shown = content.phase_rows or content.prefixes
-    contents = [locate_phases(prefix) for prefix in shown]
+    contents = [entities.locate_phases(prefix) for prefix in shown]
     of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
     colors = ["brown: pause"] if content.has_pause else []
     colors += ["pink: dead time"] if content.has_dead_time else []
     key = f" ({', '.join(colors)})" if colors else ""
     until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
     if content.has_dead_time:
-        contents.insert(1, locate_dead_times(shown[0]))
+        contents.insert(1, entities.locate_dead_times(shown[0]))
     return rrb.StateTimelineView(
         origin="/",
         contents=contents,
@@ -424,44 +374,27 @@ def view_phases(content: Content) -> rrb.View:
     )
 
 
-def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
-    """Return the runs whose phases are shown: all, or a few that include the first and last."""
-    if len(prefixes) <= MANY:
-        return ()
-    rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
-    return tuple(prefixes[row] for row in rows)
-
-
 def view_document(title: str) -> rrb.View:
     """Return the view of a Markdown text."""
-    return rrb.TextDocumentView(origin=name_document(title), name=title)
+    return rrb.TextDocumentView(origin=entities.name_document(title), name=title)
 
 
 def view_events(content: Content) -> rrb.View:
     """Return the view that lists the events."""
-    columns = rrb.TextLogColumns(
-        timeline_columns=[plotted_curves.TIMELINE], text_log_columns=["Body"]
-    )
+    timelines = [plotted_curves.TIMELINE]
     return rrb.TextLogView(
         origin="/",
         contents=[join_path(prefix, entities.EVENTS) for prefix in content.prefixes],
         name="Events",
-        columns=columns,
+        columns=rrb.TextLogColumns(timeline_columns=timelines, text_log_columns=["Body"]),
     )
 
 
 def _show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:
     """Return the overrides that make a view show trails from their start to the cursor."""
-    until_now = VisibleTimeRanges(
-        ranges=[
-            rrb.VisibleTimeRange(
-                name,
-                start=rrb.TimeRangeBoundary.infinite(),
-                end=rrb.TimeRangeBoundary.cursor_relative(),
-            )
-            for name in content.timelines
-        ]
-    )
+    start, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    ranges = [rrb.VisibleTimeRange(name, start=start, end=end) for name in content.timelines]
+    until_now = VisibleTimeRanges(ranges=ranges)
     prefixes = (*content.prefixes, *content.ghosts)
     return {join_path(prefix, entities.TRAIL): until_now for prefix in prefixes}
 

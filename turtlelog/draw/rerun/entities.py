@@ -11,7 +11,6 @@ from turtlelog.charts.time_plots import TIME_PLOTS
 
 APPLICATION_ID: Final = "turtlelog"
 TICKS: Final = "tick"
-
 PLANE: Final = "plane"
 PATH: Final = "plane/path"
 TRAIL: Final = "plane/trail"
@@ -50,14 +49,12 @@ RING_NAMES: Final = "plane/close_up/rings/names"
 MISSES: Final = "plane/close_up/misses"
 WORST: Final = "plane/close_up/worst"
 WORST_NAME: Final = "plane/close_up/worst/name"
-
 POSITION: Final = "position"
 HEADING: Final = "heading_deg"
 HEADING_ERROR: Final = "heading_error_deg"
 ALONG_TRACK: Final = "along_track"
 SPEED: Final = "speed"
 TURN_RATE: Final = "turn_rate"
-COMMANDED: Final = "commanded"
 MEASURED: Final = "as_measured"  # sorted before `commanded`: the viewer draws later names on top
 OUTLIERS: Final = "outliers"
 SENSED: Final = "sensed"
@@ -65,11 +62,7 @@ DROPPED_OUT: Final = "dropped_out"
 STATE: Final = "state"
 IDEAL: Final = "ideal"
 SAMPLED: Final = "sampled"
-AIMED: Final = "reference"
-BEARING_NOW: Final = "bearing_now"
-TO_REFERENCE: Final = "to_reference"
 MARKS: Final = "marks"
-
 PHASE: Final = "phase"
 DEAD_TIME: Final = "dead_time"
 EVENTS: Final = "events"
@@ -116,7 +109,6 @@ def _group_plots() -> dict[str, tuple[TimePlot, ...]]:
 GROUPS: Final[Mapping[str, tuple[TimePlot, ...]]] = MappingProxyType(_group_plots())
 """Plots over time of each entity. x and y share an entity."""
 
-
 RESTLESS: Final = frozenset(name for name, plots in GROUPS.items() if plots[0].is_filled)
 """Plots without the curves of those runs among many that never settle."""
 
@@ -130,13 +122,7 @@ def title_plot(entity: str) -> str:
     for name, plots in GROUPS.items():
         if entity == name_logarithm(name):
             return f"log₁₀ {plots[0].label}"
-    return _TITLES[entity]
-
-
-_TITLES: Final[Mapping[str, str]] = {
-    GAP_MM: "Distance to ghost [mm]",
-    GAP_M: "Distance to ghost [m]",
-}
+    return {GAP_MM: "Distance to ghost [mm]", GAP_M: "Distance to ghost [m]"}[entity]
 
 
 def join_path(*parts: str) -> str:

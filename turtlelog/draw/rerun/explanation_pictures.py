@@ -9,14 +9,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
-from turtlelog.charts.attribution_steps import AttributionStep, StepScale, Waterfall
+from turtlelog.charts.attribution_steps import StepScale, Waterfall
 from turtlelog.charts.close_up import CloseUp
 from turtlelog.charts.curves import Values
 from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.world import draw_points, draw_strips, write_words
+from turtlelog.draw.rerun.plane import draw_points, draw_strips, write_words
 
 _WIDTH: Final = 100.0
 """Width of the picture in its unit of length; one unit is 7 pixels in a window of 1200 x 860."""
@@ -45,6 +45,21 @@ _PROSE_LETTER: Final = 0.84
 _LETTERS: Final = 100
 """Largest length of a line of text [letters]."""
 
+_LEFT: Final = 9.0
+"""Position of the axis; the values have room to the left of it."""
+
+_RIGHT: Final = 77.0
+"""Right end of the curves, followed by their names, in the units of the waterfall."""
+
+_AXIS_FOOT: Final = 30.0
+"""Height of the axis of the starts."""
+
+_PLAIN: Final = StepScale(factor=1.0, unit="", decimals=0)
+_END_RADIUS: Final = 1.6  # [points]
+_LINE_RADIUS: Final = 0.9
+_THIN_RADIUS: Final = 0.5
+_DOT_RADIUS: Final = 1.6
+_RECORDED_RADIUS: Final = 4.0
 
 _Words = tuple[float, float, str, palette.Color]
 """Middle of a text, the text, and its colour."""
@@ -69,9 +84,18 @@ def draw_waterfall_picture(
     joints = [[(place(0.0), 0.0), (place(0.0), axis_y)]]
     for number, (step, y) in enumerate(zip(steps, middles.tolist(), strict=True)):
         left, right = sorted((place(step.start), place(step.end)))
-        _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
+        # A filled rectangle is an image of one colour, because boxes have only outlines.
+        size = np.diag([max(right - left, 0.15) / 2.0, half, 1.0])
+        frame = rr.Transform3D(translation=[left, y - half, 0.0], mat3x3=size)
+        image = rr.Image(np.full((2, 2, 3), step.color, dtype=np.uint8))
+        for part in (frame, image):
+            stream.log(join_path(entities.STEPS, f"bar_{number}"), part, static=True)
         words.append((names_end - _measure_words(step.name) / 2.0, y, step.name, palette.GOAL))
-        words.append((_place_words(step, names_end, right), y, step.text, palette.GOAL))
+        # In a small window, text keeps its size around its middle: it avoids the bar's name.
+        room = _measure_words(step.text) / 2.0
+        clear = names_end + _SMALL_LETTER * len(step.text) / 2.0
+        middle = max(right + _GAP + room, min(clear, _WIDTH - room))
+        words.append((middle, y, step.text, palette.GOAL))
     for x, above, below in zip(map(place, waterfall.joints), middles, middles[1:], strict=False):
         joints.append([(x, float(above) + half), (x, float(below) - half)])
     ticks = choose_ticks([low, high], scale)
@@ -126,16 +150,6 @@ def write_tick(value: float, scale: StepScale) -> str:
     return f"{round(value * scale.factor, 12):g} {scale.unit}".strip()
 
 
-def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> float:
-    """Return the middle of the text after a bar. The text of a short bar avoids the bar's name.
-
-    Text keeps its size in a small window, and is placed around its middle.
-    """
-    half = _measure_words(step.text) / 2.0
-    clear = names_end + _SMALL_LETTER * len(step.text) / 2.0
-    return max(bar_end + _GAP + half, min(clear, _WIDTH - half))
-
-
 def _find_scale(waterfall: Waterfall, names_end: float) -> float:
     """Return the width of a unit with which the text after each bar has room."""
     low, high = waterfall.span
@@ -156,46 +170,10 @@ def _measure_words(text: str) -> float:
     return _LETTER * len(text) + _PADDING
 
 
-def _draw_bar(
-    stream: rr.RecordingStream,
-    number: int,
-    low: tuple[float, float],
-    high: tuple[float, float],
-    color: palette.Color,
-) -> None:
-    """Draw a filled rectangle as an image of one colour, because boxes have only outlines."""
-    entity = join_path(entities.STEPS, f"bar_{number}")
-    width, height = max(high[0] - low[0], 0.15), high[1] - low[1]
-    frame = rr.Transform3D(
-        translation=[*low, 0.0], mat3x3=np.diag([width / 2.0, height / 2.0, 1.0])
-    )
-    stream.log(entity, frame, static=True)
-    image = rr.Image(np.full((2, 2, 3), color, dtype=np.uint8))
-    stream.log(entity, image, static=True)
-
-
 def _write_words(stream: rr.RecordingStream, entity: str, words: Sequence[_Words]) -> None:
-    """Write texts, each around its middle."""
     places = [(x, y - _ABOVE) for x, y, _, _ in words]
     texts, colors = [text for _, _, text, _ in words], [color for *_, color in words]
     write_words(stream, f"{entity}/words", places, texts, colors)
-
-
-_LEFT: Final = 9.0
-"""Position of the axis; the values have room to the left of it."""
-
-_RIGHT: Final = 77.0
-"""Right end of the curves, followed by their names, in the units of the waterfall."""
-
-_AXIS_FOOT: Final = 30.0
-"""Height of the axis of the starts."""
-_PLAIN: Final = StepScale(factor=1.0, unit="", decimals=0)
-
-_END_RADIUS: Final = 1.6  # [points]
-_LINE_RADIUS: Final = 0.9
-_THIN_RADIUS: Final = 0.5
-_DOT_RADIUS: Final = 1.6
-_RECORDED_RADIUS: Final = 4.0
 
 
 def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
@@ -225,7 +203,12 @@ def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
         middle = _RIGHT + 1.0 + _measure_words(line.name) / 2.0
         words.append((middle, float(leader[1]), line.name, line.color))
     if shown.recorded is not None:
-        words.append(_mark_recorded(stream, shown, shown.recorded, place))
+        ((x, y),) = place(np.array([shown.recorded])).tolist()
+        entity = f"{entities.LUCK}/recorded"
+        draw_points(stream, entity, [(x, y)], [palette.MAIN], _RECORDED_RADIUS)
+        # The text is on the side of the curve with more room.
+        y += _LINE if shown.recorded[1] > sum(shown.limits) / 2.0 else -_LINE
+        words.append((x, y, shown.recorded_name, palette.MAIN))
     words += _draw_axes(stream, shown, top, place)
     _write_words(stream, entities.LUCK, words)
 
@@ -236,10 +219,9 @@ def draw_luck_ends(
     """Draw the ends of the starts in the close-up of the goal, below the ends of the runs."""
     if shown.plane is None or close_up is None:
         return
-    ends_m = np.concatenate([shown.plane.ends_m, shown.plane.ghosts_m])
+    ends_m = np.concatenate([shown.plane.ends_m, shown.plane.ghosts_m]) + close_up.goal_xy_m
     colors = [palette.MAIN] * len(shown.plane.ends_m)
     colors += [palette.GHOST] * len(shown.plane.ghosts_m)
-    ends_m += np.array(close_up.goal_xy_m)
     draw_points(stream, entities.LUCK_ENDS, ends_m, colors, _END_RADIUS)
 
 
@@ -277,20 +259,6 @@ def _draw_line(
         draw_points(stream, f"{entity}/starts", places, [line.color], _DOT_RADIUS)
 
 
-def _mark_recorded(
-    stream: rr.RecordingStream,
-    shown: LuckPicture,
-    recorded: tuple[float, float],
-    place: Callable[[Values], Values],
-) -> _Words:
-    """Mark the run itself, and return its text, on the side of the curve with more room."""
-    ((x, y),) = place(np.array([recorded])).tolist()
-    entity = f"{entities.LUCK}/recorded"
-    draw_points(stream, entity, [(x, y)], [palette.MAIN], _RECORDED_RADIUS)
-    is_high = recorded[1] > sum(shown.limits) / 2.0
-    return x, y + (_LINE if is_high else -_LINE), shown.recorded_name, palette.MAIN
-
-
 def _draw_axes(
     stream: rr.RecordingStream,
     shown: LuckPicture,
@@ -309,9 +277,10 @@ def _draw_axes(
     strips += [[(x, _AXIS_FOOT), (x, _AXIS_FOOT + _TICK)] for x, _ in feet]
     axes = [np.array(strip) for strip in strips]
     draw_strips(stream, f"{entities.LUCK}/axes", axes, [palette.REFERENCE], _THIN_RADIUS)
+    texts = [write_tick(tick, _PLAIN) for tick in rises]
     words = [
         (_LEFT - _TICK - _measure_words(text) / 2.0, y, text, palette.START)
-        for (_, y), text in zip(lefts, [write_tick(tick, _PLAIN) for tick in rises], strict=True)
+        for (_, y), text in zip(lefts, texts, strict=True)
     ]
     words += [
         (x, _AXIS_FOOT + 0.5 * _LINE, f"{tick:.3g}", palette.START)

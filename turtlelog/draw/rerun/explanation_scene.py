@@ -11,27 +11,20 @@ from turtlelog.charts import attribution_steps, palette
 from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.compare import Column, Table
-from turtlelog.draw.rerun import entities, explanation_pictures, marks, plane, plots
-from turtlelog.draw.rerun.content import Content, describe_content, find_largest_shown
-from turtlelog.draw.rerun.entities import GHOSTS, RUNS, join_path, name_part
-from turtlelog.draw.rerun.ghosts import (
-    Ghost,
-    build_ideal_ghost,
-    draw_gap,
-    draw_ghost,
-    draw_key,
-    list_gaps,
+from turtlelog.draw.rerun import (
+    entities,
+    explanation_pictures,
+    marks,
+    plane,
+    plots,
+    recording_stream,
+    turtles,
 )
+from turtlelog.draw.rerun.content import Content, describe_content
+from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.layout import build_explanation_layout
-from turtlelog.draw.rerun.plane import Look, count_segments, draw_trail, draw_turtle
-from turtlelog.draw.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
-from turtlelog.draw.rerun.timelines import (
-    RunStream,
-    add_thinning,
-    build_compared_timelines,
-    read_span,
-)
-from turtlelog.draw.rerun.world import draw_close_up, draw_world, draw_worst_place, find_way_bounds
+from turtlelog.draw.rerun.recording_stream import RunStream, open_recording
+from turtlelog.draw.rerun.turtles import Ghost, Look
 from turtlelog.draw.table_formats import format_markdown
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_markdown
@@ -85,24 +78,28 @@ def write_explanation_rrd(
     if found.withheld and not scene.ghosts:
         raise ShowError(f"{path}: no contributions and no ghost to show: {found.withheld}")
     texts = {"Contributions": _describe_contributions(found), **(documents or {})}
-    texts = {**add_thinning(texts, scene.runs)}
+    texts = {**recording_stream.add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
     dead_times = marks.list_dead_times(recorded, metrics[0])
-    lines = {
+    marked = {
         "pause": (palette.PAUSED, marks.list_pause_times(recorded)),
         "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),
     }
-    picture = None if luck is None else build_luck_picture(luck)
-    lines = {name: marked for name, marked in lines.items() if marked[1]}
+    lines = {name: line for name, line in marked.items() if line[1]}
     content = scene.describe(texts)
     content = replace(
         content,
         lines=tuple(join_path(scene.prefixes[0], entities.LINES, name) for name in lines),
         steps_title=_name_steps(found),
-        luck_title=None if picture is None else f"With other {picture.varied}s",
-        starts="" if picture is None else explanation_pictures.count_ends(picture, content.goal),
         has_dead_time=bool(dead_times),
     )
+    picture = None if luck is None else build_luck_picture(luck)
+    if picture is not None:
+        content = replace(
+            content,
+            luck_title=f"With other {picture.varied}s",
+            starts=explanation_pictures.count_ends(picture, content.goal),
+        )
     name = f"{recorded.name}, explained"
     with open_recording(path, name=name, layout=build_explanation_layout(content)) as stream:
         run_stream = _draw_scene(stream, scene, content, metrics)
@@ -120,10 +117,10 @@ def write_explanation_rrd(
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             marks.draw_lines(
-                run_stream, entity, label, color, times_ns, largest=find_largest_shown(content)
+                run_stream, entity, label, color, times_ns, largest=content.find_largest_shown()
             )
         marks.draw_dead_times(run_stream, dead_times)
-        draw_documents(stream, texts)
+        recording_stream.draw_documents(stream, texts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,47 +141,36 @@ class _Scene:
     @property
     def prefixes(self) -> tuple[str, ...]:
         """Entity prefixes of the runs."""
-        return (join_path(RUNS, _RECORDED), *(one.prefix for one in self.ghosts if one.is_run))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the runs."""
-        return (_RECORDED, *(ghost.name for ghost in self.ghosts if ghost.is_run))
-
-    @property
-    def colors(self) -> tuple[palette.Color, ...]:
-        """Colours of the runs."""
-        return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
+        recorded = join_path(entities.RUNS, _RECORDED)
+        return (recorded, *(ghost.prefix for ghost in self.ghosts if ghost.is_run))
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return the content of the recording, with phases of only the run and the main ghost."""
         series = ((*self.series[0], *self.gaps), *self.series[1:])
         content = describe_content(self.runs, self.prefixes, series, self.references, documents)
-        others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
-        whole = [self.recorded, *(ghost.run for ghost in self.ghosts)]
         return replace(
             content,
-            plane=find_way_bounds(whole),
-            ghosts=tuple(others),
+            plane=plane.find_way_bounds([self.recorded, *(ghost.run for ghost in self.ghosts)]),
+            ghosts=tuple(ghost.prefix for ghost in self.ghosts if not ghost.is_run),
             with_phases=min(content.with_phases, 2),
             phase_rows=(self.prefixes[0], *self.prefixes[1:][-1:]),
         )
 
 
 def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
-    colors = palette.choose_cause_colors(found.causes)
-    ghosts = [
-        Ghost(
-            name=f"without {lacks}",
-            brief=_name_briefly(lacks, found),
-            prefix=join_path(GHOSTS, name_part(f"without {lacks}")),
-            run=run,
-            look=_choose_look(colors.get(lacks), is_main=number == len(what_ifs)),
-            is_run=True,
+    colors, ghosts = palette.choose_cause_colors(found.causes), []
+    for number, (lacks, run) in enumerate(what_ifs.items(), start=1):
+        look = Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)  # of the main ghost
+        if number < len(what_ifs) and lacks in colors:
+            look = Look(color=colors[lacks], is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
+        prefix = join_path(entities.GHOSTS, name_part(f"without {lacks}"))
+        brief = _name_briefly(lacks, found)
+        ghosts.append(
+            Ghost(
+                name=f"without {lacks}", brief=brief, prefix=prefix, run=run, look=look, is_run=True
+            )
         )
-        for number, (lacks, run) in enumerate(what_ifs.items(), start=1)
-    ]
-    ideal = None if ghosts else build_ideal_ghost(recorded)
+    ideal = None if ghosts else turtles.build_ideal_ghost(recorded)
     if ideal is not None:
         ghosts.append(ideal)
     drawn = [(_RECORDED, recorded, palette.MAIN, _WIDTH)]
@@ -199,7 +185,7 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
             )
             for name, run, color, width in drawn
         ),
-        gaps=list_gaps(recorded, ghosts),
+        gaps=turtles.list_gaps(recorded, ghosts),
         references=plots.list_references([run for _, run, _, _ in drawn]),
     )
 
@@ -211,13 +197,6 @@ def _name_briefly(lacks: str, found: Attribution) -> str:
     return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
 
 
-def _choose_look(color: palette.Color | None, *, is_main: bool) -> Look:
-    """Return the look of a ghost: grey for the main ghost, otherwise the colour of its cause."""
-    if is_main or color is None:
-        return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
-    return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
-
-
 def _draw_scene(
     stream: rr.RecordingStream,
     scene: _Scene,
@@ -226,22 +205,24 @@ def _draw_scene(
 ) -> RunStream:
     """Draw the run and its ghosts, and return the stream of the run."""
     recorded, half_size_m = scene.recorded, content.plane.half_size_m
-    send_comparison_properties(stream, scene.runs, scene.names, scene.prefixes, metrics)
-    draw_world(stream, scene.runs, half_size_m=half_size_m)
-    timelines = [build_compared_timelines(run) for run in scene.runs]
-    plots.draw_references(stream, scene.references, read_span(scene.runs, timelines))
+    simulated = [ghost for ghost in scene.ghosts if ghost.is_run]
+    names = [_RECORDED, *(ghost.name for ghost in simulated)]
+    recording_stream.send_comparison_properties(stream, scene.runs, names, scene.prefixes, metrics)
+    plane.draw_world(stream, scene.runs, half_size_m=half_size_m)
+    timelines = [recording_stream.build_compared_timelines(run) for run in scene.runs]
+    span = recording_stream.read_span(scene.runs, timelines)
+    plots.draw_references(stream, scene.references, span)
     run_stream = RunStream(stream, scene.prefixes[0], timelines[0])
-    look, segments = Look(color=palette.MAIN), count_segments(1 + len(scene.ghosts))
-    draw_trail(run_stream, recorded, look, segments=segments)
+    look, segments = Look(color=palette.MAIN), turtles.count_segments(1 + len(scene.ghosts))
+    turtles.draw_trail(run_stream, recorded, look, segments=segments)
     plane.draw_reference_path(run_stream, recorded)
-    draw_turtle(run_stream, recorded.poses, look, half_size_m)
+    turtles.draw_turtle(run_stream, recorded.poses, look, half_size_m)
     streams = [run_stream]
     for ghost in scene.ghosts:
-        own = build_compared_timelines(ghost.run)
-        ghost_stream = draw_ghost(stream, ghost, own, half_size_m, segments=segments)
+        own = recording_stream.build_compared_timelines(ghost.run)
+        ghost_stream = turtles.draw_ghost(stream, ghost, own, half_size_m, segments=segments)
         streams += [ghost_stream] if ghost.is_run else []
-    pairs = zip(streams, scene.runs, scene.names, scene.series, strict=True)
-    for own_stream, run, name, listed in pairs:
+    for own_stream, run, name, listed in zip(streams, scene.runs, names, scene.series, strict=True):
         if own_stream in (streams[0], streams[-1]):
             marks.draw_phases(own_stream, run)
         marks.list_events(own_stream, run, name)
@@ -250,18 +231,12 @@ def _draw_scene(
     for curves in scene.gaps:
         plots.draw_series(run_stream, curves)
     _draw_apart(stream, scene, content)
+    colors = [palette.MAIN, *(ghost.look.color for ghost in simulated)]
     if content.goal is not None:
-        briefs = [_RECORDED, *(one.brief for one in scene.ghosts if one.is_run)]
-        draw_close_up(
-            stream,
-            name_ends(content.goal, briefs),
-            recorded,
-            scene.prefixes,
-            scene.colors,
-            lettering=_LETTERING,
-        )
+        ends = name_ends(content.goal, [_RECORDED, *(ghost.brief for ghost in simulated)])
+        plane.draw_close_up(stream, ends, recorded, scene.prefixes, colors, lettering=_LETTERING)
     if content.worst is not None:
-        draw_worst_place(stream, content.worst, scene.colors[content.worst.run])
+        plane.draw_worst_place(stream, content.worst, colors[content.worst.run])
     return run_stream
 
 
@@ -269,15 +244,14 @@ def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> 
     """Draw the distance of the main ghost, and name all turtles."""
     if scene.ghosts:
         main = scene.ghosts[-1]
-        draw_gap(stream, scene.recorded, main, content.plane, "blue to grey")
+        turtles.draw_gap(stream, scene.recorded, main, content.plane, "blue to grey")
         whole = main.name if len(main.name) <= _LONGEST else "without all of these"
         rows = [(_RECORDED, palette.MAIN), (whole, main.look.color)]
         rows += [(ghost.name, ghost.look.color) for ghost in reversed(scene.ghosts[:-1])]
-        draw_key(stream, rows, content.plane, [scene.recorded, main.run])
+        turtles.draw_key(stream, rows, content.plane, [scene.recorded, main.run])
 
 
 def _name_steps(found: Attribution) -> str:
-    """Return the title of the view of the steps."""
     value = found.resimulated if found.as_logged is None else found.as_logged
     if value is None:
         return f"Why {found.metric} has no value"
@@ -287,19 +261,15 @@ def _name_steps(found: Attribution) -> str:
 
 
 def _tell_ghosts(found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return text on the values of ghosts, which no bar shows if several causes act together.
-
-    `ghosts` are the metrics of the drawn what-ifs, by the causes that each what-if lacks.
-    """
+    """Return text on the values of ghosts by cause, which no bar shows if causes act together."""
     acting = [share.cause for share in attribution_steps.choose_acting_contributions(found)]
     if len(acting) < 2:
         return ()
     scale = attribution_steps.choose_step_scale(found)
-    ends = {name: ghosts[name][found.metric].value for name in acting if name in ghosts}
     told = [
         f"{scale.format_value(value)} without {name}"
-        for name, value in ends.items()
-        if value is not None
+        for name in acting
+        if name in ghosts and (value := ghosts[name][found.metric].value) is not None
     ]
     if len(told) > _MOST_TOLD:
         told = ["each thin one is without one cause"]

@@ -1,6 +1,7 @@
 """Layouts: the views of a recording and their places; and the legend of many runs."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -11,23 +12,11 @@ from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import GainScale
 from turtlelog.charts.plotted_curves import TIMELINE, Column, StateGroup
-from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.content import (
-    Content,
-    view_curves,
-    view_document,
-    view_events,
-    view_goal,
-    view_phases,
-    view_picture,
-    view_plane,
-    view_plot,
-    view_speed,
-    view_worst,
-)
+from turtlelog.draw.rerun import content as views, entities
+from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.explanation_pictures import view_explained
-from turtlelog.draw.rerun.world import draw_points, write_words
+from turtlelog.draw.rerun.plane import draw_points, write_words
 
 Corners = Mapping[str, rrb.Corner2D]
 
@@ -54,7 +43,6 @@ _EXPLAINED: Final = (
 )
 
 _EXPLAINED_ROWS: Final = (1.0, 1.7)
-
 _EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
 _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
@@ -62,9 +50,7 @@ _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 shown."""
 
 _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
-
 _COLUMN_SHARES: Final = (1.0, 1.8)
-
 _VIOLATION_ROWS: Final = (1.0, 1.2)
 
 _VIOLATION_TOP: Final = (4.0, 1.0)
@@ -77,9 +63,7 @@ _VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
 of them."""
 
 _PHASE_HEAD_SHARE: Final = 0.09
-
 _PHASE_ROW_SHARE: Final = 0.055
-
 _LARGEST_PHASE_SHARE: Final = 0.4
 
 _ONE_PHASE_SHARE: Final = 0.18
@@ -137,8 +121,15 @@ def build_run_layout(content: Content) -> rrb.Blueprint:
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a comparison: the same views with all runs, and one legend."""
-    return _build_blueprint(content, _choose_legend(content))
+    """Return the layout of a comparison: the same views with all runs, and one legend.
+
+    A run keeps its colour in every view, so one legend is enough.
+    """
+    if content.legend_names:
+        return _build_blueprint(content, {})
+    alone = ("along_track_error", "along_track")
+    whole = [plot for plot in alone if len(content.list_curves(plot)) == len(content.prefixes)]
+    return _build_blueprint(content, {[*whole, entities.HEADING][0]: rrb.Corner2D.RightBottom})
 
 
 def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
@@ -147,16 +138,14 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
     The signal's legend is next to the signal, where it covers nothing; its lines wrap in a small
     window. The plots have no legends, because they are as small as a legend.
     """
-    top = rrb.Horizontal(violated, view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
+    top = rrb.Horizontal(violated, views.view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
     titles = [title for title in content.documents if title != LEGEND_TITLE]
-    tabs = [*map(view_document, titles), view_events(content)]
+    tabs = [*map(views.view_document, titles), views.view_events(content)]
     parts: list[rrb.Container | rrb.View] = [
         _build_plane(content, with_arrows=False),
         rrb.Tabs(*tabs, active_tab=0),
     ]
-    stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, {}))]
-    if stacks:
-        parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
+    parts += _list_stacks(content, _COLUMNS, {})
     below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
     return link_views(rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS))
 
@@ -168,14 +157,12 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
     tabs += (
         [] if content.luck_title is None else [view_explained(content.luck_title, entities.LUCK)]
     )
-    tabs += map(view_document, content.documents)
+    tabs += map(views.view_document, content.documents)
     right: list[rrb.View | rrb.Container] = [
-        rrb.Tabs(*tabs, *([view_events(content)] if content.has_events else []), active_tab=0)
+        rrb.Tabs(*tabs, *([views.view_events(content)] if content.has_events else []), active_tab=0)
     ]
-    stacks = [cells for column in _EXPLAINED if (cells := _list_cells(content, column, {}, tab=0))]
-    if stacks:
-        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
-        height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
+    height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
+    for plots in _list_stacks(content, _EXPLAINED, {}, tab=0):
         right.append(_add_phases(content, _add_states(content, plots), height))
     return link_views(
         rrb.Horizontal(
@@ -186,24 +173,12 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
     )
 
 
-def _choose_legend(content: Content) -> Corners:
-    """Return the place of the only legend. A run keeps its colour in every view."""
-    if content.legend_names:
-        return {}
-    for plot in ("along_track_error", "along_track"):
-        if len(content.list_curves(plot)) == len(content.prefixes):
-            return {plot: rrb.Corner2D.RightBottom}
-    return {entities.HEADING: rrb.Corner2D.RightBottom}
-
-
 def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
     left = _list_planes_of(content)
     tabs = [] if content.is_small else _list_tabs(content)
     left += [rrb.Tabs(*tabs, active_tab=0)] if tabs else []
     parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
-    stacks = [cells for column in _COLUMNS if (cells := _list_cells(content, column, legends))]
-    if stacks:
-        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
+    for plots in _list_stacks(content, _COLUMNS, legends):
         parts.append(_add_phases(content, _add_states(content, plots)))
     root = rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)])
     return link_views(root, end_s=content.end_s)
@@ -226,58 +201,54 @@ def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Bluepr
 def _list_tabs(content: Content) -> list[rrb.View]:
     tabs: list[rrb.View] = []
     if content.scale_title is not None:
-        tabs.append(view_scale(content.scale_title))
+        bar, ranges = f"{join_path(entities.LEGEND)}/**", (-0.3, _SCALE_WIDTH + 0.3)
+        tabs.append(views.view_picture(content.scale_title, [bar], ranges, (-0.5, _SCALE_DEPTH)))
     elif content.legend_names:
-        tabs.append(view_legend(content.legend_names))
-    tabs += [view_document(title) for title in content.documents]
-    if content.has_events:
-        tabs.append(view_events(content))
-    return tabs
+        tabs.append(_view_legend(content.legend_names))
+    tabs += map(views.view_document, content.documents)
+    return [*tabs, *([views.view_events(content)] if content.has_events else [])]
 
 
 def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
     """Return the plane, and the close-up of goal or path, if any."""
-    views: list[rrb.View | rrb.Container] = [_build_plane(content)]
-    if content.goal is not None:
-        views.append(view_goal(content, content.goal))
-    elif content.worst is not None:
-        views.append(view_worst(content, content.worst))
-    return views
+    plane, close_up = _build_plane(content), views.view_close_up(content)
+    return [plane] if close_up is None else [plane, close_up]
 
 
 def _build_plane(content: Content, *, with_arrows: bool = True) -> rrb.View | rrb.Container:
-    plane = view_plane(content, with_arrows=with_arrows)
+    plane = views.view_plane(content, with_arrows=with_arrows)
     if content.highest_speed_m_s is None:
         return plane
-    by_speed = view_speed(content, content.highest_speed_m_s)
+    by_speed = views.view_speed(content, content.highest_speed_m_s)
     return rrb.Tabs(plane, by_speed, active_tab=0)
 
 
-def _list_cells(
+def _list_stacks(
     content: Content,
-    column: Sequence[Sequence[str]],
+    columns: Sequence[Sequence[Sequence[str]]],
     legends: Corners,
     *,
     tab: int | None = None,
-) -> list[rrb.View | rrb.Container]:
-    cells: list[rrb.View | rrb.Container] = []
-    for cell in column:
-        plots = [
-            view_plot(content, plot, None if content.is_small else legends.get(plot))
-            for plot in cell
-            if content.list_curves(plot)
-        ]
-        if plots:
-            active = _choose_tab(content, cell) if tab is None else tab
-            cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
-    return cells
+) -> list[rrb.Container]:
+    """Return the columns of plots side by side, if there is a plot; plots in a cell are tabs."""
+    stacks = []
+    for column in columns:
+        cells: list[rrb.View | rrb.Container] = []
+        for cell in column:
+            shown = [plot for plot in cell if content.list_curves(plot)]
+            corners = [None if content.is_small else legends.get(plot) for plot in shown]
+            plots = [*map(partial(views.view_plot, content), shown, corners)]
+            if plots:
+                active = _choose_tab(content, cell) if tab is None else tab
+                cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
+        stacks += [cells] if cells else []
+    return [rrb.Horizontal(*(rrb.Vertical(*cells) for cells in stacks))] if stacks else []
 
 
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:
     """Return the index of the first plot that a loop controls, or else 0.
 
-    The along-track error has priority if every run has this signal: next to a path of many metres,
-    the error would not be visible.
+    An along-track error of every run has priority: beside many metres it would not be visible.
     """
     shown = [plot for plot in cell if content.list_curves(plot)]
     if len(content.list_curves(shown[0])) < len(content.prefixes):
@@ -303,13 +274,13 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
         states = [group.label_state(plot.partition("/")[2]) for plot in plots]
         names = [state if has_tabs else f"State {state}" for state in states]
         pairs = zip(plots, names, strict=True)
-        views = [view_plot(content, plot, None, name) for plot, name in pairs]
-        return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
+        shown = [views.view_plot(content, plot, None, name) for plot, name in pairs]
+        return rrb.Tabs(*shown, active_tab=0) if len(shown) > 1 else next(iter(shown), None)
     ranges = [content.ranges[plot] for plot in plots if plot in content.ranges]
     axis = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
     corner = content.corners.get(plots[0], "RightTop")
     contents = [path for plot in plots for path in content.list_curves(plot)]
-    return view_curves(group.label, contents, axis, rrb.PlotLegend(rrb.Corner2D[corner]))
+    return views.view_curves(group.label, contents, axis, rrb.PlotLegend(rrb.Corner2D[corner]))
 
 
 def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
@@ -320,14 +291,13 @@ def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> 
     share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (rows + content.has_dead_time)
     largest = _LARGEST_PHASE_SHARE if content.has_several_phases else _ONE_PHASE_SHARE
     share = min(share / height, largest)
-    return rrb.Vertical(plots, view_phases(content), row_shares=[1.0 - share, share])
+    return rrb.Vertical(plots, views.view_phases(content), row_shares=[1.0 - share, share])
 
 
 _SCALE_WIDTH: Final = 12.0
 """Width of the colour bar of many runs, in multiples of its height."""
 
 _SCALE_DEPTH: Final = 2.5
-
 _LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
 
 _LEGEND_LETTERS: Final = 48
@@ -340,7 +310,6 @@ _MOST_NAMES: Final = 28
 """Largest number of names, in four columns and seven lines of a window of 1200 x 860."""
 
 _LEGEND_RADIUS: Final = 5.0  # [points]
-
 _SCALE_HEIGHT: Final = 1.0
 
 _SCALE_LINES: Final = 8
@@ -351,19 +320,12 @@ _SCALE_LABELS: Final = 12
 """Largest number of values in a view 500 pixels wide: 40 pixels each."""
 
 
-def view_legend(names: Sequence[str]) -> rrb.View:
-    """Return a view with the names of many runs, each in the colour of its run."""
+def _view_legend(names: Sequence[str]) -> rrb.View:
     shown = [names[number] for number in choose_names(len(names))]
     last_row = float(arrange_names(shown)[-1, 1])
     title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
     ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
-    return view_picture(title, [join_path(entities.LEGEND)], *ranges)
-
-
-def view_scale(title: str) -> rrb.View:
-    """Return a view of the colour bar of many runs."""
-    contents = [f"{join_path(entities.LEGEND)}/**"]
-    return view_picture(title, contents, (-0.3, _SCALE_WIDTH + 0.3), (-0.5, _SCALE_DEPTH))
+    return views.view_picture(title, [join_path(entities.LEGEND)], *ranges)
 
 
 def draw_legend(

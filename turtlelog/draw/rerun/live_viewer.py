@@ -2,27 +2,27 @@
 
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
+import rerun as rr
+import rerun.blueprint as rrb
 from rerun.notebook import Viewer
 
-from turtlelog.draw.rerun.entities import APPLICATION_ID
-from turtlelog.draw.rerun.rrd_file import abandon_stream, require_enabled
-from turtlelog.draw.rerun.run_scene import GrowingStream, LiveScene, write_run_rrd
-from turtlelog.draw.rerun.viewer import (
-    ViewerProcess,
-    build_url,
-    find_free_port,
-    require_recordings,
-    require_viewer,
-    start_viewer,
-    wait_for_viewer,
-)
+from turtlelog.charts import palette
+from turtlelog.charts.plotted_curves import HEADROOM, TIMELINE
+from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles
+from turtlelog.draw.rerun.content import Content, describe_content
+from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
+from turtlelog.draw.rerun.layout import build_run_layout, is_small
+from turtlelog.draw.rerun.recording_stream import RunStream
+from turtlelog.draw.rerun.run_scene import build_run_scene, write_run_rrd
+from turtlelog.draw.rerun.viewer import open_window, require_recordings, require_viewer
 from turtlelog.errors import ShowError
 from turtlelog.libraries import load_library
 from turtlelog.log import RecordingTail
@@ -51,9 +51,208 @@ _ADVICE: Final = (
     "`turtlelog view FILE --partial --snapshot X.png` makes a picture of what is there so far"
 )
 
-
 WIDGET_SIZE: Final = (960, 640)
 """Width and height that fit a cell of JupyterLab on a small screen [pixels]."""
+
+_FLUSH_S: Final = 5.0
+
+_GROWTH = 64
+"""Growth of the rows, by 1/64, after which data that are sent as a whole are sent again. The total
+stays a small multiple of the rows."""
+
+_WHOLE = (
+    *map(join_path, (entities.PATH, entities.REFERENCE_PATH, entities.REFERENCE)),
+    *map(join_path, (entities.SENSED_PLACES, entities.DROPPED_PLACES, entities.EVENT_PLACES)),
+)
+_UNSETTLED = join_path(entities.PHASE)
+"""Entity whose last row shows how the run ended."""
+
+
+class GrowingStream(rr.RecordingStream):
+    """Stream that sends only new data of every entity.
+
+    The functions that draw a finished run also draw a growing run with this stream. Rows and static
+    data that were already sent are left out. The path, the places of events and the level lines
+    become longer during the run, so the complete lines are sent again in rounds that are due.
+    """
+
+    def __init__(self, application_id: str) -> None:
+        super().__init__(application_id, send_properties=False)
+        self._sent: dict[str, int] = {}
+        self._seen: dict[str, int] = {}
+        self._logged: set[str] = set()
+        self._rows = 0
+        self.is_due, self._is_last = True, False
+
+    def begin_round(self, rows: int, *, is_last: bool = False) -> None:
+        """Start a new round of drawing a run that has this number of rows.
+
+        In the last round, all changeable data are sent.
+        """
+        self._seen.clear()
+        self._is_last = is_last
+        self.is_due = is_last or rows > self._rows + self._rows // _GROWTH
+        if self.is_due:
+            self._rows = rows
+
+    def log(self, entity_path: str | list[object], entity: Any, *more: Any, **options: Any) -> None:
+        """Store static data if they are new or due."""
+        name = str(entity_path)
+        if name not in self._logged or self._is_last or self._is_whole_due(name):
+            self._logged.add(name)
+            super().log(entity_path, entity, *more, **options)
+
+    def send_columns(
+        self,
+        entity_path: str,
+        indexes: Iterable[Any],
+        columns: Iterable[Any],
+        *,
+        strict: bool | None = None,
+    ) -> None:
+        """Send the rows that have not been sent before."""
+        index, values = list(indexes), list(columns)
+        count = len(index[0].as_arrow_array())
+        if entity_path.startswith(_WHOLE):
+            if self._is_whole_due(entity_path) or entity_path not in self._sent:
+                self._sent[entity_path] = count
+                super().send_columns(entity_path, index, values, strict=strict)
+            return
+        first = self._seen.get(entity_path, 0)
+        self._seen[entity_path] = first + count
+        sent = self._sent.get(entity_path, 0)
+        held = 1 if entity_path == _UNSETTLED and not self._is_last else 0
+        start, end = max(sent - first, 0), count - held
+        if start < end:
+            self._sent[entity_path] = first + end
+
+            def cut(columns: list[Any]) -> list[Any]:
+                arrays = (column.as_arrow_array().slice(start, end - start) for column in columns)
+                return [*map(_Part, columns, arrays)]
+
+            super().send_columns(entity_path, cut(index), cut(values), strict=strict)
+
+    def _is_whole_due(self, name: str) -> bool:
+        return self.is_due and name.startswith(_WHOLE)
+
+
+class LiveScene:
+    """A run in a viewer, with the entities, rows and layout of its file.
+
+    Metrics, marks, theory and close-ups are known only at the end, and are sent then.
+    """
+
+    def __init__(self, stream: GrowingStream, size: tuple[int, int] | None = None) -> None:
+        """Store a stream; `size` is the size of the window [pixels], if known."""
+        self._stream, self._size = stream, size
+        self._shown: list[str] = []
+        self._half_size_m = 0.0
+
+    def update(self, run: Run) -> None:
+        """Send the new data of a growing run; nothing while the run is too short to be visible.
+
+        Raises:
+            ConnectionError: If the viewer accepts no more data.
+        """
+        if len(run.poses) > 1:
+            with recording_stream.strict_mode():
+                self._draw(run)
+
+    def finish(self, run: Run) -> None:
+        """Send the rest of a finished run, including the data known only at the end.
+
+        Raises:
+            ConnectionError: If the viewer accepts no more data.
+        """
+        scene = build_run_scene(run, size=self._size)
+        with recording_stream.strict_mode():
+            self._stream.begin_round(len(run.poses), is_last=True)
+            self._arrange(run, scene.content)
+            scene.draw(self._stream)
+            _flush(self._stream)
+
+    def _draw(self, run: Run) -> None:
+        stream, timelines = self._stream, recording_stream.build_run_timelines(run)
+        # Theory is drawn at the end, when the segment of each loop is known.
+        listed = [one for one in plots.list_series(run) if not one.entity.endswith("/ideal")]
+        named = marks.name_legends(listed, plots.list_references([run]))
+        series, references = named.series, named.references
+        run_stream = RunStream(stream, "", timelines)
+        stream.begin_round(len(run.poses))
+        shown = [curves.entity for curves in series]
+        if self._shown != shown:
+            content = describe_content([run], [""], [series], references, ())
+            content = replace(content, is_small=is_small(self._size))
+            self._shown, self._half_size_m = shown, content.plane.half_size_m
+            self._arrange(run, _open_up(content, references))
+            plane.draw_world(stream, [run])
+        if stream.is_due:
+            turtles.draw_growing_path(run_stream, run)
+            plane.draw_reference_path(run_stream, run)
+            plane.draw_sensed(run_stream, run)
+            span = recording_stream.read_span([run], [timelines])
+            plots.draw_references(stream, references, span)
+        look = turtles.Look(color=palette.MAIN)
+        turtles.draw_turtle(run_stream, run.poses, look, self._half_size_m)
+        turtles.draw_reference_pose(run_stream, run, self._half_size_m)
+        turtles.draw_arrows(run_stream, run)
+        marks.draw_phases(run_stream, run)
+        if run.events:
+            plane.draw_event_places(run_stream, run)
+            marks.list_events(run_stream, run)
+        for curves in series:
+            plots.draw_series(run_stream, curves)
+        _flush(stream)
+
+    def _arrange(self, run: Run, content: Content) -> None:
+        """Send the name, and a layout whose cursor follows the run."""
+        layout = build_run_layout(content)
+        layout.time_panel = rrb.TimePanel(
+            state="collapsed", timeline=TIMELINE, play_state="following"
+        )
+        self._stream.send_recording_name(run.name)
+        self._stream.send_blueprint(layout)
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Rows of a column in the form that Rerun requires."""
+
+    column: Any
+    array: Any
+
+    def timeline_name(self) -> str:
+        return str(self.column.timeline_name())
+
+    def component_descriptor(self) -> Any:
+        return self.column.component_descriptor()
+
+    def as_arrow_array(self) -> Any:
+        return self.array
+
+
+def _open_up(content: Content, references: Sequence[plots.LevelLines]) -> Content:
+    """Return the content of a growing run: events may follow, and there is no close-up yet."""
+    limits = {
+        reference.plot: HEADROOM * max(level.value for level in reference.levels)
+        for reference in references
+        if any(level.kind == "limit" for level in reference.levels)
+    }
+    ranges = {
+        plot: (content.ranges[plot][0], max(content.ranges[plot][1], limit))
+        for plot, limit in limits.items()
+    }
+    return replace(content, ranges=ranges, goal=None, worst=None, idle=frozenset(), has_events=True)
+
+
+def _flush(stream: rr.RecordingStream) -> None:
+    try:
+        stream.flush(timeout_sec=_FLUSH_S)
+    except Exception as err:
+        hangs = "timed out" in str(err)
+        raise ConnectionError(
+            f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
+        ) from err
 
 
 class LiveViewer:
@@ -148,28 +347,6 @@ class LiveViewer:
         return False
 
 
-@contextmanager
-def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
-    """Open a viewer without a recording until the block ends, and yield it with its address.
-
-    Args:
-        advice: Advice if no window can be opened, in one clause.
-
-    Raises:
-        ShowError: If no window can be opened.
-    """
-    port = find_free_port()
-    options = ["--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
-    with start_viewer(options) as viewer:
-        try:
-            wait_for_viewer(viewer, port)
-        except ConnectionError as err:
-            raise ShowError(
-                f"viewer: expected a window, found: {err}; without a display {advice}"
-            ) from err
-        yield viewer, build_url(port)
-
-
 def follow_recording(path: str | Path, url: str | None = None) -> Run:
     """Show a growing recording until it is finished, and return the run.
 
@@ -208,7 +385,6 @@ def follow_recording(path: str | Path, url: str | None = None) -> Run:
 
 
 def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
-    """Draw new data until the recording ends."""
     grown_s = time.monotonic()
     while not tail.is_finished:
         run = tail.read_run()
@@ -225,13 +401,9 @@ def _show_growth(tail: RecordingTail, scene: LiveScene) -> Run:
 
 @contextmanager
 def _connect_scene(url: str) -> Iterator[LiveScene]:
-    """Yield a scene in the viewer at an address, as `rerun+http://127.0.0.1:9876/proxy`.
-
-    Raises:
-        ShowError: If the address is invalid, or Rerun is disabled.
-    """
+    """Yield a scene in the viewer at an address, as in follow_recording."""
     stream = GrowingStream(APPLICATION_ID)
-    require_enabled(stream, "viewer")
+    recording_stream.require_enabled(stream, "viewer")
     stream.set_log_time_enabled(False)
     try:
         stream.connect_grpc(url)
@@ -247,7 +419,7 @@ def _keep_scene(stream: GrowingStream, size: tuple[int, int] | None = None) -> I
     try:
         yield LiveScene(stream, size)
     finally:
-        abandon_stream(stream)
+        recording_stream.abandon_stream(stream)
 
 
 _READY_S: Final = 30.0
@@ -287,12 +459,23 @@ class WidgetStream(GrowingStream):
             LibraryError: If the extra `notebook` is not installed.
         """
         super().__init__(APPLICATION_ID)
-        require_enabled(self, "widget")
+        recording_stream.require_enabled(self, "widget")
         self.set_log_time_enabled(False)
         load_library("rerun_notebook")
-        _require_notebook()
+        from IPython import get_ipython  # with the extra only
+
+        if not hasattr(get_ipython(), "kernel"):
+            raise ShowError(
+                "LiveViewer: there is no notebook here that could show a widget; give the address"
+                " of a viewer, for example rerun+http://127.0.0.1:9876/proxy"
+            )
         self._memory, self._viewer = self.memory_recording(), _build_viewer(size)
-        _show_page(self._viewer)
+        # From version 7.4 on, ipykernel passes the page's message that it is ready to the thread
+        # that used the widget last, but this thread is waiting here. Without a last user, it stays
+        # in the thread in which JupyterLab handles messages of widgets.
+        vars(self._viewer._viewer.comm).pop("_reply_subshell_id", None)
+        self._viewer.display()
+        self._viewer._viewer.block_until_ready(_READY_S)
 
     def flush(self, *, timeout_sec: float = 0.0) -> None:  # noqa: ARG002
         """Send what was drawn since the last time. The page never delays this."""
@@ -302,25 +485,3 @@ class WidgetStream(GrowingStream):
 def _build_viewer(size: tuple[int, int]) -> Viewer:
     width, height = size
     return Viewer(width=width, height=height, use_global_recording=False)
-
-
-def _show_page(viewer: Viewer) -> None:
-    """Show a widget and wait until its page sends a message that it can receive data.
-
-    From version 7.4 on, ipykernel passes the message to the thread that used the widget last, but
-    this thread is waiting here. Without a last user, the message stays in the thread in which
-    JupyterLab handles messages of widgets.
-    """
-    vars(viewer._viewer.comm).pop("_reply_subshell_id", None)
-    viewer.display()
-    viewer._viewer.block_until_ready(_READY_S)
-
-
-def _require_notebook() -> None:
-    from IPython import get_ipython  # with the extra only
-
-    if not hasattr(get_ipython(), "kernel"):
-        raise ShowError(
-            "LiveViewer: there is no notebook here that could show a widget; give the address of a"
-            " viewer, for example rerun+http://127.0.0.1:9876/proxy"
-        )

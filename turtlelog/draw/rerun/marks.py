@@ -14,7 +14,7 @@ from turtlelog.charts.ideal_curves import LoopStep, find_steps
 from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import LevelLines, Series
-from turtlelog.draw.rerun.timelines import RunStream
+from turtlelog.draw.rerun.recording_stream import RunStream
 from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
 from turtlelog.run.loops import DONE, PAUSE
@@ -61,7 +61,8 @@ def list_marks(
     curves = {curve.entity: curve for curve in series}
     marks = []
     for found in list_characteristics(run, metrics):
-        curve = curves.get(_locate_curve(found.signal))
+        name, entry = find_marked(found.signal) or ("", None)
+        curve = curves.get("" if entry is None else _join(entities.name_plot(name), entry.name))
         if found.shape is None or curve is None or found.level is None:
             continue
         if found.kind == "dead_time":
@@ -80,13 +81,8 @@ def list_marks(
     return tuple(marks)
 
 
-def _locate_curve(signal: str) -> str:
-    """Return the entity of the curve for a signal's metrics; empty without such a curve."""
-    found = find_marked(signal)
-    if found is None:
-        return ""
-    name, entry = found
-    return "/".join(part for part in (entities.name_plot(name), entry.name) if part)
+def _join(*parts: str) -> str:
+    return "/".join(filter(None, parts))
 
 
 def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
@@ -205,9 +201,8 @@ def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) 
     style = rr.StateConfiguration(
         values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.DEAD_TIME])
     )
-    dead_times = RunStream(
-        run_stream.stream, entities.locate_dead_times(run_stream.prefix), run_stream.timelines
-    )
+    prefix = entities.locate_dead_times(run_stream.prefix)
+    dead_times = RunStream(run_stream.stream, prefix, run_stream.timelines)
     dead_times.log("", style)
     times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
     columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
@@ -249,9 +244,7 @@ def _compute_sampled(
     label = f"+ {dead_time.value * 1e3:.3g} ms dead time"
     time_s = np.arange(count) * period_s
     yield Series(
-        entity="/".join(
-            part for part in (entities.name_plot(step.loop.signal), entities.SAMPLED, of) if part
-        ),
+        entity=_join(entities.name_plot(step.loop.signal), entities.SAMPLED, of),
         labels=(f"{label}, {of}" if of else label,),
         colors=(palette.IDEAL,),
         time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
@@ -307,7 +300,6 @@ def name_legends(
 def _name_plot(
     curves: Sequence[Series], lines: LevelLines | None, marks: Sequence[Mark]
 ) -> Legends:
-    """Return the items of one plot with their names in its legend."""
     main = next((one for one in curves if one.is_main), curves[0])
     # Marks are sufficient for a curve with the name of its plot.
     is_named = not marks or main.entity != main.plot
@@ -319,7 +311,7 @@ def _name_plot(
                 continue
             words.setdefault(_join_tint(color, main), []).append(_describe(one, said))
     marks = _choose_marks(marks, _LINE_LETTERS - len(", ".join([*words[main.colors[0]], ""])))
-    words[main.colors[0]] += [_join_marks(marks)] if marks else []
+    words[main.colors[0]] += [" ".join(name_marks(marks))] if marks else []
     levels = () if lines is None else lines.levels
     for level in levels:
         if level.kind in ("target", "tolerance"):
@@ -344,13 +336,9 @@ def _name_plot(
 def _choose_marks(marks: Sequence[Mark], letters: int) -> Sequence[Mark]:
     """Return the marks whose names fit a line, after less interesting marks are left out."""
     for least in [mark for mark in marks if mark.is_minor]:
-        if len(_join_marks(marks)) > letters:
+        if len(" ".join(name_marks(marks))) > letters:
             marks = [mark for mark in marks if mark is not least]
     return marks
-
-
-def _join_marks(marks: Sequence[Mark]) -> str:
-    return " ".join(name_marks(marks))
 
 
 def _part_levels(

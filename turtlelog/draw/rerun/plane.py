@@ -1,37 +1,355 @@
-"""Content of a run in the plane: turtle, trace and trail, error and command, events."""
+"""The still content of the plane: border, walls, starts, goals, ends, and what runs left there."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts import palette
+from turtlelog.charts import palette, plane_scene
+from turtlelog.charts.close_up import (
+    CloseUp,
+    Label,
+    Lettering,
+    find_tolerance,
+    format_length,
+    list_miss_labels,
+    list_ring_labels,
+)
 from turtlelog.charts.curves import Values
-from turtlelog.charts.plane_scene import has_own_way, read_way_to_reference
-from turtlelog.charts.robot_curves import find_break_rows, read_pace
+from turtlelog.charts.robot_curves import read_pace
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.timelines import RunStream, choose_trace_rows
-from turtlelog.draw.rerun.world import UPWARD
-from turtlelog.run import Event, PoseColumns, Run
+from turtlelog.draw.rerun.entities import join_path
+from turtlelog.draw.rerun.recording_stream import (
+    RunStream,
+    Timelines,
+    choose_trace_rows,
+)
+from turtlelog.log.ros2.bag_surroundings import CELL_M, UNKNOWN, OccupancyMap, Surroundings
+from turtlelog.plants.turtlesim import WORLD_SIZE_M
+from turtlelog.run import Event, Run
+
+_WORLD_MARGIN = 0.03
+_MARGIN = 0.12
+_GOAL_ASIDE = 0.22
+_START_ASIDE = 0.32  # beside the turtle's arrow
+_NAME_UP = 0.11  # the viewer writes a name below its point
+_MARKER_RADIUS = 3.5  # [points]
+
+UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
+"""Transform that turns y upward for all entities below it, because Rerun's 2D views have y
+downward."""
+
+LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
+"""Size of text, measured in a window of 1200 x 860 pixels, where half of the close-up is 125
+pixels."""
+
+SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
+"""Size of text in a window of 700 x 450, where half of the close-up is 73 pixels and a line of text
+18."""
+
+_ABOVE: Final = 0.6
+"""Offset of text in lines, because the viewer writes text below its point."""
+
+_END_RADIUS: Final = 4.0  # [points]
+_ENDS_RADIUS: Final = 2.0
+_OUTLINE_RADIUS: Final = 0.75
+_MEDIAN_RADIUS: Final = 4.5
+_ABOVE_ENDS: Final = 31.0  # points have 30
+_RING_RADIUS: Final = 0.5
+_WORST_RADIUS: Final = 1.0
+_TRACKED_RADIUS: Final = 2.5
+TRACE_RADIUS: Final = 1.5
+_BELOW_TRACES: Final = 15.0  # lines have 20
+_RING: Final[palette.Color] = (80, 80, 80)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bounds:
+    """A square of the plane, y upward [m]."""
+
+    center_xy_m: tuple[float, float]
+    half_size_m: float
+
+
+def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
+    """Return the world's bounds, or the bounds of paths and goals that leave the world."""
+    if plane_scene.is_in_world(runs):
+        return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
+    return find_way_bounds(runs)
+
+
+def find_way_bounds(runs: Sequence[Run]) -> Bounds:
+    """Return the bounds of paths and goals."""
+    points = np.concatenate([*map(plane_scene.list_places, runs), plane_scene.list_goals(runs)])
+    return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
+
+
+def draw_world(
+    stream: rr.RecordingStream, runs: Sequence[Run], *, half_size_m: float | None = None
+) -> None:
+    """Draw the border, and each tracked path, start and goal once.
+
+    `half_size_m` is half the size of the plane, if it differs from the world's.
+    """
+    stream.log(join_path(entities.PLANE), UPWARD, static=True)
+    if plane_scene.is_in_world(runs):
+        half = WORLD_SIZE_M / 2.0
+        border = rr.Boxes2D(
+            centers=[(half, half)],
+            half_sizes=[(half, half)],
+            colors=[palette.REFERENCE],
+            radii=rr.Radius.ui_points(0.75),
+        )
+        stream.log(join_path(entities.BORDER), border, static=True)
+    paths = plane_scene.list_paths(runs)
+    if paths:
+        strips = [plane_scene.outline_path(path) for path in paths]
+        look, colors = {"draw_order": _BELOW_TRACES}, [palette.TRACKED] * len(paths)
+        draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
+    starts, goals = plane_scene.list_starts(runs), plane_scene.list_goals(runs)
+    draw_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
+    if len(goals):
+        draw_points(stream, entities.GOAL, goals, [palette.GOAL], _MARKER_RADIUS)
+        _draw_tolerances(stream, runs)
+    if len(starts) == 1 and len(goals) == 1:
+        half_m = half_size_m or find_plane_bounds(runs).half_size_m
+        # Each name is on the side away from the path.
+        side = 1.0 if goals[0][0] <= starts[0][0] else -1.0
+        asides = np.array([(side * _START_ASIDE, _NAME_UP), (-side * _GOAL_ASIDE, _NAME_UP)])
+        places, colors = [starts[0], goals[0]] + half_m * asides, [palette.START, palette.GOAL]
+        write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
+
+
+def draw_close_up(
+    stream: rr.RecordingStream,
+    close_up: CloseUp,
+    run: Run,
+    prefixes: Sequence[str],
+    colors: Sequence[palette.Color],
+    *,
+    lettering: Lettering = LETTERING,
+) -> None:
+    """Draw the end of each run in its colour, with its distance from the goal.
+
+    The start of `run`, one of the runs, gives the direction of arrival.
+    """
+    for end in close_up.ends:
+        told = f"ends {format_length(end.miss_m)} from the goal"
+        entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]
+        draw_points(
+            stream, entity, [end.xy_m], [color], _END_RADIUS, labels=[told], show_labels=False
+        )
+    misses = list_miss_labels(close_up, lettering)
+    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
+    up_m = _ABOVE * LETTERING.line * close_up.half_m
+    lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
+    hues = [colors[one.runs[0]] if len(one.runs) == 1 else palette.START for one in lines]
+    _write_labels(stream, entities.MISSES, up_m, lines, hues)
+    _write_labels(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
+    draw_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
+
+
+def draw_ends(
+    stream: rr.RecordingStream, runs: Sequence[Run], colors: Sequence[palette.Color]
+) -> None:
+    """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
+    ends_m = [run.poses.xy_m[-1] for run in runs]
+    draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
+    groups = plane_scene.find_gain_ends(runs)
+    if not groups:
+        return
+    hues = [colors[group.middle_run] for group in groups]
+    names = [f"Kp {group.gain:.3g}: " for group in groups]
+    looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
+    looks["labels"] = [f"{name}{plane_scene.OUTLINE_LABEL}" for name in names]
+    outlines = [group.around_xy_m for group in groups]
+    draw_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
+    looks["labels"] = [f"{name}{plane_scene.MEDIAN_LABEL}" for name in names]
+    medians = [group.median_xy_m for group in groups]
+    draw_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
+
+
+def draw_worst_place(
+    stream: rr.RecordingStream, worst: plane_scene.WorstPlace, color: palette.Color
+) -> None:
+    """Draw the largest deviation from the path of all runs, in the colour of its run."""
+    way = [worst.path_xy_m, worst.xy_m]
+    draw_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
+    up_m = _ABOVE * LETTERING.line * worst.half_m
+    label = plane_scene.label_worst_place(worst, LETTERING)
+    _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
+
+
+def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
+    """Draw a square around each goal, because the law checks each coordinate's error alone."""
+    squares = sorted(
+        {
+            (run.goal_xy_m, tolerance_m)
+            for run in runs
+            if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None
+        }
+    )
+    if squares:
+        boxes = rr.Boxes2D(
+            centers=[goal for goal, _ in squares],
+            half_sizes=[(tolerance_m, tolerance_m) for _, tolerance_m in squares],
+            colors=[palette.GOAL],
+            radii=rr.Radius.ui_points(0.75),
+        )
+        stream.log(join_path(entities.TOLERANCE), boxes, static=True)
+
+
+def _square(low: Values, high: Values, margin: float) -> Bounds:
+    x_m, y_m = (low + high) / 2.0
+    size_m = max(float((high - low).max()), 0.1)
+    return Bounds(center_xy_m=(float(x_m), float(y_m)), half_size_m=size_m * (0.5 + margin))
+
+
+def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label]:
+    """Return a label for each line from top to bottom, each with its run."""
+    lines = label.text.split("\n")
+    if len(lines) == 1:
+        return [label]
+    (x_m, y_m), line_m = label.xy_m, lettering.line * half_m
+    middle = (len(lines) - 1) / 2.0
+    return [
+        Label(text=line, xy_m=(x_m, y_m + (middle - number) * line_m), runs=(run,))
+        for number, (line, run) in enumerate(zip(lines, label.runs, strict=True))
+    ]
+
+
+def _write_labels(
+    stream: rr.RecordingStream,
+    entity: str,
+    up_m: float,
+    labels: Sequence[Label],
+    colors: Sequence[palette.Color],
+) -> None:
+    places = [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels]
+    write_words(stream, entity, places, [label.text for label in labels], colors)
+
+
+def write_words(
+    stream: rr.RecordingStream,
+    entity: str,
+    places: ArrayLike,
+    texts: Sequence[str],
+    colors: Sequence[palette.Color],
+) -> None:
+    """Write each text at its place, as the label of a point without a radius."""
+    draw_points(stream, entity, places, colors, 0.0, labels=texts, show_labels=True)
+
+
+def draw_points(
+    stream: rr.RecordingStream | RunStream,
+    entity: str,
+    places: ArrayLike,
+    colors: Sequence[palette.Color] | NDArray[np.uint32],
+    radius: float,
+    **more: Any,
+) -> None:
+    """Draw static points with a radius [points]."""
+    points = rr.Points2D(places, radii=rr.Radius.ui_points(radius), colors=colors, **more)
+    stream.log(join_path(entity), points, static=True)
+
+
+def draw_strips(
+    stream: rr.RecordingStream | RunStream,
+    entity: str,
+    strips: Sequence[ArrayLike],
+    colors: Sequence[palette.Color] | NDArray[np.uint32],
+    radius: float,
+    **more: Any,
+) -> None:
+    """Draw static lines with a radius [points]."""
+    lines = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(radius), colors=colors, **more)
+    stream.log(join_path(entity), lines, static=True)
+
+
+_MAP_ORDER: Final = 5.0  # tracked paths have 15, traces 20
+_COSTMAP_ORDER: Final = 5.5
+_WALL_ORDER: Final = 6.0
+_SCAN_ORDER: Final = 16.0
+_SCAN_RADIUS: Final = 1.75  # [points]
+
+_WIDEST: Final = 3.0
+"""Largest growth of the plane for the surroundings of the path, with which the path stays
+readable."""
+
+_SHARE: Final = 0.95
+"""Share of the walls that the plane shows, because rays through a door lead far away."""
+
+
+def draw_surroundings(
+    stream: rr.RecordingStream,
+    seen: Surroundings,
+    timelines: Timelines,
+    shift_m: Values,
+) -> None:
+    """Draw the surroundings of the robot; `shift_m` is added to them, as to the run's poses."""
+    for place in seen.maps:
+        _draw_map(stream, place, shift_m)
+    if len(seen.walls_xy_m):
+        cells = rr.Points2D(
+            seen.walls_xy_m + shift_m,
+            radii=CELL_M / 2.0,
+            colors=[palette.WALLS],
+            draw_order=_WALL_ORDER,
+        )
+        stream.log(join_path(entities.WALLS), cells, static=True)
+    if not len(seen.time_ns):
+        return
+    look = rr.Points2D.from_fields(
+        radii=rr.Radius.ui_points(_SCAN_RADIUS), colors=[palette.SCAN], draw_order=_SCAN_ORDER
+    )
+    scans = RunStream(stream, "", timelines)
+    scans.log(entities.SCAN, look)
+    points = rr.Points2D.columns(positions=np.concatenate(seen.scans_xy_m) + shift_m)
+    columns = points.partition([len(one) for one in seen.scans_xy_m])
+    scans.send_few(entities.SCAN, seen.time_ns, columns)
+
+
+def _draw_map(stream: rr.RecordingStream, place: OccupancyMap, shift_m: Values) -> None:
+    """Draw a map as one picture in the colours of occupancy; unknown cells are empty."""
+    entity, order = (
+        (entities.COSTMAP, _COSTMAP_ORDER) if place.is_costmap else (entities.MAP, _MAP_ORDER)
+    )
+    colors = palette.COST_COLORS if place.is_costmap else palette.OCCUPANCY_COLORS
+    names = [rr.AnnotationInfo(id=value, color=color) for value, color in enumerate(colors)]
+    names.append(rr.AnnotationInfo(id=UNKNOWN, color=(0, 0, 0, 0)))
+    turn = np.eye(3)
+    turn[:2, :2] = np.column_stack([place.column_xy_m, place.row_xy_m])
+    corner = rr.Transform3D(translation=[*(place.corner_xy_m + shift_m), 0.0], mat3x3=turn)
+    picture = rr.SegmentationImage(place.cells, draw_order=order, opacity=1.0)
+    for part in (rr.AnnotationContext(names), corner, picture):
+        stream.log(join_path(entity), part, static=True)
+
+
+def widen_plane(bounds: Bounds, seen: Surroundings, shift_m: Values) -> Bounds:
+    """Return bounds of the plane with most of the walls, limited so that paths stay large."""
+    walls = np.concatenate([seen.walls_xy_m, seen.map_xy_m]) + shift_m
+    if not len(walls):
+        return bounds
+    away = np.abs(walls - np.asarray(bounds.center_xy_m)).max(axis=1)
+    wanted_m = float(np.quantile(away, _SHARE)) * 1.05
+    half_m = min(max(wanted_m, bounds.half_size_m), _WIDEST * bounds.half_size_m)
+    return Bounds(center_xy_m=bounds.center_xy_m, half_size_m=half_m)
+
 
 _SPEED_LEVELS: Final = 16
-_TRACE_RADIUS: Final = 1.5  # [points], as are the others
 _SPEED_RADIUS: Final = 1.75
-_ARROW_SHARE: Final = 0.12
-_ARROW_RADIUS: Final = 2.5
-_THIN_RADIUS: Final = 1.0
 _SENSED_RADIUS: Final = 1.25
-_BELOW_TRACES: Final = 18.0  # lines have 20
+_SENSED_ORDER: Final = 18.0  # lines have 20
 _ON_TRACES: Final = 22.0
 _EVENT_RADIUS: Final = 4.0
+
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
 """Kinds of events that random effects cause every few samples. Only the list of events shows
 them."""
-_ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,12 +360,9 @@ class SpeedTrace:
     colors: list[palette.Color]  # colour of each strip; brighter means faster
     highest_m_s: float  # speed of the brightest colour [m/s]
 
-
-def draw_growing_path(run_stream: RunStream, run: Run) -> None:
-    """Draw the path of a growing run, which has been driven whole, as one bright path."""
-    run_stream.log(entities.PLANE, UPWARD)
-    strips = _part_strip(run)
-    _log_strips(run_stream, entities.PATH, strips, [palette.MAIN] * len(strips), _TRACE_RADIUS)
+    def draw(self, run_stream: RunStream) -> None:
+        """Draw the whole path."""
+        draw_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
@@ -67,24 +382,19 @@ def build_speed_trace(run: Run) -> SpeedTrace | None:
     )
 
 
-def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
-    """Draw the whole path in colours of its speed."""
-    _log_strips(run_stream, entities.SPEED_PATH, trace.strips, trace.colors, _SPEED_RADIUS)
-
-
 def draw_reference_path(run_stream: RunStream, run: Run) -> None:
     """Draw the path of a recorded reference pose, as strips where the reference is known.
 
     Another function draws the path that a law tracks.
     """
     xy_m = run.samples.reference_xy_m
-    if xy_m is None or not has_own_way(run):
+    if xy_m is None or not plane_scene.has_own_way(run):
         return
     known = np.isfinite(xy_m[:, 0]).astype(np.int64)
     stretches = [s for s in _split_where_changed(known) if known[s[0]]]
     strips = [xy_m[first:after] for first, after in stretches]
     colors = [palette.REFERENCE] * len(strips)
-    _log_strips(run_stream, entities.REFERENCE_PATH, strips, colors, _TRACE_RADIUS)
+    draw_strips(run_stream, entities.REFERENCE_PATH, strips, colors, TRACE_RADIUS)
 
 
 def draw_sensed(run_stream: RunStream, run: Run) -> None:
@@ -95,62 +405,11 @@ def draw_sensed(run_stream: RunStream, run: Run) -> None:
     kept = choose_trace_rows(run)
     lost_m = run.poses.xy_m[np.intersect1d(kept, lost)]
     for entity, places_m, color, order in (
-        (entities.SENSED_PLACES, xy_m[kept], palette.SENSED, _BELOW_TRACES),
+        (entities.SENSED_PLACES, xy_m[kept], palette.SENSED, _SENSED_ORDER),
         (entities.DROPPED_PLACES, lost_m, palette.DROPPED_OUT, _ON_TRACES),
     ):
-        points = rr.Points2D(
-            places_m[np.isfinite(places_m[:, 0])],
-            radii=rr.Radius.ui_points(_SENSED_RADIUS),
-            colors=[color],
-            draw_order=order,
-        )
-        run_stream.log(entity, points)
-
-
-def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
-    """Draw a recorded reference pose at the cursor as an arrow."""
-    xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
-    if xy_m is None or heading_rad is None or not np.isfinite(heading_rad).any():
-        return
-    _log_arrow_style(run_stream, entities.REFERENCE_POSE, palette.GOAL, _ARROW_RADIUS)
-    ways = half_size_m * _ARROW_SHARE * np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
-    values = np.column_stack([xy_m, ways])
-    run_stream.send(entities.REFERENCE_POSE, run.samples.time_ns, values, _build_known_arrows)
-
-
-def draw_arrows(run_stream: RunStream, run: Run) -> None:
-    """Draw arrows at the cursor: the error from turtle to goal, and the command's motion in 1 s.
-
-    For a law without a goal, the error leads to the reference pose, if it is recorded.
-
-    The command is drawn as two arrows in the turtle's frame: the speed along the heading, and the
-    turn rate as the sideways motion of a point 1 m ahead, to the left.
-    """
-    ways_m = _read_errors(run)
-    if ways_m is not None:
-        _log_arrow_style(run_stream, entities.ERROR, palette.ERROR)
-        values = np.column_stack([run.poses.xy_m, ways_m])
-        run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_error)
-    table = run.samples if len(run.samples) else run.commands
-    if len(table):
-        _log_arrow_style(run_stream, entities.COMMAND, palette.COMMAND)
-        values = np.column_stack([table.speed_m_s, table.turn_rate_rad_s])
-        run_stream.send(entities.COMMAND, table.time_ns, values, _build_command)
-
-
-def name_arrows(run: Run) -> str:
-    """Return text on the thin arrows that `draw_arrows` draws at the turtle."""
-    aim = "goal" if run.goal_xy_m is not None else "reference"
-    words = [f"pink: to the {aim}"] if _read_errors(run) is not None else []
-    words += ["yellow: command"] if len(run.samples) or len(run.commands) else []
-    return ", ".join(words)
-
-
-def _read_errors(run: Run) -> Values | None:
-    """Return the vectors from each pose to the goal or reference [m], shape (n, 2)."""
-    if run.goal_xy_m is not None:
-        return np.asarray(np.array(run.goal_xy_m) - run.poses.xy_m)
-    return read_way_to_reference(run)
+        places_m = places_m[np.isfinite(places_m[:, 0])]
+        draw_points(run_stream, entity, places_m, [color], _SENSED_RADIUS, draw_order=order)
 
 
 def list_placed(run: Run) -> list[Event]:
@@ -163,16 +422,11 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
     events = list_placed(run)
     times_ns = [event.time_ns for event in events]
     rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
-    points = rr.Points2D(
-        run.poses.xy_m[np.maximum(rows, 0)],
-        radii=rr.Radius.ui_points(_EVENT_RADIUS),
-        colors=[
-            palette.WALL_HIT if event.kind == "wall_hit" else palette.EVENT for event in events
-        ],
-        labels=[event.kind.replace("_", " ") for event in events],
-        show_labels=False,
-    )
-    run_stream.log(entities.EVENT_PLACES, points)
+    places_m, kinds = run.poses.xy_m[np.maximum(rows, 0)], [event.kind for event in events]
+    colors = [palette.WALL_HIT if kind == "wall_hit" else palette.EVENT for kind in kinds]
+    look: dict[str, Any] = {"labels": [kind.replace("_", " ") for kind in kinds]}
+    look["show_labels"] = False
+    draw_points(run_stream, entities.EVENT_PLACES, places_m, colors, _EVENT_RADIUS, **look)
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
@@ -181,195 +435,3 @@ def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]
     for first, last in pairwise(bounds):
         if last > first:
             yield first, last
-
-
-def _log_strips(
-    run_stream: RunStream,
-    entity: str,
-    strips: list[Values],
-    colors: list[palette.Color],
-    radius: float,
-) -> None:
-    radii = rr.Radius.ui_points(radius)
-    run_stream.log(entity, rr.LineStrips2D(strips, radii=radii, colors=palette.pack_colors(colors)))
-
-
-def _log_arrow_style(
-    run_stream: RunStream, entity: str, color: palette.Color, radius: float = _THIN_RADIUS
-) -> None:
-    style = rr.Arrows2D.from_fields(
-        colors=[color], radii=rr.Radius.ui_points(radius), draw_order=_ABOVE_TRACES
-    )
-    run_stream.log(entity, style)
-
-
-def _build_known_arrows(values: Values) -> rr.ComponentColumnList:
-    """Build one arrow per row. A row of NaN draws no arrow, and removes the previous arrow."""
-    known = np.isfinite(values).all(axis=1)
-    columns = rr.Arrows2D.columns(origins=values[known, :2], vectors=values[known, 2:])
-    return columns.partition(known.astype(np.int64))
-
-
-def _build_error(values: Values) -> rr.ComponentColumnList:
-    return rr.Arrows2D.columns(origins=values[:, :2], vectors=values[:, 2:])
-
-
-def _build_command(values: Values) -> rr.ComponentColumnList:
-    zeros = np.zeros(len(values))
-    vectors = np.column_stack([values[:, 0], zeros, zeros, values[:, 1]]).reshape(-1, 2)
-    origins = np.tile([(0.0, 0.0), (1.0, 0.0)], (len(values), 1))
-    lengths = np.full(len(values), 2)
-    return rr.Arrows2D.columns(origins=origins, vectors=vectors).partition(lengths)
-
-
-MOST_SEGMENTS: Final = 1000
-"""Largest number of segments of a trail; the viewer looks up each segment in every frame."""
-
-_ALL_SEGMENTS: Final = 8000
-"""Largest number of segments of all trails. With more segments, the viewer takes longer than a
-frame of 1/30 s."""
-
-_FEWEST_SEGMENTS: Final = 40
-"""Smallest number of segments of a trail among many. A path as long as the window then grows in
-steps of 20 pixels."""
-
-_FAINT: Final = 45
-"""Opacity of the path that is not driven yet, of 255: visible, but different from the trail."""
-
-_SIZE: Final = 0.07
-"""Radius of the shell, as a share of the plane's half-width: 14 pixels in a view of 400."""
-
-_DOT_RADIUS: Final = 5.0  # [points]
-_HEADING_SHARE: Final = 0.2
-_HEADING_RADIUS: Final = 1.5  # [points]
-_TRAIL_ORDER: Final = 21.0  # lines have 20
-_BODY_ORDER: Final = 24.0
-_SHELL: Final = ([(-0.3, 0.0), (0.3, 0.0)], 0.62)
-_BODY: Final = (
-    ([(-0.3, 0.0), (0.3, 0.0)], 0.85),
-    ([(1.2, 0.0), (1.5, 0.0)], 0.4),
-    ([(-1.1, 0.0), (-1.5, 0.0)], 0.13),
-    ([(0.6, 0.7), (0.95, 1.15)], 0.26),
-    ([(0.6, -0.7), (0.95, -1.15)], 0.26),
-    ([(-0.6, 0.7), (-0.95, 1.15)], 0.26),
-    ([(-0.6, -0.7), (-0.95, -1.15)], 0.26),
-)
-"""Strokes of a turtle with their radii, in radii of the shell, x ahead: shell, head, tail and
-legs."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
-    """The style of a turtle and its trail."""
-
-    color: palette.Color  # colour of turtle and trail
-    is_ghost: bool = False  # whether its shell is hollow, and behind other turtles
-    width: float = _TRACE_RADIUS  # radius of the trail [points]
-    size: float = 1.0  # size of the turtle; 1 for a run
-
-
-def count_segments(trails: int) -> int:
-    """Return the number of segments that each of several trails may have."""
-    return max(min(MOST_SEGMENTS, _ALL_SEGMENTS // max(trails, 1)), _FEWEST_SEGMENTS)
-
-
-def draw_turtle(run_stream: RunStream, poses: PoseColumns, look: Look, half_size_m: float) -> None:
-    """Draw the turtle at its pose at the cursor, with an arrow along its heading.
-
-    All turtles begin with the first pose: a turtle without a pose would be at the origin.
-    """
-    first_ns = poses.time_ns[:1]
-    order = _BODY_ORDER - 2.0 * look.is_ghost
-    run_stream.log(
-        entities.TURTLE,
-        rr.Points2D.from_fields(
-            radii=rr.Radius.ui_points(_DOT_RADIUS * look.size), colors=[look.color]
-        ),
-    )
-    places = rr.Points2D.columns(positions=[(0.0, 0.0)])
-    run_stream.send_few(entities.TURTLE, first_ns, places)
-    radius_m = _SIZE * look.size * half_size_m
-    shade = _shade(look.color, 0.3 if look.is_ghost else 1.3)
-    for entity, strokes, color, above in (
-        (entities.BODY, _BODY, look.color, 0.0),
-        (entities.SHELL, (_SHELL,), shade, 1.0),
-    ):
-        style = rr.LineStrips2D.from_fields(colors=[color], draw_order=order + above)
-        run_stream.log(entity, style)
-        strips = [np.multiply(points, radius_m) for points, _ in strokes]
-        columns = rr.LineStrips2D.columns(
-            strips=strips, radii=[radius * radius_m for _, radius in strokes]
-        )
-        run_stream.send_few(entity, first_ns, columns.partition([len(strips)]))
-    heading = rr.Arrows2D.from_fields(
-        radii=rr.Radius.ui_points(_HEADING_RADIUS), colors=[look.color], draw_order=order
-    )
-    run_stream.log(entities.ARROW, heading)
-    length_m = half_size_m * _HEADING_SHARE * look.size
-    run_stream.send_few(entities.ARROW, first_ns, rr.Arrows2D.columns(vectors=[(length_m, 0.0)]))
-    values = np.column_stack([poses.xy_m, poses.heading_rad])
-    run_stream.send(entities.TURTLE, poses.time_ns, values, _build_transforms)
-
-
-def draw_trail(
-    run_stream: RunStream, run: Run, look: Look, *, segments: int = MOST_SEGMENTS
-) -> None:
-    """Draw the whole path faintly, and the part driven so far as a trail."""
-    run_stream.log(entities.PLANE, UPWARD)
-    strips = _part_strip(run)
-    # The part that is not driven yet is faint.
-    faint = palette.pack_colors([look.color] * len(strips)) & 0xFFFFFF00 | _FAINT
-    radii = rr.Radius.ui_points(look.width)
-    run_stream.log(entities.PATH, rr.LineStrips2D(strips, radii=radii, colors=faint))
-    _send_trail(run_stream, run, look, segments)
-
-
-def _send_trail(run_stream: RunStream, run: Run, look: Look, segments: int) -> None:
-    """Send the trail in segments, each at the time of its last pose. Views show past segments.
-
-    Segments never span a gap in the poses, and always have a length.
-    """
-    kept = choose_trace_rows(run)
-    if len(kept) < 2:
-        return
-    even = np.linspace(0, len(kept) - 1, min(segments, len(kept) - 1) + 1).round().astype(int)
-    breaks = np.searchsorted(kept, find_break_rows(run))
-    edges = np.unique(np.concatenate([even, breaks, np.maximum(breaks - 1, 0)]))
-    xy_m = run.poses.xy_m[kept]
-    pieces = [
-        (first, last)
-        for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-        if last not in breaks and np.ptp(xy_m[first : last + 1], axis=0).any()
-    ]
-    if not pieces:
-        return
-    style = rr.LineStrips2D.from_fields(
-        radii=rr.Radius.ui_points(look.width), draw_order=_TRAIL_ORDER - 0.5 * look.is_ghost
-    )
-    run_stream.log(entities.TRAIL, style)
-    colors = palette.pack_colors([look.color] * len(pieces))
-    columns = rr.LineStrips2D.columns(
-        strips=[xy_m[first : last + 1] for first, last in pieces], colors=colors
-    )
-    times_ns = run.poses.time_ns[kept[[last for _, last in pieces]]]
-    run_stream.send_few(entities.TRAIL, times_ns, columns)
-
-
-def _part_strip(run: Run) -> list[Values]:
-    """Return the path in strips, separated between poses where the robot did not drive."""
-    rows = np.arange(len(run.poses))[choose_trace_rows(run)]
-    strips = np.split(run.poses.xy_m[rows], np.searchsorted(rows, find_break_rows(run)))
-    return [strip for strip in strips if len(strip)]
-
-
-def _shade(color: palette.Color, factor: float) -> palette.Color:
-    red, green, blue = (min(round(factor * part), 255) for part in color)
-    return red, green, blue
-
-
-def _build_transforms(values: Values) -> rr.ComponentColumnList:
-    half_rad, zeros = values[:, 2] / 2.0, np.zeros(len(values))
-    return rr.Transform3D.columns(
-        translation=np.column_stack([values[:, :2], zeros]),
-        quaternion=np.column_stack([zeros, zeros, np.sin(half_rad), np.cos(half_rad)]),
-    )

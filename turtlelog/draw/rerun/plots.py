@@ -8,29 +8,17 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.charts import palette
+from turtlelog.charts import palette, plotted_curves
 from turtlelog.charts.curves import Level, Values
-from turtlelog.charts.plotted_curves import (
-    OWN,
-    POINTS,
-    CurveKind,
-    PlottedCurve,
-    TimePlot,
-    group_states,
-    has_own,
-    list_plot_levels,
-    list_plotted,
-)
+from turtlelog.charts.plotted_curves import CurveKind, PlottedCurve, TimePlot
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.timelines import RunStream, Times, build_index
+from turtlelog.draw.rerun.recording_stream import RunStream, Times, build_index
 from turtlelog.run import Run
 
 _REFERENCE_WIDTH: Final = 1.0
-
 LINE_WIDTH: Final = 1.5
-
 _THIN_WIDTH: Final = 1.25
 
 _WIDTHS: Final[Mapping[CurveKind, float]] = {
@@ -64,30 +52,19 @@ _MARKERS: Final[Mapping[CurveKind, Marker]] = {
 class Series:
     """Curves that share their times and plot.
 
-    Attributes:
-        entity: Entity path below the run's prefix. The first part of the path names the plot; for a
-            state of a law, the first two parts.
-        labels: Legend, one per curve.
-        colors: Colour of each curve.
-        time_ns: The run's own time [ns], shape (n,), not decreasing.
-        values: One column per curve, shape (n, curves); NaN where nothing is drawn.
-        width: Width of the lines [points].
-        holds: Whether a value is held until the next value instead of interpolated.
-        is_main: Whether the curves are the run's own motion.
-        is_measured: Whether the curves are measured, so that the plot's range must include them.
-        marker: Shape of points. None: lines.
+    The first part of the entity path names the plot; for a state of a law, the first two parts.
     """
 
-    entity: str
-    labels: tuple[str, ...]
-    colors: tuple[palette.Color, ...] = (palette.MAIN,)
-    time_ns: NDArray[np.int64]
-    values: Values
-    width: float = LINE_WIDTH
-    holds: bool = False
-    is_main: bool = True
-    is_measured: bool = True
-    marker: Marker | None = None
+    entity: str  # entity path below the run's prefix
+    labels: tuple[str, ...]  # legend, one per curve
+    colors: tuple[palette.Color, ...] = (palette.MAIN,)  # colour of each curve
+    time_ns: NDArray[np.int64]  # the run's own time [ns], shape (n,), not decreasing
+    values: Values  # one column per curve, shape (n, curves); NaN where nothing is drawn
+    width: float = LINE_WIDTH  # width of the lines [points]
+    holds: bool = False  # whether a value is held until the next one instead of interpolated
+    is_main: bool = True  # whether the curves are the run's own motion
+    is_measured: bool = True  # whether they are measured, so that the plot's range includes them
+    marker: Marker | None = None  # shape of points; None: lines
 
     @property
     def plot(self) -> str:
@@ -109,9 +86,10 @@ class LevelLines:
 def list_series(run: Run, kinds: frozenset[CurveKind] | None = None) -> tuple[Series, ...]:
     """Return the curves with data, of some or all kinds. A single row gives no curve."""
     groups = entities.GROUPS.items()
+    states = [group.names for group in plotted_curves.group_states(run.declaration)]
     found = [
         *(series for name, plots in groups for series in _list_group(run, name, plots, kinds)),
-        *(series for name in list_states(run) for series in _list_state(run, name)),
+        *(series for names in states for series in _list_states(run, names)),
     ]
     return tuple(
         curves
@@ -133,17 +111,11 @@ def list_compared_series(run: Run, name: str, color: palette.Color) -> tuple[Ser
         if has_track and series.entity == entities.POSITION:
             continue
         is_beside = series.plot in measured and not series.entity.endswith(entities.MEASURED)
-        shown = f"{name} {series.labels[0]}" if is_beside else name
-        found.append(
-            replace(
-                series,
-                labels=(shown,)
-                if len(series.labels) == 1
-                else tuple(f"{shown} {label}" for label in series.labels),
-                colors=(color,) * len(series.labels),
-                width=_THIN_WIDTH if is_beside else LINE_WIDTH,
-            )
-        )
+        labels: tuple[str, ...] = (f"{name} {series.labels[0]}" if is_beside else name,)
+        if len(series.labels) > 1:
+            labels = tuple(f"{labels[0]} {label}" for label in series.labels)
+        colors, width = (color,) * len(labels), _THIN_WIDTH if is_beside else LINE_WIDTH
+        found.append(replace(series, labels=labels, colors=colors, width=width))
     return tuple(found)
 
 
@@ -151,12 +123,12 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
     """Return references of loops, goals, limits and zeros of errors; each once per plot."""
     found = []
     for name, plots in entities.GROUPS.items():
-        shown = [run for run in runs if any(has_own(run, plot) for plot in plots)]
-        levels = [level for plot in plots for level in list_plot_levels(shown, plot)]
+        shown = [run for run in runs if any(plotted_curves.has_own(run, plot) for plot in plots)]
+        levels = [level for plot in plots for level in plotted_curves.list_plot_levels(shown, plot)]
         levels = sorted({*levels}, key=lambda level: (level.value, level.label))
         found.append((name, levels))
         if plots[0].is_log:
-            kept = list_plot_levels(shown, plots[0], "log")
+            kept = plotted_curves.list_plot_levels(shown, plots[0], "log")
             logs = [replace(one, value=float(np.log10(one.value))) for one in kept if one.value]
             found.append((entities.name_logarithm(name), logs))
     return tuple(LevelLines(plot=name, levels=tuple(levels)) for name, levels in found if levels)
@@ -207,11 +179,6 @@ def draw_references(
         stream.send_columns(entity, index, columns)
 
 
-def list_states(run: Run) -> tuple[str, ...]:
-    """Return the states of a run's law in the order of display."""
-    return tuple(name for group in group_states(run.declaration) for name in group.names)
-
-
 def _list_group(
     run: Run,
     name: str,
@@ -221,7 +188,7 @@ def _list_group(
     """Yield the curves of plots with a common entity, such as x and y, for each kind."""
     if kinds is not None and not plots[0].is_compared:
         return
-    listed = [list_plotted(run, plot, kinds) for plot in plots]
+    listed = [plotted_curves.list_plotted(run, plot, kinds) for plot in plots]
     for column in zip(*(_split(curves) for curves in listed), strict=False):
         first = column[0]
         alike = [one for one in column if len(one.curve.time_ns) == len(first.curve.time_ns)]
@@ -234,15 +201,21 @@ def _list_group(
             ),
             time_ns=first.curve.time_ns,
             values=np.column_stack([one.curve.values for one in alike]),
-            width=_find_width(first, plots[0]),
+            width=_COMMANDED_WIDTH
+            if first.kind == "run" and plots[0].command is not None
+            else _WIDTHS.get(first.kind, LINE_WIDTH),
             holds=first.curve.holds,
             is_main=first.kind in ("run", "measured"),
-            is_measured=first.kind in OWN,
+            is_measured=first.kind in plotted_curves.OWN,
             marker=_MARKERS.get(first.kind),
         )
         yield series
-        if plots[0].is_log and first.kind not in POINTS:
-            yield _take_logarithm(series, name)
+        if plots[0].is_log and first.kind not in plotted_curves.POINTS:
+            # In a logarithm of magnitudes, exponential curves are straight.
+            sizes = np.abs(series.values)
+            logs = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
+            entity = entities.name_logarithm(name) + series.entity.removeprefix(name)
+            yield replace(series, entity=entity, values=logs)
 
 
 def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
@@ -257,10 +230,7 @@ def _split(curves: Sequence[PlottedCurve]) -> list[PlottedCurve]:
 
 
 def _name_part(found: PlottedCurve) -> str:
-    """Return the last part of a curve's entity, so that the run's own curve is below commands.
-
-    The viewer draws later names on top.
-    """
+    """Return the last part of an entity: later names are on top, and commands above the run."""
     if found.kind == "measured":
         return entities.MEASURED
     if found.kind == "outlier":
@@ -268,27 +238,8 @@ def _name_part(found: PlottedCurve) -> str:
     return found.entry.name
 
 
-def _find_width(found: PlottedCurve, plot: TimePlot) -> float:
-    if found.kind == "run" and plot.command is not None:
-        return _COMMANDED_WIDTH
-    return _WIDTHS.get(found.kind, LINE_WIDTH)
-
-
-def _list_state(run: Run, name: str) -> Iterator[Series]:
-    hues = {
-        state: color
-        for group in group_states(run.declaration)
-        for state, color in zip(
-            group.names, palette.choose_run_colors(len(group.names)), strict=True
-        )
-    }
-    for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
-        yield replace(series, colors=(hues[name],))
-
-
-def _take_logarithm(series: Series, name: str) -> Series:
-    """Return the decimal logarithm of magnitudes, in which exponential curves are straight."""
-    sizes = np.abs(series.values)
-    values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
-    entity = entities.name_logarithm(name) + series.entity.removeprefix(name)
-    return replace(series, entity=entity, values=values)
+def _list_states(run: Run, names: Sequence[str]) -> Iterator[Series]:
+    colors = palette.choose_run_colors(len(names))
+    for name, color in zip(names, colors, strict=True):
+        for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
+            yield replace(series, colors=(color,))

@@ -1,44 +1,38 @@
-"""One run as a Rerun recording, finished or growing."""
+"""One run as a Rerun recording; also one that opens at the violation of a check."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
-from turtlelog.charts.curves import Values
+from turtlelog.charts.curves import Curve, Values, select_curve_rows
 from turtlelog.charts.plane_scene import move_near
-from turtlelog.charts.plotted_curves import HEADROOM, TIMELINE
+from turtlelog.charts.plotted_curves import TIMELINE
+from turtlelog.charts.violated_signal import ViolatedSignal
+from turtlelog.display import cut_name
 from turtlelog.draw.documents import document_run
-from turtlelog.draw.rerun import entities, plane, plots, rrd_file, world
-from turtlelog.draw.rerun.content import Content, describe_content, find_corners, find_largest_shown
+from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles
+from turtlelog.draw.rerun.content import Content, describe_content, find_corners, view_curves
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
-from turtlelog.draw.rerun.layout import build_run_layout, is_small
-from turtlelog.draw.rerun.marks import (
-    Mark,
-    draw_lines,
-    draw_marks,
-    draw_phases,
-    list_events,
-    list_marks,
-    list_responses,
-    name_legends,
+from turtlelog.draw.rerun.layout import (
+    LEGEND_TITLE,
+    build_run_layout,
+    build_violation_layout,
+    is_small,
 )
-from turtlelog.draw.rerun.plane import Look, draw_trail, draw_turtle
-from turtlelog.draw.rerun.timelines import (
-    RunStream,
-    add_thinning,
-    build_run_timelines,
-    read_span,
-)
+from turtlelog.draw.rerun.recording_stream import RunStream
+from turtlelog.draw.rerun.turtles import Look
+from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.log.ros2.bag_surroundings import Surroundings
 from turtlelog.measure import Metric, measure_run
-from turtlelog.run import Run, require_run
+from turtlelog.run import Event, Run, require_run
 
 _RUN: Final = "the run"
 _EVENT_LINES: Final = f"{entities.LINES}/event"
@@ -68,7 +62,7 @@ def write_run_rrd(
     """
     require_run(run)
     scene = build_run_scene(run, documents, size, surroundings)
-    with rrd_file.open_recording(
+    with recording_stream.open_recording(
         path, name=run.name, layout=build_run_layout(scene.content)
     ) as stream:
         scene.draw(stream)
@@ -84,7 +78,7 @@ class RunScene(NamedTuple):
     def draw(self, stream: rr.RecordingStream) -> None:
         """Draw everything."""
         draw_single(stream, self.single, self.content)
-        rrd_file.draw_documents(stream, self.documents)
+        recording_stream.draw_documents(stream, self.documents)
 
 
 def build_run_scene(
@@ -97,10 +91,10 @@ def build_run_scene(
     single = replace(build_single(run), surroundings=surroundings)
     if documents is None:
         documents = document_run(run, metrics=single.metrics)
-    documents = add_thinning(documents, [run])
+    documents = recording_stream.add_thinning(documents, [run])
     content = replace(single.describe(documents), is_small=is_small(size))
     if surroundings is not None:
-        plane_bounds = world.widen_plane(content.plane, surroundings, single.shift_m)
+        plane_bounds = plane.widen_plane(content.plane, surroundings, single.shift_m)
         content = replace(content, plane=plane_bounds)
     return RunScene(single, content, documents)
 
@@ -114,11 +108,11 @@ class Single:
     metrics: Mapping[str, Metric]  # metrics of the run by id
     series: tuple[plots.Series, ...]  # curves of the run and of theory
     references: tuple[plots.LevelLines, ...]  # level lines
-    marks: tuple[Mark, ...]  # metrics that can be marked on a curve
+    marks: tuple[marks.Mark, ...]  # metrics that can be marked on a curve
     names: Mapping[str, str]  # names of the main curve of each plot
     legends: frozenset[str]  # plots that have a legend
     by_speed: plane.SpeedTrace | None  # path in colours of its speed; None if nothing moves
-    ideal: Ghost | None = None  # the ideal loop; None if theory does not know its poses
+    ideal: turtles.Ghost | None = None  # the ideal loop; None if theory does not know its poses
     shift_m: Values = field(default_factory=lambda: np.zeros(2))  # added to positions [m], (2,)
     surroundings: Surroundings | None = None  # scans and map of the robot; None if unknown
 
@@ -139,7 +133,7 @@ class Single:
                 *dict.fromkeys(join_path(mark.entity) for mark in self.marks),
                 *(join_path(plot, _EVENT_LINES) for plot in self.list_lined()),
             ),
-            arrows=plane.name_arrows(self.run),
+            arrows=turtles.name_arrows(self.run),
             ghosts=() if self.ideal is None else (self.ideal.prefix,),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
         )
@@ -150,10 +144,10 @@ def build_single(run: Run) -> Single:
     metrics, first_m = measure_run(run), run.poses.xy_m[0]
     (run,), origin = move_near([run])
     measured = plots.list_series(run)
-    named = name_legends(
-        (*measured, *list_responses(run, metrics)),
+    named = marks.name_legends(
+        (*measured, *marks.list_responses(run, metrics)),
         plots.list_references([run]),
-        list_marks(run, measured, metrics),
+        marks.list_marks(run, measured, metrics),
     )
     return Single(
         run=run,
@@ -165,257 +159,257 @@ def build_single(run: Run) -> Single:
         names=named.names,
         legends=named.shown,
         by_speed=plane.build_speed_trace(run),
-        ideal=build_ideal_ghost(run),
+        ideal=turtles.build_ideal_ghost(run),
         shift_m=run.poses.xy_m[0] - first_m,
     )
 
 
 def draw_single(stream: rr.RecordingStream, single: Single, content: Content) -> None:
     """Draw the run with everything except its documents."""
-    run, timelines = single.run, build_run_timelines(single.run)
-    rrd_file.send_run_properties(stream, run, single.metrics)
-    world.draw_world(stream, [run])
+    run, timelines = single.run, recording_stream.build_run_timelines(single.run)
+    recording_stream.send_run_properties(stream, run, single.metrics)
+    plane.draw_world(stream, [run])
     if single.surroundings is not None:
-        world.draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
+        plane.draw_surroundings(stream, single.surroundings, timelines, single.shift_m)
     run_stream = RunStream(stream, "", timelines)
-    draw_trail(run_stream, run, Look(color=palette.MAIN))
+    turtles.draw_trail(run_stream, run, Look(color=palette.MAIN))
     plane.draw_reference_path(run_stream, run)
     plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
-        plane.draw_speed_trace(run_stream, single.by_speed)
-    draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), content.plane.half_size_m)
+        single.by_speed.draw(run_stream)
+    turtles.draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), content.plane.half_size_m)
     if single.ideal is not None:
-        draw_ghost(stream, single.ideal, timelines, content.plane.half_size_m)
+        turtles.draw_ghost(stream, single.ideal, timelines, content.plane.half_size_m)
         rows = [(_RUN, palette.MAIN), (single.ideal.name, single.ideal.look.color)]
-        draw_key(stream, rows, content.plane, [run])
-    plane.draw_reference_pose(run_stream, run, content.plane.half_size_m)
-    plane.draw_arrows(run_stream, run)
+        turtles.draw_key(stream, rows, content.plane, [run])
+    turtles.draw_reference_pose(run_stream, run, content.plane.half_size_m)
+    turtles.draw_arrows(run_stream, run)
     if content.goal is not None:
-        world.draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
+        plane.draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
     if content.worst is not None:
-        world.draw_worst_place(stream, content.worst, palette.MAIN)
-    draw_phases(run_stream, run)
+        plane.draw_worst_place(stream, content.worst, palette.MAIN)
+    marks.draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, single, content)
-    plots.draw_references(stream, single.references, read_span([run], [timelines]))
+    plots.draw_references(stream, single.references, recording_stream.read_span([run], [timelines]))
     for curves in single.series:
         plots.draw_series(run_stream, curves)
-    draw_marks(run_stream, single.marks)
+    marks.draw_marks(run_stream, single.marks)
 
 
 def _draw_events(run_stream: RunStream, single: Single, content: Content) -> None:
     """Draw the events at the turtle's places, across the plots, and as a log."""
-    run, largest = single.run, find_largest_shown(content)
+    run, largest = single.run, content.find_largest_shown()
     plane.draw_event_places(run_stream, run)
     times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
     for plot in single.list_lined():
         name, entity = single.names[plot], f"{plot}/{_EVENT_LINES}"
-        draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
-    list_events(run_stream, run)
+        marks.draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
+    marks.list_events(run_stream, run)
 
 
-_FLUSH_S: Final = 5.0
+_RADIUS: Final = 6.0  # [points], as are the other sizes
+_CURVE_WIDTH: Final = 2.0
+_OUTSIDE_WIDTH: Final = 4.0
+_LIMIT_WIDTH: Final = 1.5
+_POINT_SIZE: Final = 6.0
+_MARKERS: Final = {"first": "circle", "worst": "diamond", "high": "up", "low": "down"}
 
-_GROWTH = 64
-"""Growth of the rows, by 1/64, after which data that are sent as a whole are sent again. The total
-stays a small multiple of the rows."""
+_SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
+"""Symbols of limits in the legend, because a plot has no text next to its lines."""
 
-_WHOLE = (
-    join_path(entities.PATH),
-    join_path(entities.REFERENCE_PATH),
-    join_path(entities.SENSED_PLACES),
-    join_path(entities.DROPPED_PLACES),
-    join_path(entities.EVENT_PLACES),
-    join_path(entities.REFERENCE),
-)
-_UNSETTLED = frozenset({join_path(entities.PHASE)})
-"""Entities whose last row shows how the run ended."""
+_NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not within"}
+
+_MARK_AT: Final = 0.03
+"""Position of a limit's mark along the limit, as a share; at the start, the plot's edge would cut
+the mark."""
+
+_STRETCH_RADIUS: Final = 2.5
+_ABOVE_TRACES: Final = 26.0  # lines have 20
+
+_STROKES: Final = 700
+"""Number of vertical strokes that fill the band: every other pixel of a window of 1400 pixels."""
+
+_STROKE_WIDTH: Final = 3.0
+
+_FILL_ALPHA: Final = 64
+"""Opacity of strokes, of 255. Strokes overlap once or twice, and curves stay brighter than the
+band."""
+
+_LONGEST_TITLE: Final = 110
+"""Longest title [letters of 6.5 pixels]: in a window 1200 pixels wide, the plot has 850 pixels for
+the title."""
+
+_LONGEST_NAME: Final = 28
+"""Longest name in the plane [letters]: about half of its width."""
 
 
-class GrowingStream(rr.RecordingStream):
-    """Stream that sends only new data of every entity.
+def write_violation_rrd(
+    run: Run,
+    path: str | Path,
+    *,
+    at_s: float,
+    title: str,
+    message: str,
+    violated: ViolatedSignal | None = None,
+) -> None:
+    """Write a recording of one run that opens at a time and marks this time.
 
-    The functions that draw a finished run also draw a growing run with this stream. Rows and static
-    data that were already sent are left out. The path, the places of events and the level lines
-    become longer during the run, so the complete lines are sent again.
+    The violated signal is at the top with its band, and is red outside the band. The first and the
+    worst violation have labels with value and time. The cursor is at the first violation in every
+    plot. The plane has a mark at the turtle's position, and the list of events has a line.
 
-    Attributes:
-        is_due: Whether the growing static data are sent in this round.
+    Args:
+        run: Run to show.
+        path: The .rrd file. An existing file is replaced when the new one is complete.
+        at_s: Time of the violation, from the first sample [s].
+        title: A few words, shown next to the mark if there is no signal.
+        message: Full message, as printed.
+        violated: Violated signal; None if the violation belongs to no signal.
+
+    Raises:
+        ShowError: If the file cannot be written.
     """
-
-    def __init__(self, application_id: str) -> None:
-        super().__init__(application_id, send_properties=False)
-        self._sent: dict[str, int] = {}
-        self._seen: dict[str, int] = {}
-        self._logged: set[str] = set()
-        self._rows = 0
-        self.is_due, self._is_last = True, False
-
-    def begin_round(self, rows: int, *, is_last: bool = False) -> None:
-        """Start a new round of drawing a run that has this number of rows.
-
-        In the last round, all changeable data are sent.
-        """
-        self._seen.clear()
-        self._is_last = is_last
-        self.is_due = is_last or rows > self._rows + self._rows // _GROWTH
-        if self.is_due:
-            self._rows = rows
-
-    def log(self, entity_path: str | list[object], entity: Any, *more: Any, **options: Any) -> None:
-        """Store static data if they are new or due."""
-        name = str(entity_path)
-        if name not in self._logged or self._is_last or self._is_whole_due(name):
-            self._logged.add(name)
-            super().log(entity_path, entity, *more, **options)
-
-    def send_columns(
-        self,
-        entity_path: str,
-        indexes: Iterable[Any],
-        columns: Iterable[Any],
-        *,
-        strict: bool | None = None,
-    ) -> None:
-        """Send the rows that have not been sent before."""
-        index, values = list(indexes), list(columns)
-        count = len(index[0].as_arrow_array())
-        if entity_path.startswith(_WHOLE):
-            if self._is_whole_due(entity_path) or entity_path not in self._sent:
-                self._sent[entity_path] = count
-                super().send_columns(entity_path, index, values, strict=strict)
-            return
-        first = self._seen.get(entity_path, 0)
-        self._seen[entity_path] = first + count
-        sent = self._sent.get(entity_path, 0)
-        held = 1 if entity_path in _UNSETTLED and not self._is_last else 0
-        start, end = max(sent - first, 0), count - held
-        if start < end:
-            self._sent[entity_path] = first + end
-            parts: list[Any] = [
-                _Part(column, column.as_arrow_array().slice(start, end - start))
-                for column in (*index, *values)
-            ]
-            super().send_columns(
-                entity_path, parts[: len(index)], parts[len(index) :], strict=strict
-            )
-
-    def _is_whole_due(self, name: str) -> bool:
-        return self.is_due and name.startswith(_WHOLE)
-
-
-class LiveScene:
-    """A run in a viewer, with the entities, rows and layout of its file.
-
-    Metrics, marks, theory and close-ups are known only at the end, and are sent then.
-    """
-
-    def __init__(self, stream: GrowingStream, size: tuple[int, int] | None = None) -> None:
-        """Store a stream; `size` is the size of the window [pixels], if known."""
-        self._stream, self._size = stream, size
-        self._shown: list[str] = []
-        self._half_size_m = 0.0
-
-    def update(self, run: Run) -> None:
-        """Send the new data of a growing run; nothing while the run is too short to be visible.
-
-        Raises:
-            ConnectionError: If the viewer accepts no more data.
-        """
-        if len(run.poses) > 1:
-            with rrd_file.strict_mode():
-                self._draw(run)
-
-    def finish(self, run: Run) -> None:
-        """Send the rest of a finished run, including the data known only at the end.
-
-        Raises:
-            ConnectionError: If the viewer accepts no more data.
-        """
-        scene = build_run_scene(run, size=self._size)
-        with rrd_file.strict_mode():
-            self._stream.begin_round(len(run.poses), is_last=True)
-            self._arrange(run, scene.content)
-            scene.draw(self._stream)
-            _flush(self._stream)
-
-    def _draw(self, run: Run) -> None:
-        stream, timelines = self._stream, build_run_timelines(run)
-        # Theory is drawn at the end, when the segment of each loop is known.
-        listed = [one for one in plots.list_series(run) if not one.entity.endswith("/ideal")]
-        named = name_legends(listed, plots.list_references([run]))
-        series, references = named.series, named.references
-        run_stream = RunStream(stream, "", timelines)
-        stream.begin_round(len(run.poses))
-        shown = [curves.entity for curves in series]
-        if self._shown != shown:
-            content = describe_content([run], [""], [series], references, ())
-            content = replace(content, is_small=is_small(self._size))
-            self._shown, self._half_size_m = shown, content.plane.half_size_m
-            self._arrange(run, _open_up(content, references))
-            world.draw_world(stream, [run])
-        if stream.is_due:
-            plane.draw_growing_path(run_stream, run)
-            plane.draw_reference_path(run_stream, run)
-            plane.draw_sensed(run_stream, run)
-            plots.draw_references(stream, references, read_span([run], [timelines]))
-        draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), self._half_size_m)
-        plane.draw_reference_pose(run_stream, run, self._half_size_m)
-        plane.draw_arrows(run_stream, run)
-        draw_phases(run_stream, run)
-        if run.events:
-            plane.draw_event_places(run_stream, run)
-            list_events(run_stream, run)
-        for curves in series:
-            plots.draw_series(run_stream, curves)
-        _flush(stream)
-
-    def _arrange(self, run: Run, content: Content) -> None:
-        """Send the name, and a layout whose cursor follows the run."""
+    at_ns = run.start_ns + round(at_s * 1e9)
+    event = Event(time_ns=at_ns, kind="violation", text=f"Violation: {title}")
+    events = sorted((*run.events, event), key=lambda found: found.time_ns)
+    run = replace(run, events=tuple(events))
+    single = build_single(run)
+    documents = {"Violation": fence_markdown(message), **document_run(run, metrics=single.metrics)}
+    documents = {**recording_stream.add_thinning(documents, [run])}
+    if violated is not None:
+        documents[LEGEND_TITLE] = _write_legend(violated)
+    content = single.describe(documents)
+    if violated is None:
         layout = build_run_layout(content)
-        layout.time_panel = rrb.TimePanel(
-            state="collapsed", timeline=TIMELINE, play_state="following"
-        )
-        self._stream.send_recording_name(run.name)
-        self._stream.send_blueprint(layout)
+    else:
+        layout = build_violation_layout(content, _view_signal(violated))
+    # A layout cannot set the cursor, and a paused cursor is at the start: a loop of no length.
+    moment = AbsoluteTimeRange(min=at_ns - run.start_ns, max=at_ns - run.start_ns)
+    layout.time_panel = rrb.TimePanel(
+        state="collapsed",
+        timeline=TIMELINE,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=moment,
+    )
+    with recording_stream.open_recording(
+        path, name=f"{run.name}: {title}", layout=layout
+    ) as stream:
+        draw_single(stream, single, content)
+        recording_stream.draw_documents(stream, documents)
+        row = max(int(run.poses.time_ns.searchsorted(at_ns, side="right")) - 1, 0)
+        # If there is a signal, its title names the check.
+        word = cut_name(title, _LONGEST_NAME) if violated is None else "first violated"
+        place_m, color = run.poses.xy_m[row : row + 1], palette.VIOLATION
+        plane.draw_points(stream, entities.VIOLATION, place_m, [color], _RADIUS, labels=[word])
+        if violated is not None:
+            run_stream = RunStream(stream, "", recording_stream.build_run_timelines(run))
+            _draw_signal(run_stream, violated)
+            _draw_stretch(stream, run, violated)
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Rows of a column in the form that Rerun requires."""
-
-    column: Any
-    array: Any
-
-    def timeline_name(self) -> str:
-        return str(self.column.timeline_name())
-
-    def component_descriptor(self) -> Any:
-        return self.column.component_descriptor()
-
-    def as_arrow_array(self) -> Any:
-        return self.array
+def _view_signal(violated: ViolatedSignal) -> rrb.View:
+    part = violated.find_range()
+    shown = violated.describe_moment(violated.worst, violated.worst_word)
+    outside = violated.describe_outside(violated.worst)
+    shown = f"{shown}, {outside} outside" if outside else shown
+    title = f"{violated.title}{', close up' if part.note else ''}: {shown}"
+    title = f"{title}; violates {violated.expected or violated.check}"
+    title = shorten(title, _LONGEST_TITLE, placeholder="...")
+    contents = [f"{join_path(entities.VIOLATED)}/**"]
+    return view_curves(title, contents, (part.low, part.high), rrb.PlotLegend(visible=False))
 
 
-def _open_up(content: Content, references: Sequence[plots.LevelLines]) -> Content:
-    """Return the content of a growing run: events may follow, and there is no close-up yet."""
-    limits = {
-        reference.plot: HEADROOM * max(level.value for level in reference.levels)
-        for reference in references
-        if any(level.kind == "limit" for level in reference.levels)
-    }
-    ranges = {
-        plot: (content.ranges[plot][0], max(content.ranges[plot][1], limit))
-        for plot, limit in limits.items()
-    }
-    return replace(content, ranges=ranges, goal=None, worst=None, idle=frozenset(), has_events=True)
+def _write_legend(violated: ViolatedSignal) -> str:
+    """Return the legend as Markdown, with a line for each mark and each curve."""
+    outside, word = violated.describe_outside(violated.worst), violated.worst_word
+    worst = violated.describe_moment(violated.worst, word)
+    limits = violated.describe_limits()
+    lines = [
+        f"◆ {worst}, {outside} outside" if outside else f"◆ {worst}",
+        f"● {violated.describe_moment(violated.first, 'first violated')}",
+        *(f"{sign} {limits[side]}" for side, sign in _SIGNS.items() if side in limits),
+        "green: allowed",
+        f"blue: {violated.name}",
+        f"red: {_NAMES_OUTSIDE[word]}",
+    ]
+    return "  \n".join(map(escape_markdown, lines))
 
 
-def _flush(stream: rr.RecordingStream) -> None:
-    try:
-        stream.flush(timeout_sec=_FLUSH_S)
-    except Exception as err:
-        hangs = "timed out" in str(err)
-        raise ConnectionError(
-            f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
-        ) from err
+def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
+    """Draw band, limits, curve, the part outside, and the moments, from bottom to top."""
+    curve, limits = violated.curve, violated.describe_limits()
+    _fill_band(run_stream, violated)
+    _draw(run_stream, "curve", curve, violated.name, width=_CURVE_WIDTH)
+    for side, label in limits.items():
+        ends = violated.low if side == "low" else violated.high
+        assert ends is not None
+        limit = replace(curve, values=ends)
+        look: dict[str, Any] = {"colors": (palette.ALLOWED,), "width": _LIMIT_WIDTH}
+        _draw(run_stream, f"limit_{side}", limit, label, **look)
+        known = np.flatnonzero(np.isfinite(ends))
+        if len(known):
+            row = known[int(_MARK_AT * len(known)) :][:1]
+            look = {"colors": (palette.GOAL,), "width": _POINT_SIZE, "marker": _MARKERS[side]}
+            _draw(run_stream, f"points/limit_{side}", select_curve_rows(limit, row), label, **look)
+    beyond = replace(curve, values=np.where(violated.outside, curve.values, np.nan))
+    look = {"colors": (palette.VIOLATION,), "width": _OUTSIDE_WIDTH}
+    _draw(run_stream, "outside", beyond, _NAMES_OUTSIDE[violated.worst_word], **look)
+    for part, word, moment in (
+        ("first", "first violated", violated.first),
+        ("worst", violated.worst_word, violated.worst),
+    ):
+        time_ns = np.array([curve.start_ns + round(moment.time_s * 1e9)])
+        point = replace(curve, time_ns=time_ns, values=np.array([moment.value]))
+        look |= {"width": _POINT_SIZE, "marker": _MARKERS[part]}
+        _draw(run_stream, f"points/{part}", point, violated.describe_moment(moment, word), **look)
+
+
+def _draw(run_stream: RunStream, part: str, curve: Curve, label: str, **looks: Any) -> None:
+    series = plots.Series(
+        entity=f"{entities.VIOLATED}/{part}",
+        labels=(label,),
+        time_ns=curve.time_ns,
+        values=curve.values[:, np.newaxis],
+        holds=curve.holds,
+        **looks,
+    )
+    plots.draw_series(run_stream, series)
+
+
+def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
+    """Fill the band with vertical strokes; an unbounded band is filled up to the plot's edge."""
+    time_ns = violated.curve.time_ns
+    times_ns = np.linspace(time_ns[0], time_ns[-1], _STROKES).round().astype(np.int64)
+    rows = np.searchsorted(time_ns, times_ns, side="right") - 1
+    rows = np.clip(rows, 0, len(time_ns) - 1)
+    part = violated.find_range()
+    low, high = (
+        np.full(len(rows), edge) if end is None else end[rows]
+        for end, edge in ((violated.low, part.low), (violated.high, part.high))
+    )
+    strokes = np.column_stack([low, high, np.full(len(rows), np.nan)]).reshape(-1)
+    style = rr.SeriesLines(
+        names=["allowed"],
+        colors=[(*palette.ALLOWED, _FILL_ALPHA)],
+        widths=[_STROKE_WIDTH],
+        aggregation_policy="Off",
+    )
+    entity = f"{entities.VIOLATED}/band"
+    run_stream.log(entity, style)
+    run_stream.send_few(entity, np.repeat(times_ns, 3), rr.Scalars.columns(scalars=strokes))
+
+
+def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal) -> None:
+    """Draw the robot's path in red while the signal was outside its band."""
+    if violated.worst_word != "worst":
+        return
+    rows = np.searchsorted(violated.curve.time_ns, run.poses.time_ns, side="right") - 1
+    is_outside = violated.outside[np.maximum(rows, 0)] & (rows >= 0)
+    starts = np.flatnonzero(np.diff(is_outside.astype(np.int8), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(is_outside.astype(np.int8), append=0) == -1)
+    strips = [run.poses.xy_m[a : b + 1] for a, b in zip(starts, ends, strict=True) if b > a]
+    if strips:
+        entity, look = entities.VIOLATED_STRETCH, {"draw_order": _ABOVE_TRACES}
+        plane.draw_strips(stream, entity, strips, [palette.VIOLATION], _STRETCH_RADIUS, **look)

@@ -25,6 +25,7 @@ _LOAD_S: Final = 60.0
 _PICTURES: Final = 20
 _PAUSE_S: Final = 0.1
 _NOTICE_S: Final = 3.5
+_TINY: Final = 16  # longest side of a picture that nobody sees [pixels]
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
 _ROUNDING_S: Final = 1e-3
@@ -88,7 +89,15 @@ class Camera:
         client = self._client
         try:
             _open(client, Path(rrd_path), self._last_log)
-            self._get_ready()
+            if self._is_ready:  # leave the previous layout
+                client.run_command("recording.reset_blueprint_to_default")
+                client.take_screenshot(max_size=_TINY)
+            else:  # let the viewer draw until its welcome messages have disappeared
+                deadline = time.monotonic() + _NOTICE_S
+                while time.monotonic() < deadline:
+                    client.take_screenshot(max_size=_TINY)
+                self._is_ready = True
+            client.run_command("ui.toggle_top_panel")
             _set_time(client, at_s, timeline)
             picture = _take_picture(client)
             report = _read_report(client, self._last_log)
@@ -104,16 +113,6 @@ class Camera:
         with replace_file(png_path) as part_path:
             part_path.write_bytes(picture)
         return report
-
-    def _get_ready(self) -> None:
-        """Wait for the welcome messages; later, leave the previous layout; hide the menus."""
-        if self._is_ready:
-            self._client.run_command("recording.reset_blueprint_to_default")
-            self._client.take_screenshot(max_size=16)
-        else:
-            _outlast_notices(self._client)
-            self._is_ready = True
-        self._client.run_command("ui.toggle_top_panel")
 
 
 @contextmanager
@@ -226,14 +225,13 @@ def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) ->
 
 def _take_picture(client: ViewerClient) -> bytes:
     """Return the first picture that equals the previous one: views settle over some frames."""
-    before = _shoot(client)
+    before, picture = None, _shoot(client)
     for _ in range(_PICTURES):
-        time.sleep(_PAUSE_S)
-        picture = _shoot(client)
         if picture == before:
             break
-        before = picture
-    return before
+        time.sleep(_PAUSE_S)
+        before, picture = picture, _shoot(client)
+    return picture
 
 
 def _shoot(client: ViewerClient) -> bytes:
@@ -245,13 +243,6 @@ def _shoot(client: ViewerClient) -> bytes:
         except (RuntimeError, OSError) as err:
             if "Deadline expired" not in str(err) or time.monotonic() > deadline:
                 raise
-
-
-def _outlast_notices(client: ViewerClient) -> None:
-    """Let the viewer draw until its welcome messages have disappeared from the picture."""
-    deadline = time.monotonic() + _NOTICE_S
-    while time.monotonic() < deadline:
-        client.take_screenshot(max_size=16)
 
 
 def _read_report(client: ViewerClient, last_log: int) -> ViewReport:

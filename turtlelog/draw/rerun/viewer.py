@@ -120,12 +120,37 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
 
 
 @contextmanager
+def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
+    """Open a viewer without a recording until the block ends, and yield it with its address.
+
+    Args:
+        advice: Advice if no window can be opened, in one clause.
+
+    Raises:
+        ShowError: If no window can be opened.
+    """
+    port = find_free_port()
+    options = ["--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
+    with start_viewer(options) as viewer:
+        try:
+            wait_for_viewer(viewer, port)
+        except ConnectionError as err:
+            raise ShowError(
+                f"viewer: expected a window, found: {err}; without a display {advice}"
+            ) from err
+        yield viewer, build_url(port)
+
+
+@contextmanager
 def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     """Start a viewer that listens only on this machine, and end it after the block."""
+    # Only Linux has a command that ends a viewer whose parent was killed.
+    setpriv = shutil.which("setpriv") if sys.platform == "linux" else None
+    guard = [] if setpriv is None else [setpriv, "--pdeathsig", "TERM"]
     # The viewer leaves a folder in the temporary folder, so it gets a folder of its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
-            [*_find_guard(), find_viewer(), "--bind", _LOCAL, *options],
+            [*guard, find_viewer(), "--bind", _LOCAL, *options],
             env={**os.environ, **_NO_TELEMETRY, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -205,12 +230,6 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
         return client
 
 
-def _find_guard() -> list[str]:
-    """Return a command prefix that ends a viewer whose parent was killed. Only Linux has one."""
-    guard = shutil.which("setpriv") if sys.platform == "linux" else None
-    return [] if guard is None else [guard, "--pdeathsig", "TERM"]
-
-
 _KINDS: Final[Mapping[str, str]] = {
     "": "text/html; charset=utf-8",
     "re_viewer.js": "text/javascript",
@@ -239,49 +258,36 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
     """
     require_recordings(paths)
     files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}
-    page = _fetch_page()
-    handler = partial(_Handler, page, _write_head_fields(page), files)
-    with ThreadingHTTPServer((_LOCAL, 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
-        thread.start()
-        try:
-            yield _build_address(f"http://{_LOCAL}:{server.server_port}/", list(files))
-        finally:
-            server.shutdown()
-            thread.join()
-
-
-def _build_address(root: str, names: Sequence[str]) -> str:
-    words = [("theme", "dark"), *(("url", root + quote(name)) for name in names)]
-    return f"{root}?{urlencode(words)}"
-
-
-def _fetch_page() -> dict[str, bytes]:
-    """Return the files of the page, from a server of the viewer that ends afterwards."""
     ports = {"--port": find_free_port(), "--web-viewer-port": find_free_port()}
     options = [word for name, port in ports.items() for word in (name, str(port))]
     with start_viewer(["--serve-web", *options]) as viewer:
         root = f"http://{_LOCAL}:{ports['--web-viewer-port']}/"
         page = {name: _fetch(viewer, root + name) for name in _KINDS}
-    return page | {"": _REMOTE_LINK.sub(b"", page[""])}
-
-
-_REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
-"""Links to fonts and early connections, which no policy covers."""
-
-
-def _write_head_fields(page: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the headers with the policy for the page and its viewer, which is WebAssembly."""
-    scripts = re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL)
+    page[""] = _REMOTE_LINK.sub(b"", page[""])
     policy = write_policy(
-        scripts,
-        script_src="'self' 'wasm-unsafe-eval'",
+        re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL),
+        script_src="'self' 'wasm-unsafe-eval'",  # the viewer is WebAssembly
         connect_src="'self'",
         img_src="'self'",
         worker_src="'self' blob:",
         frame_ancestors="'none'",
     )
-    return {"Content-Security-Policy": policy, "Referrer-Policy": "no-referrer"}
+    fields = {"Content-Security-Policy": policy, "Referrer-Policy": "no-referrer"}
+    handler = partial(_Handler, page, fields, files)
+    with ThreadingHTTPServer((_LOCAL, 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
+        thread.start()
+        try:
+            root = f"http://{_LOCAL}:{server.server_port}/"
+            words = [("theme", "dark"), *(("url", root + quote(name)) for name in files)]
+            yield f"{root}?{urlencode(words)}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+_REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
+"""Links to fonts and early connections, which no policy covers."""
 
 
 def _fetch(viewer: ViewerProcess, address: str) -> bytes:

@@ -1,4 +1,4 @@
-"""Deviation of a run from the values of a reference that are near in time.
+"""Two runs on a common clock, and the deviation of one from values of the other near in time.
 
 At time t, with a time tolerance d, a value is compared with the values of the reference in [t - d,
 t + d]. A linearly interpolated signal takes every value between its minimum and maximum there; a
@@ -8,17 +8,140 @@ this half-width grows no faster than the distance, so the nearest values below a
 """
 
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import CompareError
+from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
+from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
+from turtlelog.run.loops import NAME_PATTERN
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]
+
+ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
+"""Ways to align runs; NAME stands for a phase of their law."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TimeClock:
+    """Nanoseconds from time zero of each run; `span` has the first and last compared ones."""
+
+    runs: tuple[Run, Run]
+    zeros_ns: tuple[int, int]
+    span: tuple[int, int]
+    tells_time: bool = True
+    """Whether the units of the clock are nanoseconds, so that tolerances in time apply."""
+
+    def place_signal(self, signal: Signal, run: Run) -> Signal:
+        """Return the signal of one of the two runs, with its rows on this clock."""
+        zero_ns = self.zeros_ns[0 if run is self.runs[0] else 1]
+        return _smooth(replace(signal, time_ns=signal.time_ns - zero_ns))
+
+    def read_ns(self, unit: int) -> int:
+        """Return the time of a unit of this clock [ns]."""
+        return unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SampleClock:
+    """Numbers of samples; poses are those that samples read, times those of the reference."""
+
+    time_ns: Times
+    tells_time: bool = False
+
+    @property
+    def span(self) -> tuple[int, int]:
+        return 0, len(self.time_ns) - 1
+
+    def place_signal(self, signal: Signal, run: Run) -> Signal:
+        rows = np.arange(len(self.time_ns))
+        read = rows
+        if signal.kind.source != "sample":
+            # Of what was sensed as well, for what a sample read did not drop out.
+            read_ns = run.poses.time_ns[run.samples.pose_sequence[rows]]
+            read = np.searchsorted(signal.time_ns, read_ns)
+        return _smooth(replace(signal, time_ns=rows, values=signal.values[read]))
+
+    def read_ns(self, unit: int) -> int:
+        return int(self.time_ns[unit])
+
+
+CommonClock = _TimeClock | _SampleClock
+"""The clock on which two runs are compared."""
+
+
+def could_be_alignment(text: str) -> bool:
+    """Return whether a text is an alignment, possibly with a phase of any law."""
+    phase = text.removeprefix("phase:")
+    return text in ALIGNMENTS or (phase != text and re.fullmatch(NAME_PATTERN, phase) is not None)
+
+
+def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
+    """Return the clock of one of `ALIGNMENTS` for two runs; a phase belongs to one of their laws.
+
+    Raises:
+        CompareError: If there is no such alignment, the alignment needs data that a run lacks, or
+            the runs do not overlap.
+    """
+    for one in (reference, run):
+        if not len(one.poses):
+            raise CompareError(f"{one.name}: the recording holds no poses, which are compared")
+    phases = join_phases(reference, run)
+    known = ["first_sample", *(f"phase:{phase}" for phase in phases), "recorded", "sample"]
+    if alignment not in known:
+        expected = suggest_names(alignment, known)
+        raise CompareError(f"alignment: expected {expected}, found {alignment!r}")
+    if alignment == "sample":
+        for one in (reference, run):
+            if not len(one.samples):
+                raise CompareError(f"{one.name}: no samples to align by number")
+        count = min(len(reference.samples), len(run.samples))
+        return _SampleClock(time_ns=reference.samples.time_ns[:count] - reference.start_ns)
+    zeros_ns = find_zero_ns(reference, alignment), find_zero_ns(run, alignment)
+    # What stands before is not compared: before the first sample nothing was controlled yet.
+    earliest_ns = max(reference.start_ns, run.start_ns) if alignment == "recorded" else 0
+    spans = [
+        (int(one.poses.time_ns[0]) - zero_ns, one.end_ns - zero_ns)
+        for one, zero_ns in zip((reference, run), zeros_ns, strict=True)
+    ]
+    span = max(earliest_ns, *(start for start, _ in spans)), min(end for _, end in spans)
+    if span[1] <= span[0]:
+        found = " and ".join(f"{start / 1e9:.2f} to {end / 1e9:.2f} s" for start, end in spans)
+        names = f"{reference.name} and {run.name}"
+        raise CompareError(f"{names}: expected runs that overlap, found {found}")
+    return _TimeClock(runs=(reference, run), zeros_ns=zeros_ns, span=span)
+
+
+def join_phases(reference: Run, run: Run) -> list[str]:
+    """Return the phases of both laws, by which both runs are numbered."""
+    return list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
+
+
+def _smooth(signal: Signal) -> Signal:
+    """Remove the jumps of an angle at full turns, so that it can be interpolated."""
+    if signal.kind.compared_as != "angle":
+        return signal
+    return replace(signal, values=np.unwrap(signal.values))
+
+
+def find_zero_ns(run: Run, alignment: str) -> int:
+    """Return time zero of an alignment in a run [ns]; by sample number, the first sample."""
+    if alignment == "recorded":
+        return 0
+    if alignment in {"first_sample", "sample"}:
+        return run.start_ns
+    phase = alignment.removeprefix("phase:")
+    for span in run.find_phase_spans():
+        if span.phase == phase:
+            return span.start_ns
+    found = ", ".join(dict.fromkeys(span.phase for span in run.find_phase_spans())) or "none"
+    raise CompareError(f"{run.name}: expected a phase {phase} to align at, found {found}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,16 +182,11 @@ class Grid:
     """Points at which a run is compared: its rows, and the reference's rows between them.
 
     Without the reference's times, a run with few rows would be compared at few points only.
-
-    Attributes:
-        at: Times in units of the clock, not decreasing.
-        run_row: The run's row at each point, or the row before.
-        later: Number of further rows of the run with the same time.
     """
 
-    at: Times
-    run_row: Times
-    later: Times
+    at: Times  # times in units of the clock, not decreasing
+    run_row: Times  # the run's row at each point, or the row before
+    later: Times  # number of further rows of the run with the same time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -199,9 +317,8 @@ def _find_nearest_held(
 
 def _merge_times(one: Times, other: Times) -> Times:
     """Return the times of both signals, sorted and without duplicates."""
-    if np.array_equal(one, other):
-        both = one
-    else:
+    both = one
+    if not np.array_equal(one, other):
         # Merges sorted runs, where np.union1d would sort anew.
         both = np.sort(np.concatenate([one, other]), kind="stable")
     return both[np.flatnonzero(np.diff(both, prepend=both[0] - 1))]

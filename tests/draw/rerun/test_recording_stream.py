@@ -8,7 +8,7 @@ import rerun as rr
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.log.live import ROOT
 from turtlelog.draw import write_run_rrd
-from turtlelog.draw.rerun import rrd_file
+from turtlelog.draw.rerun import recording_stream
 from turtlelog.errors import ShowError
 
 RUN = make_foreign_run(3)
@@ -83,7 +83,7 @@ def start_limited(limit: int, folder: Path) -> "subprocess.Popen[str]":
 
 def fail_in_recording(path: Path) -> None:
     layout = rr.blueprint.Blueprint(rr.blueprint.TextLogView())
-    with rrd_file.open_recording(path, name="x", layout=layout) as stream:
+    with recording_stream.open_recording(path, name="x", layout=layout) as stream:
         stream.log("x", rr.Scalars("no number"))
 
 
@@ -100,7 +100,7 @@ def test_strict_mode_ends_with_the_recording(tmp_path: Path) -> None:
 
 
 def test_strict_mode_lasts_until_the_last_of_several_recordings_ends() -> None:
-    first, second = rrd_file.strict_mode(), rrd_file.strict_mode()
+    first, second = recording_stream.strict_mode(), recording_stream.strict_mode()
     first.__enter__()
     second.__enter__()
     first.__exit__(None, None, None)
