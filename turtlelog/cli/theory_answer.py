@@ -34,7 +34,7 @@ from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
-    from turtlelog.theory import Recommendation, SampledLoop
+    from turtlelog.theory import LoopModel, PidLoop, Recommendation, SampledLoop
 
 _Ranges = tuple[tuple[float, float], ...]
 
@@ -184,11 +184,12 @@ def format_terms(
     answers: Sequence[LoopAnswer], recommended: Recommended, wishes: Wishes, *, shows_all: bool
 ) -> str:
     """Return the answer for a loop with more than P on 1/s, at each Kp."""
+    known = [answer.found for answer in answers if answer.found]
     head = [
         *_list_recommended(recommended, wishes),
-        *([f"Stable for Kp {_show_range(answers[0])}."] if answers and answers[0].found else []),
+        *(f"Stable for Kp {_write_ranges(loop.stable_gains)}." for loop in known[:1]),
         *_list_motions(answers),
-        *(describe_plant(answer.found) for answer in answers[:1] if answer.found),
+        *map(describe_plant, known[:1]),
     ]
     parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
     details = [tabulate_answers("Loop by loop", part) for part in parts] if shows_all else []
@@ -282,7 +283,7 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
     motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
-    return f"{said}; stable for Kp {_show_late_range(answer)}."
+    return f"{said}; stable for Kp {_show_late_range(loop, answer.model)}."
 
 
 def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
@@ -360,18 +361,13 @@ _MOST_SAID: Final = 4
 """Largest number of gains with separate sentences."""
 
 
-def _show_range(answer: LoopAnswer) -> str:
-    return _write_ranges(() if answer.found is None else answer.found.stable_gains)
-
-
-def _show_late_range(answer: LoopAnswer) -> str:
+def _show_late_range(loop: "PidLoop", model: "LoopModel | None") -> str:
     """Return the range of Kp that is stable at the most dead time and at those below it.
 
     Between two samples, a longer dead time may be stable with a larger Kp.
     """
-    model = answer.model
     if model is None or model.most_dead_time_s is None:
-        return _show_range(answer)
+        return _write_ranges(loop.stable_gains)
     gains, settings = model.require()
     process, most_s = settings["process"], model.most_dead_time_s
     found = [

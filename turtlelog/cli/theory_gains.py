@@ -3,54 +3,15 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import turtlelog as tl
 from turtlelog.cli.output import build_table
 from turtlelog.display import format_short, join_words
-from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.compare import Cell, Table
+    from turtlelog.compare import Table
     from turtlelog.theory import LoopModel, PidGains, Process, Recommendation
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WishOptions:
-    """Requirements for recommended gains.
-
-    Attributes:
-        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
-            5, unless only --phase-margin is given.
-        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180. Default:
-            60, unless only --overshoot is given.
-    """
-
-    overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None
-    phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
-
-    def read(self) -> "Wishes":
-        """Return the requirements.
-
-        Raises:
-            UsageError: If a number is out of its range.
-        """
-        percent, degrees = self.overshoot, self.phase_margin
-        if percent is not None and not 0.0 <= percent < 100.0:
-            raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
-        if degrees is not None and not 0.0 < degrees < 180.0:
-            expected = "degrees above 0 and below 180"
-            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
-        if percent is None and degrees is None:
-            return Wishes(
-                overshoot_percent=tl.theory.OVERSHOOT_PERCENT,
-                phase_margin_rad=tl.theory.PHASE_MARGIN_RAD,
-            )
-        margin_rad = None if degrees is None else math.radians(degrees)
-        return Wishes(overshoot_percent=percent, phase_margin_rad=margin_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -277,25 +238,22 @@ def find_kept(recommended: Recommended, loop: str = "") -> float | None:
 
 def build_recommended(recommended: Recommended) -> list[RecommendedGains]:
     """Return recommended gains for JSON."""
-    return [_build(one) for one in recommended.found]
 
+    def take(source: object, *names: str) -> dict[str, Any]:
+        return {name: getattr(source, name, None) for name in names}
 
-def _build(one: "Recommendation") -> RecommendedGains:
-    gains, motion, margins = one.gains, one.motion, one.margins
-    return RecommendedGains(
-        rule=one.rule,
-        controller=one.controller,
-        source=one.source,
-        kp=None if gains is None else gains.kp,
-        ki=None if gains is None else gains.ki,
-        kd=None if gains is None else gains.kd,
-        filter_s=None if gains is None else gains.filter_s,
-        overshoot_percent=None if motion is None else motion.overshoot_percent,
-        settling_time_s=None if motion is None else motion.settling_time_s,
-        gain_margin=None if margins is None else margins.gain_margin,
-        phase_margin_rad=None if margins is None else margins.phase_margin_rad,
-        reason=one.reason or None,
-    )
+    return [
+        RecommendedGains(
+            rule=one.rule,
+            controller=one.controller,
+            source=one.source,
+            **take(one.gains, "kp", "ki", "kd", "filter_s"),
+            **take(one.motion, "overshoot_percent", "settling_time_s"),
+            **take(one.margins, "gain_margin", "phase_margin_rad"),
+            reason=one.reason or None,
+        )
+        for one in recommended.found
+    ]
 
 
 def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> "Table":
@@ -311,16 +269,14 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
         column(title="phase margin", unit="deg", digits=1, lines=("phase", "margin")),
     )
     heads = ("", "Kp [1/s]", "Ki [1/s^2]", "Kd", *columns)
-    rows = (_list_cells(one, wishes.tell(one)) for one in found if one.gains)
+    rows = []
+    for one in found:
+        if one.gains is not None:
+            gains = one.gains.kp, one.gains.ki or None, one.gains.kd or None
+            figures = (figure.value for figure in _list_figures(one))
+            rows.append((wishes.tell(one), *gains, *figures))
     notes = _list_notes(recommended, wishes, shows_all=shows_all)
     return build_table(f"Recommended gains{of}", heads, rows, notes)
-
-
-def _list_cells(one: "Recommendation", name: str) -> "tuple[Cell, ...]":
-    if one.gains is None:
-        return (name,)
-    gains = one.gains.kp, one.gains.ki or None, one.gains.kd or None
-    return (name, *gains, *(figure.value for figure in _list_figures(one)))
 
 
 def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> Iterator[str]:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import build_table, copy_fields
-from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
+from turtlelog.cli.theory_gains import (
+    NO_OVERSHOOT,
+    Recommended,
+    RecommendedGains,
+    build_recommended,
+    find_kept,
+    tell_step,
+)
 from turtlelog.display import join_words
 from turtlelog.run.loops import SIGNAL_WORDS
 
@@ -34,16 +41,6 @@ class LoopAnswer:
     model: "LoopModel | None" = None
 
 
-def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
-    """Return theory's answers for declared loops."""
-    return [
-        LoopAnswer(
-            title=model.loop.name, found=None if model.reason else model.analyse(), model=model
-        )
-        for model in models
-    ]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanePole:
     """A pole in the z plane."""
@@ -53,7 +50,6 @@ class PlanePole:
 
 
 def _build_poles(poles: "NDArray[np.complex128]") -> list[PlanePole]:
-    """Return poles for JSON."""
     return [PlanePole(re=float(pole.real), im=float(pole.imag)) for pole in poles]
 
 
@@ -125,57 +121,46 @@ class IntegratorAnswer:
     kept_kp: float | None
 
 
-def build_integrator(
-    loops: "list[SampledLoop]", recommended: list[RecommendedGains], kept_kp: float | None
-) -> IntegratorAnswer:
+def build_integrator(loops: "list[SampledLoop]", recommended: Recommended) -> IntegratorAnswer:
     """Return the answer for P on 1/s."""
-    first = loops[0]
-    overshoot_gain, stability_gain = compute_limits(first.period_s, first.dead_time_ticks)
+    theory, first = tl.theory, loops[0]
     limits = {ticks: compute_limits(first.period_s, ticks) for ticks in list_dead_times(first)}
+    overshoot_gain, stability_gain = limits[first.dead_time_ticks]
+    verdict, (numerator, denominator) = theory.judge_bibo(*theory.PLANT), theory.PLANT
+    ends = {kind: theory.find_plant_final_value(kind) for kind in theory.PLANT_INPUTS}
     return IntegratorAnswer(
         period_s=first.period_s,
         dead_time_ticks=first.dead_time_ticks,
         overshoot_gain=overshoot_gain,
         stability_gain=stability_gain,
-        plant=_build_plant(),
-        gains=[_build_loop(loop) for loop in loops],
+        plant=PlantAnswer(
+            transfer_function=_Transfer(numerator=numerator, denominator=denominator),
+            bibo_stable=verdict.stable,
+            reason=verdict.reason,
+            final_values=[
+                _End(input=kind, value=end.value, status=end.status.value, reason=end.reason)
+                for kind, end in ends.items()
+            ],
+        ),
+        gains=[
+            copy_fields(
+                GainAnswer,
+                loop,
+                tau_s=theory.compute_time_constant(loop.kp),
+                settling_time_s=theory.compute_settling_time(loop.kp),
+                exact_settling_time_s=theory.compute_exact_settling_time(loop.kp),
+                poles=_build_poles(loop.poles),
+                sampled_settling_time_s=loop.settling_time_s,
+            )
+            for loop in loops
+        ],
         limits=[
             GainBounds(dead_time_ticks=ticks, overshoot_gain=overshoot, stability_gain=stability)
             for ticks, (overshoot, stability) in limits.items()
         ],
-        recommended=recommended,
-        kept_kp=kept_kp,
+        recommended=build_recommended(recommended),
+        kept_kp=find_kept(recommended),
     )
-
-
-def _build_plant() -> PlantAnswer:
-    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
-    ends = [(kind, tl.theory.find_plant_final_value(kind)) for kind in tl.theory.PLANT_INPUTS]
-    numerator, denominator = tl.theory.PLANT
-    return PlantAnswer(
-        transfer_function=_Transfer(numerator=numerator, denominator=denominator),
-        bibo_stable=verdict.stable,
-        reason=verdict.reason,
-        final_values=[
-            _End(input=kind, value=end.value, status=end.status.value, reason=end.reason)
-            for kind, end in ends
-        ],
-    )
-
-
-def _build_loop(loop: "SampledLoop") -> GainAnswer:
-    return copy_fields(
-        GainAnswer,
-        loop,
-        tau_s=tl.theory.compute_time_constant(loop.kp),
-        settling_time_s=tl.theory.compute_settling_time(loop.kp),
-        exact_settling_time_s=tl.theory.compute_exact_settling_time(loop.kp),
-        poles=_build_poles(loop.poles),
-        sampled_settling_time_s=loop.settling_time_s,
-    )
-
-
-_LIMITS_UP_TO: Final = 8
 
 
 def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
@@ -195,6 +180,9 @@ def tell_pole(poles: "NDArray[np.complex128]") -> str:
     if pole.imag == 0.0:
         return f"{pole.real:.4f}"
     return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"
+
+
+_LIMITS_UP_TO: Final = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,6 +217,7 @@ def build_pid_loop(loop: "PidLoop") -> PidAnswer:
     whole = loop.gains.kp * loop.process.gain
     terms = {name: getattr(loop.gains, name) for name in ("kp", "ki", "kd", "filter_s")}
     margins = {name: getattr(loop.margins, name, None) for name in _MARGINS}
+    ticks = margins["delay_margin_ticks"]
     return copy_fields(
         PidAnswer,
         loop,
@@ -237,7 +226,7 @@ def build_pid_loop(loop: "PidLoop") -> PidAnswer:
         poles=_build_poles(loop.poles),
         overshoots=not loop.stable or _overshoots(loop),
         sampled_settling_time_s=loop.settling_time_s,
-        delay_margin_s=_find_delay_margin(loop),
+        delay_margin_s=None if ticks is None else ticks * loop.period_s,
         **terms,
         **margins,
     )
@@ -347,26 +336,12 @@ def _tell_sources(model: "LoopModel") -> str:
     """Return the sources of values as text. Values from one source share an entry."""
     found: dict[str, list[str]] = {}
     for key, words in model.sources.items():
-        found.setdefault(words, []).append(_NAMES[key])
+        found.setdefault(words, []).append(key.removesuffix("_s").replace("_", " "))
     return "; ".join(f"{join_words(names)} {words}" for words, names in found.items())
-
-
-_NAMES: Final = {
-    "gains": "gains",
-    "plant": "plant",
-    "period_s": "period",
-    "dead_time_s": "dead time",
-}
 
 
 def _overshoots(loop: "PidLoop") -> bool:
     return loop.overshoot_percent is not None and loop.overshoot_percent >= NO_OVERSHOOT
-
-
-def _find_delay_margin(loop: "PidLoop") -> float | None:
-    if loop.margins is None or loop.margins.delay_margin_ticks is None:
-        return None
-    return loop.margins.delay_margin_ticks * loop.period_s
 
 
 def _tell_overshoot(loop: "PidLoop") -> str:
