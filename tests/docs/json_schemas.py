@@ -32,7 +32,7 @@ ANSWERS: Final = {
     "compare --why": "compare_why:WhyAnswer",
     "compare --reference --ate": "compare_trajectories:TrajectoriesAnswer",
     "compare BAG SCENARIO": "compare_reference:_RobotAnswer",
-    "explain": "explain_answer:ExplainAnswer",
+    "explain": "explain:ExplainAnswer",
     "identify": "identify:IdentifyAnswer",
     "replay": "replay_answer:LoopReplayAnswer",
     "replay --law": "replay_answer:LawReplayAnswer",
