@@ -31,8 +31,7 @@ from turtlelog.cli.options import (
 )
 from turtlelog.cli.output import copy_fields, print_json, print_note, print_text, write_text
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.replay_answer import build_pose_error, tell_time
-from turtlelog.cli.replay_plant import PlantReplayAnswer, build_plant
+from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import ExplainError
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import build_table, fill_lines, fit_table
-from turtlelog.cli.replay_answer import tell_time
-from turtlelog.cli.replay_plant import judge_rounding, list_breaks
+from turtlelog.cli.replay_answer import judge_rounding, list_breaks, tell_time
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 

@@ -1,8 +1,8 @@
 """Options that choose a scenario and change it, shared by several commands."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -40,6 +40,10 @@ class ScenarioOptions:
         list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
     ] = None
 
+    def parse_assignments(self) -> dict[str, Any]:
+        """Return the values of --set by key."""
+        return tl.scenario.parse_assignments(self.assignments or (), source="--set")
+
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +67,7 @@ class LawOptions(ScenarioOptions):
             UsageError: If the options name two laws, or a law together with --commands, which
                 replaces the law.
         """
-        changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
-        kind = changes.get("law.kind")
+        kind = self.parse_assignments().get("law.kind")
         if self.law is not None and kind not in (None, self.law):
             raise UsageError(f"--law {self.law} and --set law.kind={kind}: choose one")
         named = self.law or (kind if isinstance(kind, str) else None)
@@ -130,7 +133,10 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     path, declared = make_path(name_or_path), None
     if name_or_path in tl.PRESETS or not is_recording(path):
         base = tl.load_scenario(name_or_path)
-        _note_robot(path)
+        if path.suffix == ".toml" and path.is_file():
+            text = path.read_text(encoding="utf-8", errors="replace")
+            for note in tl.identify.read_robot_notes(text):
+                print_note(note)
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
@@ -141,14 +147,6 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
         base = tl.scenario.restore_scenario(run, source=str(path))
         declared = None if named else run.declaration
     return apply_options(base, options, declared)
-
-
-def _note_robot(path: Path) -> None:
-    """Print the notes of `identify` in a scenario file before other output."""
-    if path.suffix == ".toml" and path.is_file():
-        text = path.read_text(encoding="utf-8", errors="replace")
-        for note in tl.identify.read_robot_notes(text):
-            print_note(note)
 
 
 def apply_options(
@@ -166,8 +164,10 @@ def list_given_keys(options: ScenarioOptions | None) -> list[str]:
     """Return the keys of a scenario that the options set by name."""
     if options is None:
         return []
-    assigned = tl.scenario.parse_assignments(options.assignments or (), source="--set")
-    return [*assigned, *([] if options.goal is None else _parse_goal(options.goal))]
+    return [
+        *options.parse_assignments(),
+        *([] if options.goal is None else _parse_goal(options.goal)),
+    ]
 
 
 def name_by_changes(
@@ -204,19 +204,18 @@ def change_scenario(
     if options.commands is not None:
         run = read_chosen_run(options.commands, TopicOptions(), allow_no_poses=True)
         scenario, declaration = tl.scenario.replay_commands(scenario, run), None
-    changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
+    changes = options.parse_assignments()
     if "law.kind" in changes:
         # Another law has other keys, so it is chosen first.
         kind = {"law.kind": changes.pop("law.kind")}
         scenario = tl.override_scenario(scenario, kind, source="--set")
     if options.kp is not None:
-        from turtlelog.scenario import override_gains
-
-        asked = declaration or _ask_law(scenario, changes)
-        gains = asked.list_gains()
+        # The law declares its loops once all required values are set.
+        complete = partial(tl.override_scenario, scenario, changes, source="--set")
+        gains = (declaration or tl.simulate.declare_scenario(complete())).list_gains()
         if not gains:
             raise UsageError("--kp: this law declares no gain; set its keys with --set")
-        scenario = override_gains(scenario, gains, options.kp, source="--kp")
+        scenario = tl.scenario.override_gains(scenario, gains, options.kp, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
     try:
@@ -228,11 +227,6 @@ def change_scenario(
         problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")
         problem = re.sub(r"\bkp_", "law.kp_", problem)
         raise UsageError(f"{problem} --kp {kp} sets the gain of every loop") from err
-
-
-def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
-    """Return the declaration of a scenario's law, once all required values are set."""
-    return tl.simulate.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
 
 
 def _parse_goal(text: str) -> dict[str, Any]:
