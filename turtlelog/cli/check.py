@@ -1,16 +1,30 @@
 """`turtlelog check`: check recordings against a specification."""
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import print_marks, print_results
+from turtlelog.cli.check_answers import (
+    CheckAnswer,
+    CountedResults,
+    build_results,
+    conclude,
+    format_many,
+    format_results,
+    list_failure_reasons,
+    list_verdict_reasons,
+    tabulate_files,
+    tabulate_matrix,
+    tabulate_values,
+)
 from turtlelog.cli.options import (
     Output,
     Place,
@@ -29,7 +43,9 @@ from turtlelog.cli.output import (
     print_json,
     print_note,
     print_run_notes,
+    print_tables,
     print_text,
+    print_verdicts,
     quote_file,
     write_text,
 )
@@ -40,11 +56,9 @@ from turtlelog.errors import ExpressionError, LogError, UsageError
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from turtlelog import Run, Spec
-    from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.judged_files import FileJudge, JudgedFile
+    from turtlelog.check import ArtifactWriter, CheckResult, Verdict
+    from turtlelog.check.judged_files import CheckedFile, FileJudge, JudgedFile
     from turtlelog.sweep import FoundRecording
 
 
@@ -144,15 +158,10 @@ def check(
         return EXIT_FINE
     if first.init is not None:
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
-    words, expect = words or [], first.expect
+    words = words or []
     files = reports.name_files(_choose_files(words, first))
     _require_targets(reports, first.output, words)
-    spec = (
-        replace(build_spec(expect), reference=reference)
-        if expect
-        else tl.load_spec(words[0], reference=reference)
-    )
-    _require_use(spec, reference if expect else None)
+    spec = _load_spec(words[0], first.expect or (), reference)
     topics = topics or ReadingOptions()
     if first.output is not None:
         found = find_files(files, first.output)
@@ -166,25 +175,25 @@ def check(
     if reports.marks:
         if kind != "txt" or reports.all_:
             raise UsageError("--marks prints a line for each recording; leave other formats out")
-        return EXIT_FAILED if print_marks(results) == "FAIL" else EXIT_FINE
-    verdict = print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
+        return EXIT_FAILED if _print_marks(results) == "FAIL" else EXIT_FINE
+    verdict = _print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 
-def _require_use(spec: "Spec", reference: Path | None) -> None:
-    """Refuse a reference that no formula needs.
-
-    Raises:
-        UsageError: If there is such a reference.
-    """
+def _load_spec(path: Path, formulas: Sequence[str], reference: Path | None) -> "Spec":
+    """Return the specification of --expect, or else of a file, with a reference that it needs."""
     from turtlelog.check.spec import list_formula_names
     from turtlelog.check.vocabulary import TRAJECTORY_VALUES
 
+    if not formulas:
+        return tl.load_spec(path, reference=reference)
+    spec = replace(build_spec(formulas), reference=reference)
     if reference is not None and list_formula_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(
             "--reference: leave it out beside --expect, which has no tolerances and names no error"
             " of a trajectory (ate.position.rmse)"
         )
+    return spec
 
 
 def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
@@ -199,7 +208,16 @@ def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
             f" turtlelog check FILE... --expect {_FORMULA}"
         )
     if is_recording(words[0]) or str(words[0]) in tl.PRESETS:
-        raise UsageError(_describe_no_spec(words))
+        specs = [word for word in words if word.suffix.lower() == ".toml"]
+        others = shlex.join(str(word) for word in words if word not in specs)
+        head = f"{words[0]} is a recording"
+        if specs:
+            command = f"turtlelog check {shlex.quote(str(specs[0]))} {others}"
+            raise UsageError(f"{head}; the specification goes first: {command}")
+        raise UsageError(
+            f"{head}, but check needs a specification first: turtlelog check SPEC {others}, or"
+            f" --expect {_FORMULA}, or create one with --init {words[0]}"
+        )
     if len(words) == 1:
         raise UsageError(f"which recordings? turtlelog check {shlex.quote(str(words[0]))} FILE...")
     return words[1:]
@@ -207,20 +225,6 @@ def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
 
 _FORMULA: Final = '"rotate.overshoot <= 2"'
 """Example of a formula."""
-
-
-def _describe_no_spec(words: list[Path]) -> str:
-    """Return what to type if a recording is given in place of the specification."""
-    specs = [word for word in words if word.suffix.lower() == ".toml"]
-    others = shlex.join(str(word) for word in words if word not in specs)
-    if specs:
-        spec = shlex.quote(str(specs[0]))
-        where = "the specification goes first"
-        return f"{words[0]} is a recording; {where}: turtlelog check {spec} {others}"
-    return (
-        f"{words[0]} is a recording, but check needs a specification first: turtlelog check SPEC"
-        f" {others}, or --expect {_FORMULA}, or create one with --init {words[0]}"
-    )
 
 
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
@@ -353,31 +357,20 @@ def _check_all(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
 ) -> "Iterator[CheckResult]":
     """Yield the results of files, and write the requested files next to the answer."""
+    from turtlelog.check.judged_files import format_junit
+
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: leave out --scheduler")
-    with reports.find_place(files, file_s=_FILE_S) as place:
-        yield from _check_placed(spec, files, reports, topics, place=place)
-
-
-def _check_placed(
-    spec: "Spec",
-    files: Sequence[Path],
-    reports: ReportOptions,
-    topics: ReadingOptions,
-    *,
-    place: "int | Executor",
-) -> "Iterator[CheckResult]":
-    from turtlelog.check.judged_files import CheckedFile, format_junit
-
-    jobs = 1 if reports.report is not None else place
-    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
-    is_described = reports.junit is not None
-    judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
-    judged = map_in_processes(judge, files, jobs)
-    explain = None if reports.no_why or reports.marks else judge.build_explainer()
     checked: list[CheckedFile] = []  # data for a report
     runs: dict[str, Run] = {}
     with ExitStack() as stack:
+        place = stack.enter_context(reports.find_place(files, file_s=_FILE_S))
+        jobs = 1 if reports.report is not None else place
+        keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
+        is_described = reports.junit is not None
+        judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
+        judged = map_in_processes(judge, files, jobs)
+        explain = None if reports.no_why or reports.marks else judge.build_explainer()
         writer = reports.artifacts and stack.enter_context(
             tl.check.ArtifactWriter(reports.artifacts)
         )
@@ -396,40 +389,40 @@ def _check_placed(
     if reports.junit is not None:
         write_text(reports.junit, format_junit(checked))
         print_note(f"wrote {reports.junit}")
-    if reports.report is not None:
-        results = [result for file in checked for result in file.results]
-        words = [*runs, *list_reading_words(topics), "--report", str(reports.report)]
-        _write_report(reports.report, runs, results, _join_command(spec, words))
+    _write_report(reports.report, runs, checked, spec, topics)
 
 
 def _write_report(
-    path: Path, runs: "Mapping[str, Run]", results: "Sequence[CheckResult]", command: str
+    path: Path | None,
+    runs: "Mapping[str, Run]",
+    checked: "Sequence[CheckedFile]",
+    spec: "Spec",
+    topics: ReadingOptions,
 ) -> None:
-    """Write a report on the readable recordings, with the command that creates it."""
+    """Write the requested report on the readable recordings, with the command that creates it."""
     from turtlelog.cli.report import build_check_lines
 
+    if path is None:
+        return
     bare = [file for file, run in runs.items() if not len(run.poses)]
-    runs = {file: run for file, run in runs.items() if file not in bare}
+    posed = {file: run for file, run in runs.items() if file not in bare}
     for file in bare:
         print_note(f"{path}: {file} has commands alone, and a report needs poses")
-    if not runs:
+    if not posed:
         print_note(f"{path}: no report: none of the recordings could be read")
         return
-    names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
+    names = dict(zip(posed, tl.compare.name_runs([*posed.values()]), strict=True))
+    results = [result for file in checked for result in file.results]
+    words = ["turtlelog", "check", str(spec.source), *runs, *list_reading_words(topics)]
+    is_file = not str(spec.source).startswith("--")  # else no file contains the checks
     tl.draw.write_report(
-        [*runs.values()],
+        [*posed.values()],
         path,
-        sources=[*runs],
-        checks=build_check_lines(results, names, runs),
-        command=command,
+        sources=[*posed],
+        checks=build_check_lines(results, names, posed),
+        command=shlex.join([*words, "--report", str(path)]) if is_file else "",
     )
     print_note(f"wrote {path}")
-
-
-def _join_command(spec: "Spec", words: Sequence[str]) -> str:
-    """Return the command that repeats the check; empty if no file contains the checks."""
-    is_file = not str(spec.source).startswith("--")
-    return shlex.join(["turtlelog", "check", str(spec.source), *words]) if is_file else ""
 
 
 def _write_artifacts(file: "JudgedFile", writer: "ArtifactWriter") -> None:
@@ -439,3 +432,58 @@ def _write_artifacts(file: "JudgedFile", writer: "ArtifactWriter") -> None:
         written = writer.write(file.run, result)
         for line in (*(f"wrote {path}" for path in written.files), *written.notes):
             print_note(line)
+
+
+def _print_results(
+    spec: "Spec",
+    results: "Iterable[CheckResult]",
+    *,
+    files: int,
+    kind: str = "txt",
+    shows_all: bool = False,
+) -> "Verdict":
+    """Print the verdict and what fails, and return the verdict.
+
+    Results of many files are counted one by one. CSV contains only rows.
+    """
+    if kind == "txt" and files > _MOST_FILES:
+        counted = CountedResults(results)
+        print_verdicts(format_many(counted, files=files, spec=spec, shows_all=shows_all))
+        return counted.verdict
+    results = [*results]
+    verdict = tl.check.join_verdicts(results)
+    if kind == "json":
+        print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
+    elif kind == "csv":
+        print_tables([tabulate_values(spec, results)], kind)
+    elif kind == "txt":
+        print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
+    else:
+        tables = [*tabulate_files(results), *tabulate_matrix(results)]
+        notes = (
+            conclude(CountedResults(results), files),
+            *list_verdict_reasons(spec, results),
+            *list_failure_reasons(results),
+        )
+        print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
+    return verdict
+
+
+def _print_marks(results: "Iterable[CheckResult]") -> "Verdict":
+    """Print a line for each recording as soon as it is checked, and return the joint verdict."""
+    from turtlelog.check.result import decide_verdict
+
+    counted = []
+    for file, of_file in groupby(results, key=lambda result: result.file):
+        found = CountedResults(of_file)
+        counted.append(found.verdict)
+        passed = found.verdicts[tl.check.Verdict.PASS]
+        total = found.verdicts.total()
+        print_verdicts(
+            f"{found.verdict}  {file}: {passed} of {describe_count(total, 'check')} passed"
+        )
+    return decide_verdict(Counter(counted))
+
+
+_MOST_FILES: Final = 20
+"""Largest number of recordings whose checks are kept in memory; for more, checks are counted."""

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import conclude
-from turtlelog.cli.check_tables import CountedResults
+from turtlelog.cli.check_answers import CountedResults, conclude
 from turtlelog.cli.options import (
     Files,
     Json,
