@@ -36,11 +36,10 @@ from turtlelog.cli.options import (
     watch_summaries,
 )
 from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
     EXIT_FINE,
     FormatOptions,
     copy_fields,
-    print_error,
+    print_errors,
     print_json,
     print_note,
     print_tables,
@@ -207,14 +206,19 @@ def compare(
     if against.reference is not None:
         compare_with_reference(paths, held, against, topics, jobs=jobs, kind=kind)
         return EXIT_FINE
-    only = _choose_needed(choice, kind)
+    columns = choice.list_columns()
+    only = None  # every metric
+    if columns or kind != "json":
+        needed = tl.compare.list_needed_metrics(
+            columns, where=choice.where, sort=choice.sort, source="--where"
+        )
+        only = partial(_list_needed, needed=needed, is_usual=not columns)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
-    for err in errors:
-        print_error(str(err))
+    code = print_errors(errors)
     # A single run is not compared with others.
     if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
-    return EXIT_BAD_INPUT if errors else EXIT_FINE
+    return code
 
 
 def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
@@ -298,18 +302,6 @@ def _summarise(
     found = tl.compare.summarise_files(paths, only=only, topics=chosen, jobs=jobs)
     summaries = tuple(watch_summaries(found, len(paths), errors))
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
-
-
-def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequence[str]] | None":
-    """Return a function that chooses the metrics to compute and keep; None: all."""
-    columns = choice.list_columns()
-    if not columns and kind == "json":
-        return None
-    needed = tl.compare.list_needed_metrics(
-        columns, where=choice.where, sort=choice.sort, source="--where"
-    )
-
-    return partial(_list_needed, needed=needed, is_usual=not columns)
 
 
 def _list_needed(run: "Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
@@ -426,11 +418,7 @@ def _build_answer(
         )
         for row, (name, summary) in enumerate(zip(names, summaries, strict=True))
     ]
-    return _AcrossAnswer(notes=notes, ranking=_build_ranking(ranking, names), runs=runs)
-
-
-def _build_ranking(ranking: "Ranking", names: Sequence[str]) -> _RankingAnswer:
-    return _RankingAnswer(
+    judged = _RankingAnswer(
         is_fair=ranking.is_fair,
         reason=ranking.describe() or None,
         varied=ranking.varied,
@@ -440,3 +428,4 @@ def _build_ranking(ranking: "Ranking", names: Sequence[str]) -> _RankingAnswer:
             for condition, rows in ranking.unknown.items()
         ],
     )
+    return _AcrossAnswer(notes=notes, ranking=judged, runs=runs)

@@ -11,17 +11,18 @@ from turtlelog.cli.output import (
     cut_rows,
     fill_lines,
     find_width,
+    fit_body,
     name_explain,
     quote_file,
 )
 from turtlelog.display import describe_count, format_number, format_range, format_short, join_words
 
 if TYPE_CHECKING:
+    from turtlelog.cli.compare_reference import Compared
     from turtlelog.compare import (
         PathDeviation,
         Ranking,
         RobotComparison,
-        RunComparison,
         RunSummary,
         Table,
     )
@@ -89,7 +90,7 @@ def format_across(
             fill_lines([*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
             *_list_best(table),
             *([fill_lines(above, indent=2)] if above else []),
-            _format(cut_rows(table)),
+            fit_body(cut_rows(table)),
             "",
             fill_lines(
                 [
@@ -122,11 +123,6 @@ def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: 
     columns = zip(table.columns, *table.rows, strict=True)
     is_alike = all(len({*cells}) == 1 for column, *cells in columns if column.title in ids)
     return f": {'all metrics shown are equal' if is_alike else 'no metric shown has a best value'}"
-
-
-def _format(table: "Table") -> str:
-    """Return a table without its title, which is printed above."""
-    return "\n" + tl.draw.format_table(replace(table, title=""), width=find_width()).strip("\n")
 
 
 def _list_reasons(table: "Table", summaries: "Sequence[RunSummary]") -> list[str]:
@@ -215,12 +211,9 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
     """Return the run with the best or worst value of a column, and the value."""
     rows = [row for (row, column), found in table.marks.items() if (column, found) == (place, mark)]
-    return _name(table, rows), float(table.rows[rows[0]][place] or 0.0)
-
-
-def _name(table: "Table", rows: Sequence[int]) -> str:
     names = [str(table.rows[row][0]) for row in rows]
-    return join_words(names) if len(names) <= 2 else describe_count(len(names), "run")
+    who = join_words(names) if len(names) <= 2 else describe_count(len(names), "run")
+    return who, float(table.rows[rows[0]][place] or 0.0)
 
 
 def _list_next(
@@ -246,24 +239,24 @@ def _list_next(
 
 def format_reference(
     first: "RunSummary",
-    found: "Sequence[tuple[RunSummary, RunComparison, PathDeviation]]",
+    found: "Sequence[Compared]",
     *,
     shows_signals: bool,
 ) -> str:
     """Return the distances of runs from a reference's path, then metrics and signals."""
-    summaries, changes = tl.compare.shorten_names([first, *(one for one, _, _ in found)])
+    summaries, changes = tl.compare.shorten_names([first, *(one.summary for one in found)])
     reference, *names = tl.compare.name_runs(summaries)
-    errors = dict(zip(names, (error for _, _, error in found), strict=True))
+    errors = dict(zip(names, (one.path_error for one in found), strict=True))
     ranking = tl.compare.judge_runs(summaries)
     across, _ = _narrow(tl.tabulate_runs(summaries, ranking=ranking, differing=0), summaries)
     told = [f"{ranking.describe().capitalize()}."] if ranking.differences else []
     reasons = _list_reasons(across, summaries)
     across = replace(across, notes=(*reasons, *changes, *told))
-    comparisons = [one for _, one, _ in found]
+    comparisons = [one.comparison for one in found]
     signals = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
-    parts = [_format(across)]
+    parts = [fit_body(across)]
     if shows_signals or len(found) <= _MOST_RUNS:
-        parts.append(f"\n{signals.title}\n" + _format(replace(signals, notes=())))
+        parts.append(f"\n{signals.title}\n" + fit_body(replace(signals, notes=())))
     else:
         parts.append("\nThe largest difference of every signal: --details")
     return "\n".join(
@@ -314,7 +307,15 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
         for one, file in zip(found, files, strict=True)
     ]
     table = tl.compare.tabulate_robots(found)
-    heads = [_describe_robot(one) for one in found]
+    heads = []
+    for one in found:
+        said = []
+        for band in (band for band in one.bands if band.quantity == "position"):
+            simulated = band.simulated_median
+            beside = "" if simulated is None else f" (simulated {format_short(simulated, 'm')})"
+            said.append(f"{format_short(band.median, 'm')}{beside} after {band.horizon_s:g} s")
+        head = f"{one.name} beside the scenario {one.scenario}"
+        heads.append(f"{head}: median position error {join_words(said)}.")
     if len(found) > 1:
         heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
     # The sentences contain the number of errors outside of the band.
@@ -326,7 +327,7 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
     return "\n".join(
         [
             fill_lines([*heads, *table.notes], indent=2),
-            _format(replace(tl.compare.narrow_table(table, find_width(), ranks), notes=())),
+            fit_body(replace(tl.compare.narrow_table(table, find_width(), ranks), notes=())),
             "",
             fill_lines(
                 [
@@ -335,18 +336,4 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
                 ]
             ),
         ]
-    )
-
-
-def _describe_robot(found: "RobotComparison") -> str:
-    """Return the median position errors of the robot and of the simulated robot."""
-    said = []
-    for band in found.bands:
-        if band.quantity == "position":
-            simulated = band.simulated_median
-            beside = "" if simulated is None else f" (simulated {format_short(simulated, 'm')})"
-            said.append(f"{format_short(band.median, 'm')}{beside} after {band.horizon_s:g} s")
-    return (
-        f"{found.name} beside the scenario {found.scenario}: median position error"
-        f" {join_words(said)}."
     )

@@ -29,7 +29,7 @@ from turtlelog.processes import map_in_processes
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from turtlelog import Metric, Run, Scenario
+    from turtlelog import Metric, Run
     from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import (
         NoiseLevel,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Compared:
+class Compared:
     """Comparison of one run with the reference."""
 
     summary: "RunSummary"
@@ -64,17 +64,17 @@ class _Comparer:
     def _metrics(self) -> "Mapping[str, Metric]":
         return tl.measure_run(self.reference)
 
-    def __call__(self, path: Path) -> _Compared:
+    def __call__(self, path: Path) -> Compared:
         return self.compare(path, tl.log.read_as_chosen(path, self.choice))
 
-    def compare(self, path: Path, run: "Run") -> _Compared:
+    def compare(self, path: Path, run: "Run") -> Compared:
         """Return the comparison of a run that has been read."""
         usual = [
             name for one in (run, self.reference) for name in tl.compare.list_usual_of_run(one)
         ]
         metrics = _measure_known(run, usual)
         error = tl.compare.measure_path_error(self.reference, run, alignment=self.alignment)
-        return _Compared(
+        return Compared(
             summary=tl.summarise_run(run, file=str(path), metrics=metrics),
             comparison=compare_measured(
                 self.reference, self._metrics, run, alignment=self.alignment
@@ -105,10 +105,10 @@ def compare_with_reference(
     others = paths[1:]
     if held is None:
         print_run_notes(paths[0], reference.notes)
-        found: Iterable[_Compared] = map_in_processes(comparer, others, jobs)
+        found: Iterable[Compared] = map_in_processes(comparer, others, jobs)
     else:
         found = map(comparer.compare, others, held[1:])
-    compared: list[_Compared] = []
+    compared: list[Compared] = []
     for one in watch_files(found, len(others)):
         compared.append(one)
         if held is None:
@@ -117,23 +117,17 @@ def compare_with_reference(
         runs = [_build_run(*pair) for pair in zip(paths[1:], compared, strict=True)]
         print_json(_ReferenceAnswer(reference=str(paths[0]), alignment=alignment, runs=runs))
     else:
-        first = _summarise_reference(reference, paths[0], [one.summary for one in compared])
+        usual = [*tl.compare.list_usual_of_run(reference)]
+        summaries = [one.summary for one in compared]
+        unlike = [one for one in summaries if one.is_lawless != reference.is_lawless]
+        usual += tl.compare.list_usual_of_run(unlike[-1]) if unlike else ()
+        first = tl.summarise_run(
+            reference, file=str(paths[0]), metrics=_measure_known(reference, usual)
+        )
         if kind != "txt":
             print_tables(_tabulate(first, compared, kind), kind)
             return
-        told = [(one.summary, one.comparison, one.path_error) for one in compared]
-        print_text(format_reference(first, told, shows_signals=against.details))
-
-
-def _summarise_reference(
-    reference: "Run", path: Path, others: "Sequence[RunSummary]"
-) -> "RunSummary":
-    """Return the summary of the reference, also for runs without a known law."""
-    usual = list(tl.compare.list_usual_of_run(reference))
-    unlike = [found for found in others if found.is_lawless != reference.is_lawless]
-    if unlike:
-        usual += tl.compare.list_usual_of_run(unlike[-1])
-    return tl.summarise_run(reference, file=str(path), metrics=_measure_known(reference, usual))
+        print_text(format_reference(first, compared, shows_signals=against.details))
 
 
 def _measure_known(run: "Run", names: Sequence[str]) -> "Mapping[str, Metric]":
@@ -141,7 +135,7 @@ def _measure_known(run: "Run", names: Sequence[str]) -> "Mapping[str, Metric]":
     return tl.measure_run(run, only=[name for name in names if name in known])
 
 
-def _tabulate(first: "RunSummary", compared: "Sequence[_Compared]", kind: str) -> "list[Table]":
+def _tabulate(first: "RunSummary", compared: "Sequence[Compared]", kind: str) -> "list[Table]":
     summaries = [first, *(one.summary for one in compared)]
     comparisons = [one.comparison for one in compared]
     reference, *names = tl.compare.name_runs(summaries)
@@ -210,7 +204,7 @@ class _ReferenceAnswer:
     runs: list[_HeldRun]
 
 
-def _build_run(path: Path, compared: _Compared) -> _HeldRun:
+def _build_run(path: Path, compared: Compared) -> _HeldRun:
     found = compared.comparison
     return _HeldRun(
         file=str(path),
@@ -257,9 +251,24 @@ def compare_with_robot(
     kind: str,
 ) -> int:
     """Print the distances of recorded robots from the robot of a scenario among the files."""
-    bags, scenario_file = _part(files)
+    scenarios = list_scenario_files(files)
+    if len(scenarios) > 1:
+        named = ", ".join(map(str, scenarios))
+        raise UsageError(f"name one scenario to compare bags with, not {named}")
+    (scenario_file,) = scenarios
+    bags = [file for file in files if file not in scenarios]
+    if not bags:
+        raise UsageError(
+            f"compare {scenario_file} needs a bag or a recording beside the scenario; two"
+            " scenarios are compared by their runs, which turtlelog run records"
+        )
     require_pictures(plot, rrd, files, drawn=bags, of="bag")
-    scenario = _load(scenario_file)
+    scenario = tl.scenario.read_scenario(scenario_file)
+    if scenario.plant.kind != "lagged":
+        raise UsageError(
+            f'{scenario_file}: must be the scenario of a robot, plant.kind = "lagged", not'
+            f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
+        )
     found: list[tuple[Path, RobotComparison]] = []
     is_fine = True
     for bag in bags:
@@ -274,30 +283,6 @@ def compare_with_robot(
         _print(found, scenario_file, kind)
         _draw(found[0][1], plot, rrd)
     return EXIT_FINE if is_fine else EXIT_BAD_INPUT
-
-
-def _part(files: Sequence[Path]) -> tuple[list[Path], Path]:
-    scenarios = list_scenario_files(files)
-    if len(scenarios) > 1:
-        named = ", ".join(map(str, scenarios))
-        raise UsageError(f"name one scenario to compare bags with, not {named}")
-    bags = [file for file in files if file not in scenarios]
-    if not bags:
-        raise UsageError(
-            f"compare {scenarios[0]} needs a bag or a recording beside the scenario; two"
-            " scenarios are compared by their runs, which turtlelog run records"
-        )
-    return bags, scenarios[0]
-
-
-def _load(file: Path) -> "Scenario":
-    scenario = tl.scenario.read_scenario(file)
-    if scenario.plant.kind != "lagged":
-        raise UsageError(
-            f'{file}: must be the scenario of a robot, plant.kind = "lagged", not'
-            f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
-        )
-    return scenario
 
 
 def _print(found: "Sequence[tuple[Path, RobotComparison]]", scenario: Path, kind: str) -> None:

@@ -19,12 +19,11 @@ from turtlelog.cli.options import (
     watch_summaries,
 )
 from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
     EXIT_FINE,
     align_rows,
     build_table,
     fill_lines,
-    print_error,
+    print_errors,
     print_json,
     print_note,
     print_tables,
@@ -41,7 +40,7 @@ from turtlelog.files.urls import make_path
 if TYPE_CHECKING:
     from turtlelog import Run
     from turtlelog.cli.compare import ReferenceOptions
-    from turtlelog.compare import RunSummary, Table
+    from turtlelog.compare import Table
     from turtlelog.explain import Change, ExplainedDifference
 
 _LONGEST: Final = 40
@@ -141,7 +140,9 @@ def compare_why(
         if found_pair is None:
             return code
         pair, told = found_pair
-        metric = metric or _find_metric(options.first)
+        if metric is None:  # the first metric that the condition names
+            names = tl.expressions.parse_expression(options.first, source="--first").names
+            metric = next((name for name in names if tl.measure.find_metric_kind(name)), None)
     runs = [replace(read_chosen_run(one, topics), name=one.name) for one in pair]
     with show_progress("simulated", 100.0, "%") as progress:
         found = tl.explain_difference(
@@ -150,17 +151,17 @@ def compare_why(
             trust_law=options.trust_law,
             work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
         )
-    _print(found, pair, options.first, kind, lead=told)
+    if kind == "json":
+        files_of = {"first": str(pair[0]), "second": str(pair[1])}
+        print_json(WhyAnswer(**files_of, condition=options.first, explanation=found))
+    elif kind == "txt":
+        print_text(format_why(found, pair, lead=told))
+    else:
+        print_tables([tabulate_why(found)], kind)
     if plot is not None:
         tl.draw.write_difference_figure(found, plot)
         print_note(f"wrote {plot}")
     return code
-
-
-def _find_metric(condition: str) -> str | None:
-    """Return the first metric that a condition names."""
-    names = tl.expressions.parse_expression(condition, source="--first").names
-    return next((name for name in names if tl.measure.find_metric_kind(name)), None)
 
 
 def _find_pair(
@@ -177,37 +178,33 @@ def _find_pair(
         jobs=count_jobs(jobs, paths),
     )
     summaries = [*watch_summaries(found, len(paths), errors)]
-    for err in errors:
-        print_error(str(err))
+    code = print_errors(errors)
     met, notes = tl.compare.select_runs(summaries, condition, source="--first")
     for note in notes:
         print_note(note)
-    code = EXIT_BAD_INPUT if errors else EXIT_FINE
     row = summaries.index(met[0]) if met else 0
     if row:
-        pair = Path(summaries[row - 1].file), Path(summaries[row].file)
-        return (pair, _tell_pair(condition, pair, paths, summaries)), code
-    _print_nothing(condition, summaries, kind, is_met=bool(met), has_unread=bool(errors))
+        first, second = Path(summaries[row - 1].file), Path(summaries[row].file)
+        told = [f"{second.name} is the first that meets {condition}, after {first.name}."]
+        read = {one.file for one in summaries}
+        unread = [one.name for one in paths if str(one) < str(second) and str(one) not in read]
+        if unread:
+            count = describe_count(len(unread), "earlier recording")
+            names = join_words(unread[:_MOST_NAMED])
+            told.append(f"{count} cannot be read and may meet it, too: {names}.")
+        return ((first, second), told), code
+    if kind == "json":
+        bad = summaries[0].file if met else None
+        print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
+    elif summaries:
+        name, readable = Path(summaries[0].file).name, " that can be read" if errors else ""
+        text = f"None of {len(summaries)} recordings{readable} meets {condition}."
+        if met:
+            text = f"{name} meets {condition}, and no recording{readable} comes before it."
+        elif len(summaries) == 1:
+            text = f"{name} does not meet {condition}."
+        print_text(fill_lines([text]))
     return None, code
-
-
-def _tell_pair(
-    condition: str,
-    pair: tuple[Path, Path],
-    paths: Sequence[Path],
-    summaries: "Sequence[RunSummary]",
-) -> list[str]:
-    """Return a sentence that the second recording is the first to meet a condition, if known."""
-    first, second = pair
-    read = {one.file for one in summaries}
-    unread = [path.name for path in paths if str(path) < str(second) and str(path) not in read]
-    told = [f"{second.name} is the first that meets {condition}, after {first.name}."]
-    if unread:
-        count = describe_count(len(unread), "earlier recording")
-        told.append(
-            f"{count} cannot be read and may meet it, too: {join_words(unread[:_MOST_NAMED])}."
-        )
-    return told
 
 
 _MOST_NAMED: Final = 3
@@ -218,67 +215,22 @@ def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
     return needed
 
 
-def _print_nothing(
-    condition: str, summaries: "Sequence[RunSummary]", kind: str, *, is_met: bool, has_unread: bool
-) -> None:
-    bad = summaries[0].file if is_met else None
-    if kind == "json":
-        print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
-    elif summaries:
-        print_text(
-            fill_lines([_tell_nothing(condition, summaries, is_met=is_met, has_unread=has_unread)])
-        )
-
-
-def _tell_nothing(
-    condition: str, summaries: "Sequence[RunSummary]", *, is_met: bool, has_unread: bool
-) -> str:
-    """Return why no two recordings are compared."""
-    name, readable = Path(summaries[0].file).name, " that can be read" if has_unread else ""
-    if is_met:
-        return f"{name} meets {condition}, and no recording{readable} comes before it."
-    if len(summaries) == 1:
-        return f"{name} does not meet {condition}."
-    return f"None of {len(summaries)} recordings{readable} meets {condition}."
-
-
-def _print(
-    found: "ExplainedDifference",
-    pair: tuple[Path, Path],
-    condition: str | None,
-    kind: str,
-    *,
-    lead: Sequence[str],
-) -> None:
-    first, second = pair
-    if kind == "json":
-        files = {"first": str(first), "second": str(second)}
-        print_json(WhyAnswer(**files, condition=condition, explanation=found))
-    elif kind == "txt":
-        print_text(format_why(found, pair, lead=lead))
-    else:
-        print_tables([tabulate_why(found)], kind)
-
-
 def format_why(
     found: "ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
 ) -> str:
     """Return the causes of a difference: the answer, a line for each change, and its conditions."""
     head, *rest = found.sentences
-    rows = [_list_cells(found, one) for one in found.contributions]
+    rows = []
+    for one in found.contributions:
+        size, undone = tl.explain.format_change(found, one), ""
+        if one.undone is not None:
+            undone = f"without: {tl.explain.format_magnitude(found, one.undone)}"
+        settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
+        rows.append((one.name, size, settings, undone))
     table = ["", *align_rows(rows), ""] if rows else []
     following = f"turtlelog compare --reference {' '.join(map(quote_file, files))}"
     ends = fill_lines([*rest, f"Signal by signal: {following}"])
     return "\n".join([fill_lines([head, *lead]), *table, ends])
-
-
-def _list_cells(found: "ExplainedDifference", one: "Change") -> tuple[str, ...]:
-    size = tl.explain.format_change(found, one)
-    undone = (
-        "" if one.undone is None else f"without: {tl.explain.format_magnitude(found, one.undone)}"
-    )
-    settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
-    return one.name, size, settings, undone
 
 
 def _list_settings(one: "Change") -> Iterator[str]:

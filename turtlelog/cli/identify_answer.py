@@ -11,7 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.output import (
     build_table,
     fill_lines,
-    find_width,
+    fit_body,
     name_explain,
     quote_file,
     read_law,
@@ -59,8 +59,10 @@ def format_robot(
         brackets = model.brackets
         if any(axis.doubts for axis in known):
             brackets += ", wider for the doubts below"
+        heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
+        table = build_table("", heads, map(tl.identify.list_model_values, known))
         told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
-        parts += [f"{_format_values(known)}\n{fill_lines([' '.join(told)])}\n"]
+        parts += [f"{fit_body(table)}\n{fill_lines([' '.join(told)])}\n"]
         parts += [fill_lines([_describe_motion(known)])]
     trust = [*_list_trust(model), *_list_unknown(model)]
     trust += _list_details(model) if shows_details else []
@@ -83,13 +85,6 @@ def _name_robot(files: Sequence[Path]) -> str:
     if len(files) == 1:
         return tl.compare.label_file(files[0])
     return f"{len(files)} runs of one robot"
-
-
-def _format_values(known: "Sequence[AxisModel]") -> str:
-    """Return gain, dead time and time constant of each axis."""
-    heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
-    table = build_table("", heads, map(tl.identify.list_model_values, known))
-    return "\n" + tl.draw.format_table(table, width=find_width()).strip("\n")
 
 
 def _describe_motion(known: "Sequence[AxisModel]") -> str:

@@ -24,14 +24,12 @@ from turtlelog.cli.options import (
     watch_files,
 )
 from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
     build_table,
     copy_fields,
     fill_lines,
     fit_table,
     name_explain,
-    print_error,
+    print_errors,
     print_json,
     print_text,
 )
@@ -184,13 +182,12 @@ def info(
     read = list(watch_files(map_in_processes(describe, files, count), len(files)))
     errors = [one for one in read if isinstance(one, TurtlelogError)]
     found = [one for one in read if not isinstance(one, TurtlelogError)]
-    for err in errors:
-        print_error(str(err))
+    code = print_errors(errors)
     if json:
         print_json(found)
     elif found:
         print_text(_format(found, options))
-    return EXIT_BAD_INPUT if errors else EXIT_FINE
+    return code
 
 
 def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:

@@ -28,6 +28,7 @@ from turtlelog.cli.output import (
     describe_metrics,
     print_csv,
     print_error,
+    print_errors,
     print_json,
     print_json_list,
     print_lines,
@@ -198,9 +199,7 @@ def metrics(
                 print_essential(held, kind)
             else:
                 print_chosen(held, kind)
-    for err in errors:
-        print_error(str(err))
-    return EXIT_BAD_INPUT if errors else EXIT_FINE
+    return print_errors(errors)
 
 
 def _tell(done: "TabulatedFiles", kind: str) -> int:

@@ -10,6 +10,7 @@ from turtlelog.cli.output import (
     build_table,
     fill_lines,
     find_width,
+    fit_body,
     name_explain,
     print_tables,
     print_text,
@@ -126,13 +127,7 @@ def print_chosen(
     if kind != "txt":
         print_tables([table], kind)
         return
-    print_text(f"{_describe_chosen(summaries, chosen)}\n{_format(table)}")
-
-
-def _format(table: "Table") -> str:
-    """Return a table without its title, which is printed above."""
-    text = tl.draw.format_table(replace(table, title=""), width=find_width())
-    return "\n" + text.strip("\n")
+    print_text(f"{_describe_chosen(summaries, chosen)}\n{fit_body(table)}")
 
 
 def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
@@ -199,7 +194,7 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
     return "\n".join(
         [
             fill_lines([*head, *remarks, *_list_why(summary)]),
-            _format(table),
+            fit_body(table),
             "",
             *([fill_lines(notes, indent=2)] if notes else []),
             *_list_next(summary, count),
@@ -375,7 +370,7 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
     return "\n".join(
         [
             fill_lines([f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]),
-            _format(table),
+            fit_body(table),
             "",
             f"Which is best? turtlelog compare      All {count} metrics: --all, or --metric IDS",
         ]

@@ -274,6 +274,11 @@ def fit_table(table: "Table") -> str:
     return tl.draw.format_table(table, width=find_width())
 
 
+def fit_body(table: "Table") -> str:
+    """Return a table that fits a line, below an empty line in place of its title."""
+    return "\n" + fit_table(replace(table, title="")).strip("\n")
+
+
 _MOST_ROWS: Final = 20
 """Largest number of runs in a table. So many runs fit a screen, and the answer above names the best
 run."""
@@ -342,6 +347,15 @@ _OF_SOURCE: Final = (
 def print_error(text: str) -> None:
     """Print an error in one line."""
     print_note(f"turtlelog: error: {text}")
+
+
+def print_errors(errors: Iterable[TurtlelogError]) -> int:
+    """Print errors of files, each in one line, and return the exit code."""
+    code = EXIT_FINE
+    for err in errors:
+        print_error(str(err))
+        code = EXIT_BAD_INPUT
+    return code
 
 
 def print_json(value: Any) -> None:
