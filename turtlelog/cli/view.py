@@ -2,7 +2,6 @@
 
 import re
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -24,14 +23,12 @@ from turtlelog.cli.options import (
     require_there,
 )
 from turtlelog.cli.output import fill_lines, list_written, outlive_reader, print_note, print_text
-from turtlelog.cli.picture_options import MovieOptions, film_runs, require_movie
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.log import Surroundings
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
@@ -84,6 +81,20 @@ class WindowOptions:
     connect: Connect = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovieOptions:
+    """A movie of the runs.
+
+    Attributes:
+        movie: Write a movie of the runs driving into this .mp4 (VP9) or .gif file.
+        length: Length of the movie [s], 1 to 600. Default: real time, at most 10 s.
+    """
+
+    movie: Place | None = None
+    length: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+
+
 def view(
     files: Files,
     /,
@@ -110,7 +121,6 @@ def view(
     require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
-    _require_view(save)
     _require_picture(picture, movie)
     require_movie(movie, files)
     require_there(files)
@@ -123,11 +133,17 @@ def view(
             _follow(files[0], window.connect)
         return
     if movie.movie is not None:
-        runs = _film(files, movie, picture.timeline, topics)
+        ready = [path for path in files if path.suffix == ".rrd"]
+        if ready:
+            raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
+        runs = read_runs(files, topics)
+        film_runs(runs, movie, timeline=picture.timeline)
         _tell([movie.movie], runs)
         if save is None and picture.snapshot is None and not window.web:
             return
-    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+    from tempfile import TemporaryDirectory  # not for plot, which films as well
+
+    with TemporaryDirectory(prefix="turtlelog-") as folder:
         rrds, runs = _prepare_rrds(files, save, picture, Path(folder), topics)
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
@@ -146,29 +162,11 @@ def view(
                 tl.open_viewer(rrds)
 
 
-def _require_view(save: Path | None) -> None:
-    """Refuse a picture or movie as the file of a view, and name the right option."""
-    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
-        other = "--snapshot" if save.suffix == ".png" else "--movie"
-        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
-
-
 def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
     """Print how the runs in a file ended, and the written files."""
     if written:
         ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
-
-
-def _film(
-    files: list[Path], movie: MovieOptions, timeline: str, topics: ReadingOptions | None
-) -> "list[Run]":
-    ready = [path for path in files if path.suffix == ".rrd"]
-    if ready:
-        raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
-    runs = read_runs(files, topics)
-    film_runs(runs, movie, timeline=timeline)
-    return runs
 
 
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
@@ -198,6 +196,10 @@ def _require_one_way(
             "--follow: takes one .mcap file that is being recorded, not"
             f" {len(files) if len(files) > 1 else files[0]}"
         )
+    save = outputs[0]
+    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
+        other = "--snapshot" if save.suffix == ".png" else "--movie"
+        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
 
 
 def _follow(path: Path, url: str | None) -> None:
@@ -245,7 +247,11 @@ def _prepare_rrds(
     if ready:
         return ready, []
     runs = read_runs(files, topics)
-    seen = None if picture.no_scans or len(runs) > 1 else _look_around(files[0], runs[0])
+    seen = None  # the surroundings of a bag's robot
+    if not picture.no_scans and len(runs) == 1 and "pose_topic" in runs[0].notes:
+        seen = tl.log.read_surroundings(files[0], runs[0])
+    for note in () if seen is None else seen.notes:
+        print_note(f"{files[0]}: {note}")
     rrd = save or folder / "view.rrd"
     with show_progress("drawing"):
         size = None if picture.snapshot is None else _parse_size(picture.size)
@@ -254,16 +260,6 @@ def _prepare_rrds(
         else:
             tl.write_comparison_rrd(runs, rrd, size=size)
     return [rrd], runs
-
-
-def _look_around(file: Path, run: "Run") -> "Surroundings | None":
-    """Return the surroundings of a bag's robot, and print their source."""
-    if "pose_topic" not in run.notes:
-        return None
-    seen = tl.log.read_surroundings(file, run)
-    for note in () if seen is None else seen.notes:
-        print_note(f"{file}: {note}")
-    return seen
 
 
 def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
@@ -287,3 +283,37 @@ def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) ->
         least = f"must be at least {start_s:.3f} s, where it begins"
         raise UsageError(f"--at {picture.at}: {least}")
     return picture.at
+
+
+def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
+    """Refuse a movie that cannot be written, before any file is read."""
+    if options.movie is None:
+        if options.length is not None:
+            raise UsageError("--length: needs --movie NAME.mp4")
+        return
+    suffix = options.movie.suffix.lower()
+    if suffix not in {".mp4", ".gif"}:
+        raise UsageError(f"--movie {options.movie}: the name must end in .mp4 or .gif")
+    require_new_target(options.movie, files, suffix=suffix)
+    from turtlelog.draw.movie_file import require_encoder
+
+    require_encoder(suffix)
+
+
+def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) -> None:
+    """Write the movie if one is requested."""
+    if options.movie is None:
+        return
+    from turtlelog.draw.movie_file import write_movie
+
+    bare = next((run.name for run in runs if not len(run.poses)), None)
+    if bare is not None:
+        raise UsageError(f"--movie: {bare} has commands alone, and a movie needs poses")
+    with show_progress("filming", 100.0, "%") as progress:
+        write_movie(
+            runs,
+            options.movie,
+            timeline=timeline,
+            length_s=options.length,
+            on_picture=progress.count,
+        )
