@@ -7,7 +7,15 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import Json, Place, StepBudgetMs, Whole, WorkOptions, choose_step_budget
+from turtlelog.cli.options import (
+    Json,
+    Output,
+    Place,
+    StepBudgetMs,
+    Whole,
+    WorkOptions,
+    choose_step_budget,
+)
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -27,9 +35,7 @@ from turtlelog.files.urls import make_path
 if TYPE_CHECKING:
     from turtlelog.scenario import Scenario
     from turtlelog.sweep.tune import (
-        Candidates,
         SearchedKey,
-        Spread,
         TunedScenario,
         TuningGoal,
         Variation,
@@ -163,7 +169,7 @@ class TuneOptions(WorkOptions):
             limit.
     """
 
-    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None
+    output: Output = None
     trust_law: bool = False
     step_budget_ms: StepBudgetMs = None
 
@@ -209,22 +215,30 @@ def tune(
     with work.find_any_place() as place:
         found, spread = _search(scenario, keys, goal, wanted, seed, place, work=work), None
         if "name" not in list_given_keys(options):
-            found = replace(found, scenario=replace(found.scenario, name=_name_best(found)))
+            told = [f"{key}={value:.6g}" for key, value in found.values.items()]
+            name = " ".join([found.scenario.name, *told])
+            found = replace(found, scenario=replace(found.scenario, name=name))
         if work.output is not None:
             write_text(work.output, tl.scenario.format_scenario(found.scenario))
         if runs and found.is_feasible:
-            spread = _simulate_variants(found, runs, more, seed, place, work)
+            variations = tl.sweep.tune.choose_variations(found.scenario, runs, more)
+            with show_progress("simulated", runs, "variants", has_rate=True) as progress:
+                spread = tl.sweep.tune.simulate_variants(
+                    found.scenario,
+                    found.goal,
+                    variations,
+                    runs=runs,
+                    seed=seed,
+                    jobs=place,
+                    watch=progress.set,
+                    trust_law=work.trust_law,
+                    step_budget_s=choose_step_budget(work.step_budget_ms),
+                )
     if json:
         print_json(build_tune_answer(found, spread))
     else:
         print_text(format_tune_answer(found, spread))
     return EXIT_FINE if found.is_feasible else EXIT_FAILED
-
-
-def _name_best(found: "TunedScenario") -> str:
-    """Return a name that contains the best values, like the name after `--set`."""
-    told = [f"{key}={value:.6g}" for key, value in found.values.items()]
-    return " ".join([found.scenario.name, *told])
 
 
 def _parse_keys(
@@ -269,41 +283,12 @@ def _search(  # noqa: PLR0913  (what a search takes)
         try:
             return tl.sweep.tune.tune_candidates(candidates, keys, evaluations=most, seed=seed)
         except KeyboardInterrupt:
-            _tell_best_so_far(candidates, keys)
+            if candidates.evaluations:
+                values = zip(keys, tl.sweep.tune.find_best(candidates).point, strict=True)
+                told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
+                print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
             raise
 
 
 def _tell_late(late: str) -> None:
     print_note(f"{late}. Every such candidate takes as long; --step-budget-ms 100 ends it sooner")
-
-
-def _tell_best_so_far(candidates: "Candidates", keys: "tuple[SearchedKey, ...]") -> None:
-    if not candidates.evaluations:
-        return
-    best = tl.sweep.tune.find_best(candidates)
-    values = zip(keys, best.point, strict=True)
-    told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
-    print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
-
-
-def _simulate_variants(
-    found: "TunedScenario",
-    runs: int,
-    more: "list[Variation]",
-    seed: int,
-    place: Any,
-    work: TuneOptions,
-) -> "Spread":
-    variations = tl.sweep.tune.choose_variations(found.scenario, runs, more)
-    with show_progress("simulated", runs, "variants", has_rate=True) as progress:
-        return tl.sweep.tune.simulate_variants(
-            found.scenario,
-            found.goal,
-            variations,
-            runs=runs,
-            seed=seed,
-            jobs=place,
-            watch=progress.set,
-            trust_law=work.trust_law,
-            step_budget_s=choose_step_budget(work.step_budget_ms),
-        )
