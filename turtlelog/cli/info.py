@@ -193,26 +193,22 @@ def info(
 def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:
     if len(found) > _MOST_IN_FULL and not (options.topics or options.parameters):
         return _format_answers(found)
-    shown = partial(
-        _format_answer,
-        topics=options.topics,
-        parameters=options.parameters,
-        is_alone=len(found) == 1,
-    )
-    return "\n\n".join(map(shown, found))
+    is_alone = len(found) == 1
+    return "\n\n".join(_format_answer(one, options, is_alone=is_alone) for one in found)
 
 
 def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | TurtlelogError":
     """Return the contents of a file, or its error."""
     try:
         recording = tl.log.read_file_info(path, choice)
-        return _build_answer(path, recording, summarise(path, recording, choice, is_asked=is_asked))
+        summary = summarise(path, recording, choice, is_asked=is_asked)
+        robots = (
+            ()
+            if recording.format_version is not None
+            else tl.log.ros2.find_robots(recording.topics)
+        )
     except TurtlelogError as err:
         return release_frames(err)
-
-
-def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
-    """Return the answer as data."""
     return copy_fields(
         InfoAnswer,
         recording,
@@ -225,18 +221,14 @@ def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> I
         clock=summary.clock,
         notes={**recording.notes, **summary.notes},
         run=summary.run,
-        robots=() if recording.format_version is not None else _list_robots(recording),
-    )
-
-
-def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
-    return tuple(
-        RobotTopics(
-            name=robot.name,
-            poses=None if robot.poses is None else robot.poses.topic,
-            commands=None if robot.commands is None else robot.commands.topic,
-        )
-        for robot in tl.log.ros2.find_robots(recording.topics)
+        robots=tuple(
+            RobotTopics(
+                name=robot.name,
+                poses=None if robot.poses is None else robot.poses.topic,
+                commands=None if robot.commands is None else robot.commands.topic,
+            )
+            for robot in robots
+        ),
     )
 
 
@@ -246,21 +238,20 @@ def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...
     more = [] if run is None or run.has_poses else ["poses"]
     more += [] if run is None or run.has_commands else ["commands"]
     if summary.run is None and recording.format_version is None:
-        more += _list_missing_types(recording)
+        held = {topic.type for topic in recording.topics if topic.count}
+        kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
+        more += [name for name, types in kinds.items() if not held.intersection(types)]
     return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
-def _list_missing_types(recording: "RecordingInfo") -> list[str]:
-    """Return whether no message has a type of poses, and whether none has one of commands."""
-    held = {topic.type for topic in recording.topics if topic.count}
-    kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
-    return [name for name, types in kinds.items() if not held.intersection(types)]
-
-
-def _format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
+def _format_answer(answer: InfoAnswer, options: InfoOptions, *, is_alone: bool) -> str:
     """Return the kind of a file, its contents, missing data, and, for one file, next commands."""
-    name = _name_file(answer)
-    notes = [(key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items()]
+    topics, parameters = options.topics, options.parameters
+    name, notes = _name_file(answer), []
+    for key, text in answer.notes.items():
+        count = len(text.splitlines())  # a law's source has several
+        told = text if count <= 1 else f"{count} lines: --json has them"
+        notes.append((key.replace("_", " "), told))
     rows = [*_list_rows(answer), *(note for note in notes if note[0] != "clock")]
     rows += [*_list_lacks(answer, topics=topics), *(note for note in notes if note[0] == "clock")]
     rows += _describe_durations(answer)
@@ -316,9 +307,8 @@ def _name_kind(answer: InfoAnswer) -> str:
 def _tell_state(answer: InfoAnswer) -> str:
     """Return how the run of a file ended, or the fault of the file."""
     if not answer.complete:
-        return (
-            "truncated: nothing left" if answer.summary.endswith(NOTHING_LEFT) else "not complete"
-        )
+        is_empty = answer.summary.endswith(NOTHING_LEFT)
+        return "truncated: nothing left" if is_empty else "not complete"
     reason = (answer.stop_reason or "").replace("_", " ")
     ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
     return ending or reason
@@ -370,12 +360,6 @@ def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
             if topic is not None
         ]
         yield f"robot {robot.name}", "; ".join(parts)
-
-
-def _tell_note(text: str) -> str:
-    """Return a note, or the number of its lines if it has several, as a law's source has."""
-    lines = len(text.splitlines())
-    return text if lines <= 1 else f"{lines} lines: --json has them"
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
@@ -451,12 +435,8 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
     file = shlex.quote(answer.file)
     if not answer.complete:
         has_rows = any(topic.count for topic in answer.topics)
-        fix = (
-            f"turtlelog convert --recover {file} -o OUT"
-            if has_rows
-            else "copy the file again from its source"
-        )
-        yield f"Fix: {fix}"
+        recover = f"turtlelog convert --recover {file} -o OUT"
+        yield f"Fix: {recover if has_rows else 'copy the file again from its source'}"
     elif answer.format_version is not None:
         yield f"Next: turtlelog metrics {file}"
         yield f"      {name_explain(answer.file, answer.parameters.get('law.kind'))}"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from turtlelog import Run
-    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
+    from turtlelog.log import ReadChoice, RecordingInfo
 
 LARGEST_BYTES: Final = 64 * 2**20
 """Largest bag whose poses are read by default [bytes]; MCAP or SQLite of this size takes less than
@@ -271,19 +271,15 @@ def _summarise_others(info: "RecordingInfo") -> str:
     if not present:
         return "no poses, nothing to measure: there are no messages"
     shown = present[:_SHOWN_TOPICS]
+    names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in shown]
     if any(topic.type in _SENSORS for topic in shown):
-        names = [_describe_other(topic) for topic in shown]
+        kinds = (_SENSORS.get(topic.type, "messages") for topic in shown)
+        names = [f"{kind} on {name}" for kind, name in zip(kinds, names, strict=True)]
     else:
-        names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in shown]
         names[0] = f"messages on {names[0]}"
     more = len(present) - len(names)
     others = [f"{more} more"] if more > 0 else []
     return f"no poses, nothing to measure: {join_words([*names, *others])}"
-
-
-def _describe_other(topic: "TopicInfo") -> str:
-    what = _SENSORS.get(topic.type, "messages")
-    return f"{what} on {topic.topic} ({topic.type or 'no type'})"
 
 
 def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
@@ -291,25 +287,16 @@ def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
         tl.log.ros2.choose_pose_topic(info.topics, None)
     except tl.log.ros2.NoPosesError as err:
         if not err.is_unread and not _is_undecided(info, ""):
-            return (_NEEDED, *_list_options(info))
+            needed = "nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf"
+            held = {topic.type for topic in info.topics if topic.count}
+            # Options that derive poses and commands from other messages.
+            wheels = [tl.log.ros2.NEEDS_WHEELS] if tl.log.JOINTS in held else []
+            is_car = not held.isdisjoint(tl.log.ros2.ACKERMANN_TYPES)
+            base = [tl.log.ros2.NEEDS_WHEELBASE] if is_car else []
+            return (f"to be measured it needs {needed}", *wheels, *base)
     except LogError:
         pass  # there are several
     return ()
-
-
-def _list_options(info: "RecordingInfo") -> "Iterator[str]":
-    """Yield the options that derive poses and commands from other messages."""
-    bags = tl.log.ros2
-    held = {topic.type for topic in info.topics if topic.count}
-    if tl.log.JOINTS in held:
-        yield bags.NEEDS_WHEELS
-    if held & {*bags.ACKERMANN_TYPES}:
-        yield bags.NEEDS_WHEELBASE
-
-
-_NEEDED: Final = (
-    "to be measured it needs nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf"
-)
 
 
 def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
@@ -361,18 +348,14 @@ def _describe_kind(run: "Run") -> str:
     if not _name_topic(run, "pose_topic"):
         return "a log of a controller" if len(run.samples) else "poses in a table"
     if not pose_type.startswith("turtlesim"):
-        return "an IMU, which turns in one place" if _is_imu(run) else "a robot"
+        is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
+        has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
+        return "an IMU, which turns in one place" if is_named and not has_moved else "a robot"
     is_turtlesim = tl.replay.moves_as_turtlesim(run)
     return "turtlesim" if is_turtlesim else f"a robot that publishes {pose_type}"
 
 
 _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")
-
-
-def _is_imu(run: "Run") -> bool:
-    """Return whether the poses are an IMU's by name, without motion and without commands."""
-    is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
-    return is_named and not len(run.commands) and not (run.poses.xy_m != run.poses.xy_m[0]).any()
 
 
 def _describe_run(run: "Run") -> str:

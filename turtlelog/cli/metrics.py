@@ -118,18 +118,6 @@ class MeasuredFile:
     metrics: list[dict[str, Any]]
 
 
-def _build_answer(summary: "RunSummary") -> MeasuredFile:
-    """Return the JSON answer for one file."""
-    end = summary.goal_end
-    return MeasuredFile(
-        file=summary.file,
-        name=summary.name,
-        ending=None if end is None else end.describe(),
-        jumps=summary.notes.get("jumps"),
-        metrics=describe_metrics(summary.metrics),
-    )
-
-
 def metrics(
     files: Files,
     /,
@@ -187,9 +175,20 @@ def metrics(
         )
         summaries = watch_summaries(summarised, len(files), errors)
         if kind == "json":
-            print_json_list(map(_build_answer, summaries))
+            print_json_list(
+                MeasuredFile(
+                    file=one.file,
+                    name=one.name,
+                    ending=None if one.goal_end is None else one.goal_end.describe(),
+                    jumps=one.notes.get("jumps"),
+                    metrics=describe_metrics(one.metrics),
+                )
+                for one in summaries
+            )
         elif kind == "csv":
-            _print_rows(summaries, patterns)
+            rows = _CsvRows(summaries)
+            _refuse_patterns(None if rows.units else patterns, rows.declarations)
+            rows.print()
         else:
             held = list(summaries)
             if not any(found.metrics for found in held):
@@ -226,16 +225,6 @@ def _refuse_patterns(
     raise UsageError(tl.measure.describe_no_metric(patterns[0], known))
 
 
-def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
-    """Print CSV with a row per run, in the given order. Cells of missing loops are empty."""
-    rows = _CsvRows()
-    for summary in summaries:
-        rows.add(summary)
-    if not rows.units:
-        _refuse_patterns(patterns, rows.declarations)
-    rows.print()
-
-
 class _CsvRow(NamedTuple):
     """A run: its file, its name, and its metrics with ids, and values or reasons."""
 
@@ -247,16 +236,18 @@ class _CsvRow(NamedTuple):
 
 
 class _CsvRows:
-    """The data of CSV rows, some kB per run. The columns are known only after the last run."""
+    """CSV rows in the given order, some kB per run; the columns are known after the last run."""
 
-    def __init__(self) -> None:
+    def __init__(self, summaries: "Iterable[RunSummary]") -> None:
+        """Store the values of runs one by one."""
         self.declarations: dict[Declaration, None] = {}
         self._rows: list[_CsvRow] = []
         self._ids: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.units: dict[str, dict[str, bool]] = {}
+        for summary in summaries:
+            self._add(summary)
 
-    def add(self, summary: "RunSummary") -> None:
-        """Store the values of a run, and the reasons for missing values."""
+    def _add(self, summary: "RunSummary") -> None:
         found = summary.metrics
         ids = self._ids.setdefault(tuple(found), tuple(found))
         values = array("d", [0.0 if one.value is None else one.value for one in found.values()])

@@ -1,6 +1,6 @@
 """Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -181,14 +181,22 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
     essential = _drop_words(summary).metrics
     head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]
     loops = [loop.name for loop in summary.declaration.loops]
-    shown = [loop for loop in loops if _has_value(summary, loop)]
-    remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
+    known = {name for name, one in summary.metrics.items() if one.value is not None}
+    shown = [loop for loop in loops if any(f"{loop}.{word}" in known for word in _ORDER)]
+    remarks = _list_remarks(summary, loops, shown)
     count = len(tl.measure.list_metrics(summary.declaration))
     if shown:
         table, said = _tabulate_loops(summary, shown), _describe_rest(summary)
     else:
         said = []
-        table = _tabulate_rest(summary, essential)
+        names = tl.compare.drop_absent([summary], [*filter(_is_of_run, essential)])
+        found = {name: essential[name] for name in names}
+        # Without samples, there are commands.
+        words = {name: _name_metric(name) for name in names}
+        if summary.is_lawless:
+            words = {name: text.replace("sample", "command") for name, text in words.items()}
+        rows = ((words[name], _show(metric)) for name, metric in found.items())
+        table = build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
     jumps = _list_jumps([summary], summary.metrics)
     notes = [*said, *jumps, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
     return "\n".join(
@@ -199,14 +207,6 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
             *([fill_lines(notes, indent=2)] if notes else []),
             *_list_next(summary, count),
         ]
-    )
-
-
-def _has_value(summary: "RunSummary", loop: str) -> bool:
-    return any(
-        one.value is not None
-        for name, one in summary.metrics.items()
-        if name.startswith(f"{loop}.") and name.rpartition(".")[2] in _ORDER
     )
 
 
@@ -230,29 +230,21 @@ def _list_why(summary: "RunSummary") -> Iterator[str]:
             yield f"Why? Record the run with -o FILE.mcap, then: {command}"
 
 
-def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks on loops that oscillate or do not settle."""
-    restless = [loop for loop in loops if _find_value(summary, f"{loop}.stable") == 0.0]
+def _list_remarks(
+    summary: "RunSummary", loops: Sequence[str], shown: Sequence[str]
+) -> Iterator[str]:
+    """Yield which loops oscillate, do not settle, or have no values at all."""
+    restless = [loop for loop in shown if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
-    for loop in loops:
+    for loop in shown:
         metric = summary.metrics.get(f"{loop}.settling_time")
         if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:
             yield f"{loop} does not settle: {metric.reason}."
-
-
-def _list_missing(
-    summary: "RunSummary", loops: Sequence[str], shown: Sequence[str]
-) -> Iterator[str]:
-    """Yield the reasons why loops have no values at all."""
-    for loop in loops:
-        if loop in shown:
-            continue
-        reasons = [
-            one.reason for name, one in summary.metrics.items() if name.startswith(f"{loop}.")
-        ]
-        if reasons:
-            yield f"{loop} has no values: {reasons[0]}."
+    for loop in (loop for loop in loops if loop not in shown):
+        of_loop = [one for name, one in summary.metrics.items() if name.startswith(f"{loop}.")]
+        if of_loop:
+            yield f"{loop} has no values: {of_loop[0].reason}."
 
 
 def _name_metric(name: str) -> str:
@@ -295,20 +287,6 @@ def _describe_rest(summary: "RunSummary") -> list[str]:
     if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
         said.append(f"longest silence of the controller {format_short(gap, 's')}")
     return [f"{', '.join(said).capitalize()}."] if said else []
-
-
-def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "Table":
-    """Return the metrics of a run without loops, one per row."""
-    names = tl.compare.drop_absent([summary], [name for name in metrics if _is_of_run(name)])
-    found = {name: metrics[name] for name in names}
-    rows = ((_name_row(summary, name), _show(metric)) for name, metric in found.items())
-    return build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
-
-
-def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric as text. Without samples, the text says `command` instead of `sample`."""
-    words = _name_metric(name)
-    return words.replace("sample", "command") if summary.is_lawless else words
 
 
 def _is_of_run(name: str) -> bool:
