@@ -19,7 +19,7 @@ from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
     drop_stdout,
-    outlive_reader,
+    flush_stdout,
     print_error,
     print_held_notes,
     print_note,
@@ -214,7 +214,11 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         code = _fail("interrupted", EXIT_INTERRUPTED)
     except OSError as err:
-        code = _fail(_describe_os_error(err), EXIT_BAD_INPUT)
+        text = f"{err.filename}: cannot be used: {err.strerror}"
+        if err.filename is None:
+            drop_stdout()
+            text = f"standard output: cannot be written: {err}"
+        code = _fail(text, EXIT_BAD_INPUT)
     except Exception:
         import traceback
 
@@ -236,8 +240,7 @@ def _call(tokens: Sequence[str] | None) -> Any:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         finally:
             end_progress()
-        with outlive_reader():
-            sys.stdout.flush()
+        flush_stdout()
     return code
 
 
@@ -285,13 +288,6 @@ def _prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-
-
-def _describe_os_error(err: OSError) -> str:
-    if err.filename is not None:
-        return f"{err.filename}: cannot be used: {err.strerror}"
-    drop_stdout()
-    return f"standard output: cannot be written: {err}"
 
 
 def _fail(text: str, code: int) -> int:

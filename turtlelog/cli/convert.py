@@ -31,20 +31,8 @@ if TYPE_CHECKING:
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
 _TRAJECTORIES: Final = (".tum", ".txt")
 _NO_FOLDERS: Final = (
-    *(
-        ".arrow",
-        ".bag",
-        ".db3",
-        ".feather",
-        ".gz",
-        ".h5",
-        ".hdf5",
-        ".json",
-        ".png",
-        ".rrd",
-        ".toml",
-    ),
-    *(".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
+    *(".arrow", ".bag", ".db3", ".feather", ".gz", ".h5", ".hdf5", ".json", ".png", ".rrd"),
+    *(".toml", ".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
 )
 """Suffixes that folders never have. A user who types such a suffix means another file."""
 
@@ -135,9 +123,12 @@ def convert(
     if tables.recover:
         _recover_file(file, output, json=json)
         return
-    kinds = {path: _choose_kind(path, tables) for path in output}
+    kinds = {path: _FILES.get(path.suffix.lower()) or tables.to or "rosbag2" for path in output}
     _require_targets(output, kinds, file, tables)
-    run = _read(file, tables, topics)
+    if tables.sort:
+        run = tl.log.import_log(file, sort=True)
+    else:
+        (run,) = read_runs([file], topics)
     written: list[str] = []
     try:
         for out, kind in kinds.items():
@@ -202,10 +193,6 @@ def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> s
     return join_words(told) or "no rows"
 
 
-def _choose_kind(path: Path, tables: TableOptions) -> str:
-    return _FILES.get(path.suffix.lower()) or tables.to or "rosbag2"
-
-
 def _is_file(path: Path, tables: TableOptions) -> bool:
     return path.suffix.lower() in _FILES or tables.to == "tum"
 
@@ -216,9 +203,8 @@ def _require_targets(
     """Refuse invalid targets before the first output is written."""
     if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
         raise UsageError(
-            f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or"
-            " write a folder"
-            " with --to csv or parquet"
+            f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or write a"
+            " folder with --to csv or parquet"
         )
     if tables.to == "tum":
         for path in outputs:
@@ -242,13 +228,6 @@ def _require_folder(path: Path) -> None:
             f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
         )
     require_new_folder(path)
-
-
-def _read(file: Path, tables: TableOptions, topics: ReadingOptions | None) -> "Run":
-    if tables.sort:
-        return tl.log.import_log(file, sort=True)
-    (run,) = read_runs([file], topics)
-    return run
 
 
 def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:

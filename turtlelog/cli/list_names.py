@@ -116,11 +116,6 @@ def _list_signals() -> Entries:
         {"name": name, "unit": kind.unit, "row per": kind.source, "meaning": kind.meaning}
         for name, kind in tl.SIGNALS.items()
     ]
-    return rows + list(_list_states())
-
-
-def _list_states() -> Iterator[dict[str, Any]]:
-    """Yield the states of the built-in laws with their declared units."""
     from turtlelog.laws import LAWS, Goal
 
     for law in LAWS.values():
@@ -129,7 +124,8 @@ def _list_states() -> Iterator[dict[str, Any]]:
         declaration = law.declare(law.Parameters(), Goal(0.0, 0.0, 0.0), None)
         for name in declaration.states:
             unit, meaning = declaration.state_units.get(name, ""), f"State of the law {law.name}."
-            yield {"name": name, "unit": unit, "row per": "sample", "meaning": meaning}
+            rows.append({"name": name, "unit": unit, "row per": "sample", "meaning": meaning})
+    return rows
 
 
 def _list_presets() -> Entries:

@@ -25,7 +25,6 @@ from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     FormatOptions,
-    describe_metrics,
     print_csv,
     print_error,
     print_errors,
@@ -181,7 +180,7 @@ def metrics(
                     name=one.name,
                     ending=None if one.goal_end is None else one.goal_end.describe(),
                     jumps=one.notes.get("jumps"),
-                    metrics=describe_metrics(one.metrics),
+                    metrics=[metric.to_dict() for metric in one.metrics.values()],
                 )
                 for one in summaries
             )

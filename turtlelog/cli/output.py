@@ -22,7 +22,6 @@ from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
 if TYPE_CHECKING:
-    from turtlelog import Metric
     from turtlelog.compare import Column, Table
 
 EXIT_FINE: Final = 0
@@ -60,16 +59,10 @@ class FormatOptions:
         Raises:
             UsageError: If several formats are requested.
         """
-        asked = {
-            "--markdown": self.markdown,
-            "--csv": self.csv,
-            "--latex": self.latex,
-            "--json": self.json,
-        }
-        chosen = [name for name, is_asked in asked.items() if is_asked]
+        kinds = {"markdown": "md", "csv": "csv", "latex": "tex", "json": "json"}
+        chosen = [name for name in kinds if getattr(self, name)]
         if len(chosen) > 1:
-            raise UsageError(f"{chosen[0]} and {chosen[1]}: choose one format")
-        kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
+            raise UsageError(f"--{chosen[0]} and --{chosen[1]}: choose one format")
         return kinds[chosen[0]] if chosen else "txt"
 
 
@@ -139,7 +132,11 @@ def outlive_reader() -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        if err.errno != errno.EPIPE and not (err.errno == errno.EIO and _is_device()):
+        is_closed = err.errno == errno.EPIPE or (
+            # A terminal, for which `isatty` returns False when it is closed.
+            err.errno == errno.EIO and stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
+        )
+        if not is_closed:
             raise
         drop_stdout()
 
@@ -148,11 +145,6 @@ def flush_stdout() -> None:
     """Send everything printed so far to the reader of stdout."""
     with outlive_reader():
         sys.stdout.flush()
-
-
-def _is_device() -> bool:
-    """Return whether stdout is or was a terminal; for a closed terminal, `isatty` returns False."""
-    return stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
 
 
 def drop_stdout() -> None:
@@ -321,11 +313,8 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
     told = _OF_SOURCE if "chosen" in notes else ()
     for name in ("preset", *told, "unused", "recovered", "partial"):
         if name in notes:
-            label = (
-                ""
-                if name in {"preset", "chosen", "plane", "unused"}
-                else f"{name.replace('_', ' ')}: "
-            )
+            is_plain = name in {"preset", "chosen", "plane", "unused"}
+            label = "" if is_plain else f"{name.replace('_', ' ')}: "
             _HELD.append(f"{path}: {label}{notes[name]}")
     if len(_HELD) > _MOST_HELD:
         print_held_notes()
@@ -389,15 +378,13 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
     with _spool() as spool:
         writer = csv.writer(spool, lineterminator="\n")
+        is_shown = sys.stdout.isatty()  # else a program reads the cells
         for number, row in enumerate(rows):
-            cells = [_show_cell(cell) for cell in row]
+            texts = map(guard_cell, row)
+            cells = [
+                escape_controls(one) if is_shown and isinstance(one, str) else one for one in texts
+            ]
             writer.writerows([cells] if number else [head, cells])
-
-
-def _show_cell(cell: Any) -> Any:
-    """Return a cell as text that is not a formula: unchanged for a program, else escaped."""
-    text = guard_cell(cell)
-    return escape_controls(text) if isinstance(text, str) and sys.stdout.isatty() else text
 
 
 @contextmanager
@@ -411,11 +398,6 @@ def _spool() -> Iterator[IO[str]]:
         spool.seek(0)
         with outlive_reader():
             shutil.copyfileobj(spool, sys.stdout)
-
-
-def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
-    """Return metrics as the `metrics` list of JSON answers."""
-    return [metric.to_dict() for metric in metrics.values()]
 
 
 def find_command_name() -> str:

@@ -3,7 +3,6 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
@@ -78,7 +77,8 @@ def report(
     require_new_target(output, inputs, suffix=".html")
     runs = read_runs(files, topics)
     found = _explain(runs, explain)
-    results = [] if spec is None else _check(spec, files, runs)
+    pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
+    results = [] if spec is None else [*tl.check_runs(tl.load_spec(spec), pairs)]
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
@@ -89,7 +89,7 @@ def report(
             output,
             sources=files,
             explanation=found,
-            checks=build_check_lines(results, names, dict(zip(map(str, files), runs, strict=True))),
+            checks=build_check_lines(results, names, dict(pairs)),
             command=shlex.join(["turtlelog", "report", *words, "-o", str(output)]),
         )
     verdict = tl.check.join_verdicts(results) if results else None
@@ -97,10 +97,7 @@ def report(
         ending=tl.compare.describe_runs(runs),
         output=str(output),
         bytes=output.stat().st_size,
-        runs=[
-            ReportedRun(file=str(file), name=run.name)
-            for file, run in zip(files, runs, strict=True)
-        ],
+        runs=[ReportedRun(file=file, name=run.name) for file, run in pairs],
         explained=found.run.name if found is not None and found.attribution is not None else None,
         verdict=None if verdict is None else verdict.value,
     )
@@ -176,23 +173,20 @@ def build_check_lines(
     ]
 
 
-def _check(spec: Path, files: Sequence[Path], runs: "Sequence[Run]") -> "list[CheckResult]":
-    loaded = tl.load_spec(spec)
-    pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
-    return [*tl.check_runs(loaded, pairs)]
-
-
 def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
     """Return the causes of the final error of the run to explain."""
-    run = _choose_run(runs, choice)
-    if run is None:
+    if choice == "none" or (choice == "auto" and len(runs) > 1):
         return None
+    name = "final.position_error"
+    known = [run for run in runs if len(run.samples)]
+    misses_m = [tl.measure_run(run, only=[name])[name].value or 0.0 for run in known]
+    if not known:
+        return None
+    run = known[misses_m.index(max(misses_m))]
     from turtlelog.draw.report import Explanation
-    from turtlelog.explain import require_trust
-    from turtlelog.explain.game import simulate_what_ifs
 
     try:
-        require_trust(run, trust_law=False)
+        tl.explain.require_trust(run, trust_law=False)
         found = tl.identify_run(run)
         if found.scenario is None:
             raise ExplainError("no scenario stands for this log")
@@ -200,19 +194,7 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
             attribution = tl.attribute_run(
                 run, identified=found, work=tl.explain.Work(report=progress.count)
             )
-        what_ifs = simulate_what_ifs(found, attribution)
+        what_ifs = tl.explain.simulate_what_ifs(found, attribution)
     except TurtlelogError as err:
         return Explanation(run=run, note=str(err))
     return Explanation(run=run, attribution=attribution, what_ifs=what_ifs)
-
-
-def _choose_run(runs: "Sequence[Run]", choice: str) -> "Run | None":
-    if choice == "none" or (choice == "auto" and len(runs) > 1):
-        return None
-    known = [run for run in runs if len(run.samples)]
-    misses_m = [
-        (found.value or 0.0, run)
-        for run in known
-        for found in [tl.measure_run(run, only=["final.position_error"])["final.position_error"]]
-    ]
-    return max(misses_m, key=lambda pair: pair[0])[1] if misses_m else None

@@ -16,7 +16,6 @@ from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, ch
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
-    describe_metrics,
     fill_lines,
     fit_table,
     flush_stdout,
@@ -246,7 +245,7 @@ def _answer(
                 samples=len(result.samples),
                 stop_reason=result.stop_reason,
                 ending=None if end is None else end.describe(),
-                metrics=describe_metrics(tl.measure_run(result)),
+                metrics=[one.to_dict() for one in tl.measure_run(result).values()],
             )
         )
     else:
@@ -371,8 +370,10 @@ class RunAnswer:
 
 def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> str:
     """Return how a run ended, and its essential metrics; after a change, those that changed."""
-    name, changes = _split_name(run)
-    facts = [f"Changed: {changes}"] if changes else []
+    # A name that fits a table, and the changes that a longer name contains.
+    base, _, changes = run.name.partition(" ")
+    name = base if changes and len(run.name) > _LONGEST else run.name
+    facts = [f"Changed: {changes}"] if name != run.name else []
     facts += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
     needed = list_needed(run, has_path=False)
     summary = tl.compare.summarise_run(
@@ -382,12 +383,6 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
         head = fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
         return f"{head}\n\n{_describe_change(run, before)}"
     return format_run(summary, name, facts=facts)
-
-
-def _split_name(run: "Run") -> tuple[str, str]:
-    """Return a name that fits a table, and the changes that a longer name contains."""
-    base, _, changes = run.name.partition(" ")
-    return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
 
 
 _POLL_S: Final = 0.1

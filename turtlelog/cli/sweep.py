@@ -39,7 +39,7 @@ from turtlelog.errors import SweepError, UsageError
 from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
-    from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
+    from turtlelog.sweep import RowRecords, Sweep, SweepPlan, SweepSummary
 
 _MANY_ROWS: Final = 1_000_000
 """Number of rows from which consent is requested; without compilation, these rows take hours."""
@@ -81,16 +81,17 @@ class PlanOptions:
             UsageError: If options cannot be combined.
             SweepError: If nothing varies, or a value cannot be read.
         """
-        return tl.sweep.build_plan(self.grid or (), self.zip_ or (), self._choose_sampling())
-
-    def _choose_sampling(self) -> "Sampling | None":
+        sampling = None
         if self.sample is not None:
-            return tl.sweep.Sampling(count=self.sample, seed=self.seed or 0, is_latin=self.latin)
-        for name, is_given in (("--seed", self.seed is not None), ("--latin", self.latin)):
-            if is_given:
-                more = "; --grid seed=0:9 varies that of the scenario" if name == "--seed" else ""
-                raise UsageError(f"{name}: needs --sample COUNT{more}")
-        return None
+            seed = self.seed or 0
+            sampling = tl.sweep.Sampling(count=self.sample, seed=seed, is_latin=self.latin)
+        elif self.seed is not None:
+            raise UsageError(
+                "--seed: needs --sample COUNT; --grid seed=0:9 varies that of the scenario"
+            )
+        elif self.latin:
+            raise UsageError("--latin: needs --sample COUNT")
+        return tl.sweep.build_plan(self.grid or (), self.zip_ or (), sampling)
 
 
 @Parameter(name="*")

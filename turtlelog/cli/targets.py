@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Output, WorkOptions, find_files, list_files
-from turtlelog.cli.output import print_note
+from turtlelog.cli.output import copy_fields, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import RemoteError, UsageError
 from turtlelog.files.urls import RemotePath
@@ -95,7 +95,17 @@ def _resolve(target: Path) -> Path:
     return target if isinstance(target, RemotePath) else Path(os.path.realpath(target))
 
 
-def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
+def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
+    if isinstance(target, RemotePath):
+        from turtlelog.files.requests import require_writable
+
+        require_writable(target.url)
+        if any(tl.log.split_topic(path)[0] == target for path in inputs):
+            raise UsageError("this is the input; name another file to write")
+        return
+    _require_place(_resolve(target))
+    if not target.exists():
+        return
     if not target.is_file():
         kind = "folder" if target.is_dir() else "device"
         raise UsageError(f"this is a {kind}; name a file to write")
@@ -105,24 +115,6 @@ def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
         with suppress(OSError):  # the reading of a missing input gives the error
             if target.samefile(tl.log.split_topic(path)[0]):
                 raise UsageError("this is the input; name another file to write")
-
-
-def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
-    if isinstance(target, RemotePath):
-        _require_url(target, inputs)
-        return
-    _require_place(_resolve(target))
-    if target.exists():
-        _require_replaceable(target, inputs)
-
-
-def _require_url(target: RemotePath, inputs: Sequence[Path]) -> None:
-    """Refuse a URL that is not writable, or is an input."""
-    from turtlelog.files.requests import require_writable
-
-    require_writable(target.url)
-    if any(tl.log.split_topic(path)[0] == target for path in inputs):
-        raise UsageError("this is the input; name another file to write")
 
 
 def _require_place(target: Path) -> None:
@@ -178,8 +170,6 @@ def tabulate(
     file_s: float = FILE_S,
 ) -> "TabulatedFiles":
     """Write the table of recordings. Invalid paths are errors before any file is read."""
-    from turtlelog.cli.targets import require_new_target
-
     require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
     why = tl.sweep.describe_former(output, table)
     if why is not None:
@@ -221,10 +211,4 @@ class TableAnswer:
 
 def build_table_answer(done: "TabulatedFiles") -> TableAnswer:
     """Return the result of a table as data."""
-    return TableAnswer(
-        output=str(done.output),
-        files=done.files,
-        read=done.read,
-        unchanged=done.files - done.read,
-        failed=done.failed,
-    )
+    return copy_fields(TableAnswer, done, output=str(done.output), unchanged=done.files - done.read)

@@ -100,9 +100,10 @@ class HelpFormatter:
     ) -> None:
         """Print the purpose of a command, then its examples."""
         width = min(console.width, _WIDEST)
+        found = [" ".join(text.split()) for text in _find_text(description).split("\n\n")]
         text = "\n\n".join(
             textwrap.fill(paragraph, width, break_long_words=False, break_on_hyphens=False)
-            for paragraph in self._choose(_list_paragraphs(description))
+            for paragraph in self._choose([*filter(None, found)])
         )
         console.print(f"{text}\n", highlight=False, markup=False, soft_wrap=True)
 
@@ -110,11 +111,6 @@ class HelpFormatter:
 def show_default(value: object) -> str | None:
     """Return the text of a default in help; None for an option that is off by default."""
     return None if value is False or value is None else str(value)
-
-
-def _list_paragraphs(description: Any) -> list[str]:
-    text = _find_text(description)
-    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
 
 
 def _find_text(description: Any) -> str:
@@ -246,7 +242,7 @@ def _describe_value_error(err: Any) -> str:
     expected = _describe_value(err.argument)
     near = find_near(value, choices) if choices else []
     hint = f"; did you mean {join_names(near)}?" if near else ""
-    if _takes_no_value(err.argument):
+    if err.argument.hint is bool or bool in get_args(err.argument.hint):
         return f"{place}: takes no value, not {quote_name(value)}"
     shown = value if value.isprintable() and 0 < len(value) <= _SHORT else quote_name(value)
     return f"{place} {shown}: must be {expected}{hint}"
@@ -262,10 +258,6 @@ def _describe_repeated(err: Any) -> str:
 def _name_place(argument: "Argument") -> str:
     name = argument.name
     return name if name.startswith("-") else name.upper()
-
-
-def _takes_no_value(argument: "Argument") -> bool:
-    return argument.hint is bool or bool in get_args(argument.hint)
 
 
 def _describe_value(argument: "Argument") -> str:

@@ -1,7 +1,6 @@
 """`turtlelog view`: recordings in the Rerun viewer."""
 
 import re
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -22,7 +21,7 @@ from turtlelog.cli.options import (
     require_files,
     require_there,
 )
-from turtlelog.cli.output import fill_lines, list_written, outlive_reader, print_note, print_text
+from turtlelog.cli.output import fill_lines, flush_stdout, list_written, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -211,8 +210,7 @@ def _follow(path: Path, url: str | None) -> None:
 def _serve(rrds: list[Path]) -> None:
     with tl.draw.serve_recordings(rrds) as address:
         print_text(address)
-        with outlive_reader():
-            sys.stdout.flush()
+        flush_stdout()
         print_note("open it in a browser on this machine; Ctrl-C ends it")
         while True:
             time.sleep(_HOUR_S)
