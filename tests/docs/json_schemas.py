@@ -26,7 +26,7 @@ ANSWERS: Final = {
     "theory FILE": "theory:_FileAnswer",
     "info": "info:InfoAnswer",
     "metrics": "metrics:MeasuredFile",
-    "metrics -o TABLE": "targets:TableAnswer",
+    "metrics -o TABLE": "metrics:TableAnswer",
     "compare": "compare:_AcrossAnswer",
     "compare --reference": "compare_reference:_ReferenceAnswer",
     "compare --why": "compare_why:WhyAnswer",

@@ -24,8 +24,8 @@ from turtlelog.cli.output import (
     print_held_notes,
     print_note,
 )
-from turtlelog.cli.progress import end_progress
 from turtlelog.cli.usage import HelpFormatter, describe_usage_error, find_split_pair, show_default
+from turtlelog.cli.work import end_progress
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.files.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__

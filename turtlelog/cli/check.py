@@ -29,11 +29,11 @@ from turtlelog.cli.options import (
     Output,
     Place,
     ReadingOptions,
-    WorkOptions,
     find_files,
     list_files,
     list_reading_words,
-    watch_files,
+    require_apart,
+    require_new_target,
 )
 from turtlelog.cli.output import (
     EXIT_FAILED,
@@ -50,7 +50,7 @@ from turtlelog.cli.output import (
     write_text,
 )
 from turtlelog.cli.scenario_options import is_recording
-from turtlelog.cli.targets import require_apart, require_new_target, summarise_table, tabulate
+from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_files
 from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
 from turtlelog.processes import map_in_processes
@@ -330,6 +330,7 @@ def _check_into_table(
             raise UsageError(f"--{name}: leave out --output, which does not read unchanged files")
     judge = _prepare_judge(spec, topics)
     table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
+    require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
     done = tabulate(found, output, table, work=reports, file_s=_FILE_S)
     print_note(summarise_table(done))
     return read_verdicts(output, {one.label: one.path for one in found})

@@ -25,15 +25,13 @@ from turtlelog.cli.compare_why import WhyOptions, compare_why
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
-    Jobs,
     Place,
     ReadingOptions,
-    count_jobs,
     list_files,
     read_runs,
+    require_new_target,
     require_there,
     split_names,
-    watch_summaries,
 )
 from turtlelog.cli.output import (
     EXIT_FINE,
@@ -45,8 +43,7 @@ from turtlelog.cli.output import (
     print_tables,
     print_text,
 )
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.work import Jobs, count_jobs, show_progress, watch_summaries
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:

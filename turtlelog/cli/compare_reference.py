@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.compare_answer import format_reference, format_robots, list_errors
-from turtlelog.cli.options import ReadingOptions, read_runs, watch_files
+from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -20,8 +20,7 @@ from turtlelog.cli.output import (
     print_tables,
     print_text,
 )
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_pictures
+from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.compare.difference import compare_measured
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.processes import map_in_processes

@@ -10,14 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import (
-    ReadingOptions,
-    count_jobs,
-    list_files,
-    read_chosen_run,
-    require_jobs,
-    watch_summaries,
-)
+from turtlelog.cli.options import ReadingOptions, list_files, read_chosen_run, require_pictures
 from turtlelog.cli.output import (
     EXIT_FINE,
     align_rows,
@@ -30,8 +23,7 @@ from turtlelog.cli.output import (
     print_text,
     quote_file,
 )
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_pictures
+from turtlelog.cli.work import count_jobs, require_jobs, show_progress, watch_summaries
 from turtlelog.display import describe_count, join_words, split_numbers
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs, require_there
+from turtlelog.cli.options import (
+    File,
+    Json,
+    Place,
+    ReadingOptions,
+    read_runs,
+    require_apart,
+    require_new_folder,
+    require_new_target,
+    require_there,
+)
 from turtlelog.cli.output import (
     copy_fields,
     fill_lines,
@@ -17,8 +27,7 @@ from turtlelog.cli.output import (
     print_note,
     print_text,
 )
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
+from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, UsageError, find_near
 

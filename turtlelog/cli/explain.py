@@ -19,20 +19,18 @@ from turtlelog.cli.explain_answer import (
 from turtlelog.cli.list_names import complete_causes, complete_metrics
 from turtlelog.cli.options import (
     File,
-    Jobs,
     Json,
     Place,
     ReadingOptions,
     name_as_typed,
     read_runs,
-    require_jobs,
+    require_new_target,
     require_there,
     split_names,
 )
 from turtlelog.cli.output import copy_fields, print_json, print_note, print_text, write_text
-from turtlelog.cli.progress import show_progress
 from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.errors import ExplainError
 
 if TYPE_CHECKING:

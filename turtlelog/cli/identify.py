@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, Place, TopicOptions, read_runs, require_there
+from turtlelog.cli.options import (
+    Files,
+    Json,
+    Place,
+    TopicOptions,
+    read_runs,
+    require_new_target,
+    require_pictures,
+    require_there,
+)
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -26,7 +35,6 @@ from turtlelog.cli.output import (
     read_law,
     write_text,
 )
-from turtlelog.cli.targets import require_new_target, require_pictures
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 

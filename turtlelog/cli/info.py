@@ -13,16 +13,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
-from turtlelog.cli.options import (
-    Files,
-    Jobs,
-    Json,
-    TopicOptions,
-    count_jobs,
-    list_files,
-    require_files,
-    watch_files,
-)
+from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
 from turtlelog.cli.output import (
     build_table,
     copy_fields,
@@ -33,6 +24,7 @@ from turtlelog.cli.output import (
     print_json,
     print_text,
 )
+from turtlelog.cli.work import Jobs, count_jobs, watch_files
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
 from turtlelog.escapes import escape_controls

@@ -4,6 +4,7 @@ from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
@@ -15,16 +16,19 @@ from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essent
 from turtlelog.cli.options import (
     Files,
     MetricsAsked,
+    Output,
     Place,
     ReadingOptions,
-    Whole,
+    find_files,
+    list_files,
     require_files,
-    watch_summaries,
+    require_new_target,
 )
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     FormatOptions,
+    copy_fields,
     print_csv,
     print_error,
     print_errors,
@@ -32,13 +36,14 @@ from turtlelog.cli.output import (
     print_json_list,
     print_lines,
 )
-from turtlelog.cli.targets import FolderOptions, build_table_answer, summarise_table, tabulate
+from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, MeasureSettings
     from turtlelog.compare import RunSummary
-    from turtlelog.sweep import TabulatedFiles
+    from turtlelog.sweep import FoundRecording, TabulatedFiles
 
 
 @Parameter(name="*")
@@ -117,6 +122,38 @@ class MeasuredFile:
     metrics: list[dict[str, Any]]
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderOptions(WorkOptions):
+    """Options for many recordings.
+
+    Attributes:
+        output: Write a row for every file to this .parquet table, and print a summary alone. Files
+            that have not changed since the table was written are not read again.
+    """
+
+    output: Output = None
+
+    def find(self, paths: Sequence[Path]) -> "list[FoundRecording]":
+        """Return the given recordings, and those below given folders."""
+        return find_files(self.name_files(paths), self.output)
+
+    def list_files(self, paths: Sequence[Path]) -> list[Path]:
+        """Return the files that are given, or those below folders."""
+        return list_files(self.name_files(paths))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableAnswer:
+    """Result of a table of recordings: numbers of read, unchanged and unreadable files."""
+
+    output: str
+    files: int
+    read: int
+    unchanged: int
+    failed: int
+
+
 def metrics(
     files: Files,
     /,
@@ -157,6 +194,8 @@ def metrics(
             raise UsageError("--output: takes --json, no other format")
         plan = tl.sweep.plan_metric_table(measuring.build_settings(), only=patterns, topics=choice)
         found = folders.find(files)
+        inputs = [Path(one.path) for one in found]
+        require_new_target(folders.output, inputs, suffix=".parquet")
         return _tell(tabulate(found, folders.output, plan, work=folders), kind)
     files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
@@ -203,7 +242,8 @@ def metrics(
 def _tell(done: "TabulatedFiles", kind: str) -> int:
     """Print the result of a table, and the first unreadable files."""
     if kind == "json":
-        print_json(build_table_answer(done))
+        unchanged = done.files - done.read
+        print_json(copy_fields(TableAnswer, done, output=str(done.output), unchanged=unchanged))
     else:
         print_lines([summarise_table(done)])
     for label, reason in done.errors:

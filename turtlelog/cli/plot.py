@@ -14,21 +14,20 @@ from turtlelog import draw
 from turtlelog.cli.list_names import complete_figures, complete_keys, complete_metrics
 from turtlelog.cli.map import TIMELESS, PageOptions, draw_table
 from turtlelog.cli.options import (
-    Jobs,
+    PICTURES,
     Json,
     MetricsAsked,
     Place,
     ReadingOptions,
     list_files,
     read_runs,
-    require_jobs,
+    require_new_target,
     require_there,
     split_names,
 )
 from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import PICTURES, require_new_target
 from turtlelog.cli.view import MovieOptions, film_runs, require_movie
+from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import ShowError, TurtlelogError, UsageError
 from turtlelog.files.urls import RemotePath

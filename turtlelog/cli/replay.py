@@ -20,6 +20,7 @@ from turtlelog.cli.options import (
     choose_step_budget,
     name_as_typed,
     read_runs,
+    require_new_target,
     require_there,
 )
 from turtlelog.cli.output import (
@@ -46,7 +47,6 @@ from turtlelog.cli.replay_answer import (
     tell_time,
 )
 from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
-from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls

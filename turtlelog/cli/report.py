@@ -18,6 +18,7 @@ from turtlelog.cli.options import (
     list_reading_words,
     read_runs,
     require_files,
+    require_new_target,
     require_there,
 )
 from turtlelog.cli.output import (
@@ -28,8 +29,7 @@ from turtlelog.cli.output import (
     print_json,
     print_text,
 )
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.work import show_progress
 from turtlelog.display import format_number
 from turtlelog.errors import ExplainError, TurtlelogError
 

@@ -12,7 +12,15 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.metrics_answer import format_run, list_needed
-from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
+from turtlelog.cli.options import (
+    Connect,
+    Json,
+    Output,
+    Place,
+    StepBudgetMs,
+    choose_step_budget,
+    require_new_target,
+)
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
@@ -24,7 +32,6 @@ from turtlelog.cli.output import (
     print_note,
     print_text,
 )
-from turtlelog.cli.progress import ProgressLine, show_progress, watch_ticks
 from turtlelog.cli.scenario_options import (
     LawOptions,
     RowOptions,
@@ -32,7 +39,7 @@ from turtlelog.cli.scenario_options import (
     list_given_keys,
     load_changed_scenario,
 )
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.work import ProgressLine, show_progress, watch_ticks
 from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, TurtlelogError, UsageError
 from turtlelog.files.urls import make_path

@@ -18,9 +18,8 @@ from turtlelog.cli.options import (
     MetricsAsked,
     Place,
     StepBudgetMs,
-    Whole,
-    WorkOptions,
     choose_step_budget,
+    require_new_target,
 )
 from turtlelog.cli.output import (
     EXIT_FINE,
@@ -30,10 +29,10 @@ from turtlelog.cli.output import (
     print_note,
     print_text,
 )
-from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import WorkOptions, show_progress
 from turtlelog.display import describe_count, format_range
 from turtlelog.errors import SweepError, UsageError
 from turtlelog.files.urls import make_path

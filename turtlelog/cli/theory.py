@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_preset
-from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
+from turtlelog.cli.options import Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_text
 from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
@@ -26,6 +26,7 @@ from turtlelog.cli.theory_loops import (
     build_integrator,
     build_pid_loop,
 )
+from turtlelog.cli.usage import Whole
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
 

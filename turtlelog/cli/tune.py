@@ -12,9 +12,8 @@ from turtlelog.cli.options import (
     Output,
     Place,
     StepBudgetMs,
-    Whole,
-    WorkOptions,
     choose_step_budget,
+    require_new_target,
 )
 from turtlelog.cli.output import (
     EXIT_FAILED,
@@ -24,11 +23,11 @@ from turtlelog.cli.output import (
     print_text,
     write_text,
 )
-from turtlelog.cli.progress import show_progress
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
-from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.tune_answer import build_tune_answer, format_tune_answer
+from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import WorkOptions, show_progress
 from turtlelog.errors import UsageError
 from turtlelog.files.urls import make_path
 

@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence, Set as Collection
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, get_args, get_origin
 
-from cyclopts import CycloptsError
+from cyclopts import CycloptsError, Parameter, Token
 from cyclopts.exceptions import (
     CoercionError,
     ConsumeMultipleError,
@@ -19,7 +19,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from turtlelog.errors import find_near, join_names, quote_name
+from turtlelog.errors import UsageError, find_near, join_names, quote_name
 
 if TYPE_CHECKING:
     from cyclopts.argument import Argument
@@ -111,6 +111,20 @@ class HelpFormatter:
 def show_default(value: object) -> str | None:
     """Return the text of a default in help; None for an option that is off by default."""
     return None if value is False or value is None else str(value)
+
+
+def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
+    text = tokens[0].value
+    try:
+        return int(text)
+    except ValueError as err:
+        option = tokens[0].keyword
+        unit = " of ticks" if option == "--dead-time" else ""
+        raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
+
+
+Whole = Annotated[int, Parameter(converter=_read_whole)]
+"""A whole number, because a plain int would truncate 1.5 to 1."""
 
 
 def _find_text(description: Any) -> str:

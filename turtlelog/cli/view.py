@@ -19,11 +19,11 @@ from turtlelog.cli.options import (
     list_files,
     read_runs,
     require_files,
+    require_new_target,
     require_there,
 )
 from turtlelog.cli.output import fill_lines, flush_stdout, list_written, print_note, print_text
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.work import show_progress
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
