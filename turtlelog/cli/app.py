@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_DEFECT,
     EXIT_FINE,

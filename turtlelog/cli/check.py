@@ -25,17 +25,7 @@ from turtlelog.cli.check_answers import (
     tabulate_matrix,
     tabulate_values,
 )
-from turtlelog.cli.options import (
-    Output,
-    Place,
-    ReadingOptions,
-    find_files,
-    list_files,
-    list_reading_words,
-    require_apart,
-    require_new_target,
-)
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     EXIT_FAILED,
     EXIT_FINE,
     FormatOptions,
@@ -48,6 +38,16 @@ from turtlelog.cli.output import (
     print_verdicts,
     quote_file,
     write_text,
+)
+from turtlelog.cli.options import (
+    Output,
+    Place,
+    ReadingOptions,
+    find_files,
+    list_files,
+    list_reading_words,
+    require_apart,
+    require_new_target,
 )
 from turtlelog.cli.scenario_options import is_recording
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_files

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     build_table,
     copy_fields,
     fill_lines,

@@ -22,6 +22,16 @@ from turtlelog.cli.compare_trajectories import (
     compare_with_trajectory,
 )
 from turtlelog.cli.compare_why import WhyOptions, compare_why
+from turtlelog.cli.console import (
+    EXIT_FINE,
+    FormatOptions,
+    copy_fields,
+    print_errors,
+    print_json,
+    print_note,
+    print_tables,
+    print_text,
+)
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
@@ -32,16 +42,6 @@ from turtlelog.cli.options import (
     require_new_target,
     require_there,
     split_names,
-)
-from turtlelog.cli.output import (
-    EXIT_FINE,
-    FormatOptions,
-    copy_fields,
-    print_errors,
-    print_json,
-    print_note,
-    print_tables,
-    print_text,
 )
 from turtlelog.cli.work import Jobs, count_jobs, show_progress, watch_summaries
 from turtlelog.errors import TurtlelogError, UsageError

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     align_rows,
     cut_rows,
     fill_lines,

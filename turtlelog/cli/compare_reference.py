@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.compare_answer import format_reference, format_robots, list_errors
-from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     copy_fields,
@@ -20,6 +19,7 @@ from turtlelog.cli.output import (
     print_tables,
     print_text,
 )
+from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.compare.difference import compare_measured
 from turtlelog.errors import TurtlelogError, UsageError

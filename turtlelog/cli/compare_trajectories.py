@@ -11,8 +11,7 @@ import numpy as np
 from cyclopts import Group, Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Place, ReadingOptions, require_pictures
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
     fill_lines,
@@ -24,6 +23,7 @@ from turtlelog.cli.output import (
     print_tables,
     print_text,
 )
+from turtlelog.cli.options import Place, ReadingOptions, require_pictures
 from turtlelog.cli.work import show_progress
 from turtlelog.display import LATEST_S, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError

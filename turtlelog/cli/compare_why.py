@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import ReadingOptions, list_files, read_chosen_run, require_pictures
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     EXIT_FINE,
     align_rows,
     build_table,
@@ -23,6 +22,7 @@ from turtlelog.cli.output import (
     print_text,
     quote_file,
 )
+from turtlelog.cli.options import ReadingOptions, list_files, read_chosen_run, require_pictures
 from turtlelog.cli.work import count_jobs, require_jobs, show_progress, watch_summaries
 from turtlelog.display import describe_count, join_words, split_numbers
 from turtlelog.errors import TurtlelogError, UsageError
@@ -94,9 +94,9 @@ class WhyAnswer:
     explanation: "ExplainedDifference | None"
 
 
-def split_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
+def split_metric(against: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
     """Return the metric and the files, because the word after --why may be the first file."""
-    word = options.why
+    word = against.why
     if not isinstance(word, str):
         return None, [*files]
     is_metric = tl.measure.find_metric_kind(word) is not None
@@ -107,7 +107,7 @@ def split_metric(options: WhyOptions, files: Sequence[Path]) -> tuple[str | None
 
 
 def compare_why(
-    options: "ReferenceOptions",
+    against: "ReferenceOptions",
     files: Sequence[Path],
     *,
     plot: Path | None,
@@ -115,11 +115,11 @@ def compare_why(
     kind: str,
 ) -> int:
     """Print the causes of a metric's difference between two runs."""
-    metric, files = split_metric(options, files)
+    metric, files = split_metric(against, files)
     require_pictures(plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
     code, told = EXIT_FINE, list[str]()
-    if options.first is None:
+    if against.first is None:
         if len(files) != 2:
             raise UsageError(
                 f"--why compares two runs, but {len(files)} {'was' if len(files) == 1 else 'were'}"
@@ -128,24 +128,24 @@ def compare_why(
             )
         pair = files[0], files[1]
     else:
-        found_pair, code = _find_pair(options.first, files, options.jobs, topics, kind)
+        found_pair, code = _find_pair(against.first, files, against.jobs, topics, kind)
         if found_pair is None:
             return code
         pair, told = found_pair
         if metric is None:  # the first metric that the condition names
-            names = tl.expressions.parse_expression(options.first, source="--first").names
+            names = tl.expressions.parse_expression(against.first, source="--first").names
             metric = next((name for name in names if tl.measure.find_metric_kind(name)), None)
     runs = [replace(read_chosen_run(one, topics), name=one.name) for one in pair]
     with show_progress("simulated", 100.0, "%") as progress:
         found = tl.explain_difference(
             *runs,
             metric=metric,
-            trust_law=options.trust_law,
-            work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
+            trust_law=against.trust_law,
+            work=tl.explain.Work(jobs=require_jobs(against.jobs), report=progress.count),
         )
     if kind == "json":
         files_of = {"first": str(pair[0]), "second": str(pair[1])}
-        print_json(WhyAnswer(**files_of, condition=options.first, explanation=found))
+        print_json(WhyAnswer(**files_of, condition=against.first, explanation=found))
     elif kind == "txt":
         print_text(format_why(found, pair, lead=told))
     else:

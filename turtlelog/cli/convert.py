@@ -8,6 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import (
+    copy_fields,
+    fill_lines,
+    list_written,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.options import (
     File,
     Json,
@@ -18,14 +26,6 @@ from turtlelog.cli.options import (
     require_new_folder,
     require_new_target,
     require_there,
-)
-from turtlelog.cli.output import (
-    copy_fields,
-    fill_lines,
-    list_written,
-    print_json,
-    print_note,
-    print_text,
 )
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, join_words

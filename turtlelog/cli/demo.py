@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Place
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     fill_lines,
     find_command_name,
     find_width,
@@ -16,6 +15,7 @@ from turtlelog.cli.output import (
     print_text,
     write_text,
 )
+from turtlelog.cli.options import Place
 from turtlelog.display import format_short
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library

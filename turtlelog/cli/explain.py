@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import copy_fields, print_json, print_note, print_text, write_text
 from turtlelog.cli.explain_answer import (
     NEEDS,
     describe_causes,
@@ -28,7 +29,6 @@ from turtlelog.cli.options import (
     require_there,
     split_names,
 )
-from turtlelog.cli.output import copy_fields, print_json, print_note, print_text, write_text
 from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
 from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.errors import ExplainError
@@ -73,7 +73,7 @@ def explain(
     *,
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
     causes: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_causes)] = None,
-    options: ExplainOptions | None = None,
+    chosen: ExplainOptions | None = None,
     topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -112,19 +112,19 @@ def explain(
         json: Print one JSON object.
     """
     require_there([file])
-    options = options or ExplainOptions()
-    require_new_target(options.scenario, [file], suffix=".toml")
-    require_new_target(options.rrd, [file], suffix=".rrd")
+    chosen = chosen or ExplainOptions()
+    require_new_target(chosen.scenario, [file], suffix=".toml")
+    require_new_target(chosen.rrd, [file], suffix=".rrd")
     names = None if causes is None else split_names(causes, "--causes")
     (run,) = read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
     with name_as_typed(file, run):
         tl.explain.require_causes(run, metric, names)
-        tl.explain.require_trust(run, trust_law=options.trust_law)
-        found = tl.identify_run(run, trust_law=options.trust_law)
-    if options.scenario is not None:
-        write_text(options.scenario, tl.format_scenario(found.build_scenario()))
-        print_note(f"wrote {options.scenario}")
+        tl.explain.require_trust(run, trust_law=chosen.trust_law)
+        found = tl.identify_run(run, trust_law=chosen.trust_law)
+    if chosen.scenario is not None:
+        write_text(chosen.scenario, tl.format_scenario(found.build_scenario()))
+        print_note(f"wrote {chosen.scenario}")
     attribution = None
     if found.scenario is not None:
         with show_progress("simulated", 100.0, "%") as progress:
@@ -133,8 +133,8 @@ def explain(
                 metric=metric,
                 causes=names,
                 identified=found,
-                trust_law=options.trust_law,
-                work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
+                trust_law=chosen.trust_law,
+                work=tl.explain.Work(jobs=require_jobs(chosen.jobs), report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     again = found.resimulation
@@ -162,9 +162,9 @@ def explain(
         print_text(format_explain_answer(answer, found))
         if attribution is not None and run.declaration.list_gains():
             print_text(_GIVEN)
-        print_text(f"\n{format_explain_details(answer, found)}" if options.details else _DETAILS)
-    if options.rrd is not None:
-        _draw(run, found, attribution, options.rrd, require_jobs(options.jobs))
+        print_text(f"\n{format_explain_details(answer, found)}" if chosen.details else _DETAILS)
+    if chosen.rrd is not None:
+        _draw(run, found, attribution, chosen.rrd, require_jobs(chosen.jobs))
 
 
 def _draw(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, fill_lines, fit_table
+from turtlelog.cli.console import build_table, fill_lines, fit_table
 from turtlelog.cli.replay_answer import judge_rounding, list_breaks, tell_time
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls

@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import (
-    Files,
-    Json,
-    Place,
-    TopicOptions,
-    read_runs,
-    require_new_target,
-    require_pictures,
-    require_there,
-)
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     EXIT_FAILED,
     EXIT_FINE,
     build_table,
@@ -34,6 +24,16 @@ from turtlelog.cli.output import (
     quote_file,
     read_law,
     write_text,
+)
+from turtlelog.cli.options import (
+    Files,
+    Json,
+    Place,
+    TopicOptions,
+    read_runs,
+    require_new_target,
+    require_pictures,
+    require_there,
 )
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
-from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     build_table,
     copy_fields,
     fill_lines,
@@ -24,6 +22,8 @@ from turtlelog.cli.output import (
     print_json,
     print_text,
 )
+from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
+from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
 from turtlelog.cli.work import Jobs, count_jobs, watch_files
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
@@ -140,7 +140,7 @@ def info(
     files: Files,
     /,
     *,
-    options: InfoOptions | None = None,
+    asked: InfoOptions | None = None,
     reading: TopicOptions | None = None,
     jobs: Jobs = None,
     json: Json = False,
@@ -162,14 +162,14 @@ def info(
         jobs: Number of processes. Default: one per core if that is faster.
         json: Print one JSON list instead of text.
     """
-    options = options or InfoOptions()
+    asked = asked or InfoOptions()
     require_files(files)
     files = list_files(files)
     describe = partial(
-        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=options.clock
+        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=asked.clock
     )
     count = count_jobs(
-        jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=options.clock)
+        jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=asked.clock)
     )
     read = list(watch_files(map_in_processes(describe, files, count), len(files)))
     errors = [one for one in read if isinstance(one, TurtlelogError)]
@@ -178,15 +178,15 @@ def info(
     if json:
         print_json(found)
     elif found:
-        print_text(_format(found, options))
+        print_text(_format(found, asked))
     return code
 
 
-def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:
-    if len(found) > _MOST_IN_FULL and not (options.topics or options.parameters):
+def _format(found: "list[InfoAnswer]", asked: InfoOptions) -> str:
+    if len(found) > _MOST_IN_FULL and not (asked.topics or asked.parameters):
         return _format_answers(found)
     is_alone = len(found) == 1
-    return "\n\n".join(_format_answer(one, options, is_alone=is_alone) for one in found)
+    return "\n\n".join(_format_answer(one, asked, is_alone=is_alone) for one in found)
 
 
 def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | TurtlelogError":
@@ -236,9 +236,9 @@ def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...
     return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
-def _format_answer(answer: InfoAnswer, options: InfoOptions, *, is_alone: bool) -> str:
+def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) -> str:
     """Return the kind of a file, its contents, missing data, and, for one file, next commands."""
-    topics, parameters = options.topics, options.parameters
+    topics, parameters = asked.topics, asked.parameters
     name, notes = _name_file(answer), []
     for key, text in answer.notes.items():
         count = len(text.splitlines())  # a law's source has several

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, find_width, print_json, print_text
+from turtlelog.cli.console import fill_lines, find_width, print_json, print_text
 
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext

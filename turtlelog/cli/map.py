@@ -11,8 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.options import PICTURES, require_new_target
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     copy_fields,
     fill_lines,
     find_command_name,
@@ -21,6 +20,7 @@ from turtlelog.cli.output import (
     print_note,
     print_text,
 )
+from turtlelog.cli.options import PICTURES, require_new_target
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import UsageError

@@ -11,6 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    FormatOptions,
+    copy_fields,
+    print_csv,
+    print_error,
+    print_errors,
+    print_json,
+    print_json_list,
+    print_lines,
+)
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
 from turtlelog.cli.options import (
@@ -23,18 +35,6 @@ from turtlelog.cli.options import (
     list_files,
     require_files,
     require_new_target,
-)
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    FormatOptions,
-    copy_fields,
-    print_csv,
-    print_error,
-    print_errors,
-    print_json,
-    print_json_list,
-    print_lines,
 )
 from turtlelog.cli.usage import Whole
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import (
+from turtlelog.cli.console import (
     build_table,
     fill_lines,
     find_width,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Group, Parameter, Token
 
 import turtlelog as tl
-from turtlelog.cli.output import print_run_notes
+from turtlelog.cli.console import print_run_notes
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.errors import LogError, RemoteError, TurtlelogError, UsageError
 from turtlelog.files.text_files import describe_missing

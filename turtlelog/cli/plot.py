@@ -11,6 +11,7 @@ from cyclopts import Group, Parameter
 
 import turtlelog as tl
 from turtlelog import draw
+from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.list_names import complete_figures, complete_keys, complete_metrics
 from turtlelog.cli.map import TIMELESS, PageOptions, draw_table
 from turtlelog.cli.options import (
@@ -25,7 +26,6 @@ from turtlelog.cli.options import (
     require_there,
     split_names,
 )
-from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.view import MovieOptions, film_runs, require_movie
 from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.display import describe_count, join_words

@@ -11,6 +11,16 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import build_results, format_results
+from turtlelog.cli.console import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    build_table,
+    fill_lines,
+    fit_table,
+    print_json,
+    print_note,
+    print_verdicts,
+)
 from turtlelog.cli.options import (
     Json,
     Output,
@@ -22,16 +32,6 @@ from turtlelog.cli.options import (
     read_runs,
     require_new_target,
     require_there,
-)
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    build_table,
-    fill_lines,
-    fit_table,
-    print_json,
-    print_note,
-    print_verdicts,
 )
 from turtlelog.cli.replay_answer import (
     CommandReplayAnswer,
@@ -259,59 +259,59 @@ def _format_commands(file: Path, found: "CommandReplay", answer: CommandReplayAn
 
 
 def _require_sound(
-    options: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
+    mode: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
 ) -> None:
     """Refuse options that cannot be combined."""
-    by_law = options.law is not None
-    if options.plant and by_law:
+    by_law = mode.law is not None
+    if mode.plant and by_law:
         raise UsageError("--plant and --law: choose one")
-    if (options.plant or by_law) and output is not None:
-        mode = "--plant" if options.plant else "--law"
-        raise UsageError(f"--output: leave out {mode}, which makes no run")
+    if (mode.plant or by_law) and output is not None:
+        given_mode = "--plant" if mode.plant else "--law"
+        raise UsageError(f"--output: leave out {given_mode}, which makes no run")
     changes = changes or ScenarioOptions()
     given = {
-        "--scenario": options.scenario,
-        "--tolerance": options.tolerance,
-        "--trust-law": options.trust_law or None,
-        "--step-budget-ms": options.step_budget_ms,
+        "--scenario": mode.scenario,
+        "--tolerance": mode.tolerance,
+        "--trust-law": mode.trust_law or None,
+        "--step-budget-ms": mode.step_budget_ms,
         "--commands": changes.commands,
         "--kp": changes.kp,
         "--goal": changes.goal,
         "--set": changes.assignments,
     }
     wrong = [name for name, value in given.items() if value is not None]
-    if options.plant and wrong:
+    if mode.plant and wrong:
         raise UsageError(
             f"--plant: leave out {wrong[0]}; the recorded commands are used as they are"
         )
 
 
 def _choose_replayed(
-    run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None = None
+    run: "Run", mode: ReplayOptions, changes: ScenarioOptions | None, kind: str | None = None
 ) -> "Scenario | None":
     """Return the scenario to replay; None for the unchanged scenario of the recording."""
     assigned = {} if changes is None else changes.parse_assignments()
-    for key in assigned if options.law is not None else ():
+    for key in assigned if mode.law is not None else ():
         if key.partition(".")[0] not in _OF_LAW:
             raise UsageError(
                 f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
                 " from the recording"
             )
-    if changes is None and kind is None and options.scenario is None:
+    if changes is None and kind is None and mode.scenario is None:
         return None
     named = kind or assigned.get("law.kind")
     if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
         # The recorded law is replaced, and may be impossible to load.
         kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
         run = replace(run, parameters=kept)
-    scenario = _find_base(run, options.scenario)
+    scenario = _find_base(run, mode.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
     # Without a given law, the recording's declaration is used, so that no code runs.
-    is_recorded = not isinstance(named, str) and options.scenario is None
+    is_recorded = not isinstance(named, str) and mode.scenario is None
     declared = run.declaration if is_recorded else None
     changed = change_scenario(scenario, changes, declared)
-    said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
+    said = [] if mode.scenario is None else [f"as {Path(mode.scenario).stem}"]
     return name_by_changes(changed, run.name, changes, *said)
 
 

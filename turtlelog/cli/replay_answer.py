@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
-from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
+from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:

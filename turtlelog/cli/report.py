@@ -9,6 +9,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import CountedResults, conclude
+from turtlelog.cli.console import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    fill_lines,
+    list_written,
+    print_json,
+    print_text,
+)
 from turtlelog.cli.options import (
     Files,
     Json,
@@ -20,14 +28,6 @@ from turtlelog.cli.options import (
     require_files,
     require_new_target,
     require_there,
-)
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    fill_lines,
-    list_written,
-    print_json,
-    print_text,
 )
 from turtlelog.cli.work import show_progress
 from turtlelog.display import format_number

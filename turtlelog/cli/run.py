@@ -10,6 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import (
+    EXIT_FINE,
+    EXIT_INTERRUPTED,
+    fill_lines,
+    fit_table,
+    flush_stdout,
+    print_error,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.metrics_answer import format_run, list_needed
 from turtlelog.cli.options import (
@@ -20,17 +31,6 @@ from turtlelog.cli.options import (
     StepBudgetMs,
     choose_step_budget,
     require_new_target,
-)
-from turtlelog.cli.output import (
-    EXIT_FINE,
-    EXIT_INTERRUPTED,
-    fill_lines,
-    fit_table,
-    flush_stdout,
-    print_error,
-    print_json,
-    print_note,
-    print_text,
 )
 from turtlelog.cli.scenario_options import (
     LawOptions,
@@ -107,7 +107,7 @@ def run(
     scenario: ScenarioWord = None,
     /,
     *,
-    options: LawOptions | None = None,
+    changes: LawOptions | None = None,
     source: RowOptions | None = None,
     record: RecordOptions | None = None,
     live: LiveOptions | None = None,
@@ -136,8 +136,8 @@ def run(
     if live.watch:
         if source.table is not None:
             raise UsageError("--watch: leave out --from, whose table does not change")
-        return _watch(scenario, options or LawOptions(), record, live)
-    chosen = _resolve(source.load(scenario, options), options, record)
+        return _watch(scenario, changes or LawOptions(), record, live)
+    chosen = _resolve(source.load(scenario, changes), changes, record)
     with _open_viewer(live) as (window, url):
         result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)
@@ -148,7 +148,7 @@ def run(
     return code
 
 
-def scenario(scenario: ScenarioWord = None, /, *, options: LawOptions | None = None) -> None:
+def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = None) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
     The code of a law of your own is not loaded: only the given keys are printed.
@@ -159,7 +159,7 @@ def scenario(scenario: ScenarioWord = None, /, *, options: LawOptions | None = N
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
             Default: paper; with --law: textbook.
     """
-    chosen = load_changed_scenario(scenario, options)
+    chosen = load_changed_scenario(scenario, changes)
     print_text(tl.format_scenario(chosen))
 
 
@@ -180,24 +180,24 @@ def _require_sound(
         raise UsageError("--watch: leave out --json, as there are many runs")
 
 
-def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptions) -> "Scenario":
+def _resolve(chosen: "Scenario", changes: LawOptions | None, record: RecordOptions) -> "Scenario":
     """Return a scenario with its law's parameters, and print the notes on it."""
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
-    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
+    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(changes)):
         print_note(note)
     return chosen
 
 
 def _watch(
-    scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
+    scenario: str | None, changes: LawOptions, record: RecordOptions, live: LiveOptions
 ) -> int:
     """Run, and run again after each save of a file until Ctrl-C; return the exit code.
 
     An error of the law or the scenario is printed in one line; the next save runs again.
     """
-    file, kind = find_scenario_file(scenario), options.find_law_kind()
+    file, kind = find_scenario_file(scenario), changes.find_law_kind()
     if file is None and kind is None:
-        kind = load_changed_scenario(scenario, options).law.kind
+        kind = load_changed_scenario(scenario, changes).law.kind
     files = _list_watched(file, kind)
     before: Run | None = None
     told: Sequence[Path] = ()
@@ -205,10 +205,10 @@ def _watch(
         while True:
             seen = _read_texts(files)
             try:
-                chosen = load_changed_scenario(scenario, options)
+                chosen = load_changed_scenario(scenario, changes)
                 files = _list_watched(file, chosen.law.kind)
                 seen = {**_read_texts(files), **seen}
-                result = _run(_resolve(chosen, options, record), record, live, url)
+                result = _run(_resolve(chosen, changes, record), record, live, url)
                 code = _answer(result, record, before=before)
                 if code != EXIT_FINE:
                     return code

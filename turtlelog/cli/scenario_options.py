@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import print_note
 from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.options import MaxDownload, Place, TopicOptions, read_chosen_run
-from turtlelog.cli.output import print_note
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path

@@ -12,6 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import (
+    EXIT_FINE,
+    copy_fields,
+    fill_lines,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.options import (
     Json,
@@ -20,14 +28,6 @@ from turtlelog.cli.options import (
     StepBudgetMs,
     choose_step_budget,
     require_new_target,
-)
-from turtlelog.cli.output import (
-    EXIT_FINE,
-    copy_fields,
-    fill_lines,
-    print_json,
-    print_note,
-    print_text,
 )
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
@@ -147,7 +147,7 @@ def sweep(
     *,
     table: SweepTableOptions,
     plan: PlanOptions | None = None,
-    options: LawOptions | None = None,
+    changes: LawOptions | None = None,
     work: SweepOptions | None = None,
     json: Json = False,
 ) -> int:
@@ -173,7 +173,7 @@ def sweep(
     """
     begun, work = time.monotonic(), work or SweepOptions()
     plan = plan or PlanOptions()
-    prepared = _prepare(base, table, plan, options, work)
+    prepared = _prepare(base, table, plan, changes, work)
     rows = prepared.plan.row_count
     if rows > _MANY_ROWS and not work.yes:
         _ask_consent(prepared, table.output, work.jobs)
@@ -203,14 +203,14 @@ def _prepare(
     base: str | None,
     table: SweepTableOptions,
     plan: PlanOptions,
-    options: LawOptions | None,
+    changes: LawOptions | None,
     work: SweepOptions,
 ) -> "Sweep":
     inputs = [] if base is None else [make_path(base)]
     require_new_target(table.output, inputs, suffix=".parquet")
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     prepared = tl.sweep.prepare_sweep(
-        load_changed_scenario(base, options),
+        load_changed_scenario(base, changes),
         rows,
         metrics=patterns,
         records=records,
@@ -218,7 +218,7 @@ def _prepare(
         step_budget_s=choose_step_budget(work.step_budget_ms),
         source="--grid",
     )
-    for key in list_given_keys(options):
+    for key in list_given_keys(changes):
         if key in prepared.plan.keys:
             raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
     return prepared

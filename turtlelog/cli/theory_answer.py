@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, fill_lines, find_width
+from turtlelog.cli.console import build_table, fill_lines, find_width
 from turtlelog.cli.theory_gains import (
     Recommended,
     Wishes,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table
+from turtlelog.cli.console import build_table
 from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, copy_fields
+from turtlelog.cli.console import build_table, copy_fields
 from turtlelog.cli.theory_gains import (
     NO_OVERSHOOT,
     Recommended,

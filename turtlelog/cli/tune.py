@@ -6,6 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    print_json,
+    print_note,
+    print_text,
+    write_text,
+)
 from turtlelog.cli.list_names import complete_keys, complete_metrics
 from turtlelog.cli.options import (
     Json,
@@ -14,14 +22,6 @@ from turtlelog.cli.options import (
     StepBudgetMs,
     choose_step_budget,
     require_new_target,
-)
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    print_json,
-    print_note,
-    print_text,
-    write_text,
 )
 from turtlelog.cli.run import ScenarioWord
 from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
@@ -179,7 +179,7 @@ def tune(
     *,
     goal: GoalOptions | None = None,
     robustness: RobustnessOptions | None = None,
-    options: LawOptions | None = None,
+    changes: LawOptions | None = None,
     work: TuneOptions | None = None,
     json: Json = False,
 ) -> int:
@@ -208,12 +208,12 @@ def tune(
     work = work or TuneOptions()
     runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
     require_new_target(work.output, [] if base is None else [make_path(base)], suffix=".toml")
-    scenario = load_changed_scenario(base, options)
-    scenario, keys = _parse_keys(scenario, goal.grid or [], options, trust_law=work.trust_law)
+    scenario = load_changed_scenario(base, changes)
+    scenario, keys = _parse_keys(scenario, goal.grid or [], changes, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
         found, spread = _search(scenario, keys, goal, wanted, seed, place, work=work), None
-        if "name" not in list_given_keys(options):
+        if "name" not in list_given_keys(changes):
             told = [f"{key}={value:.6g}" for key, value in found.values.items()]
             name = " ".join([found.scenario.name, *told])
             found = replace(found, scenario=replace(found.scenario, name=name))
@@ -241,12 +241,12 @@ def tune(
 
 
 def _parse_keys(
-    scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
+    scenario: "Scenario", vary: list[str], changes: LawOptions | None, *, trust_law: bool
 ) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
-    given = list_given_keys(options)
+    given = list_given_keys(changes)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
-        if key.key == "kp" and options is not None and options.kp is not None:
+        if key.key == "kp" and changes is not None and changes.kp is not None:
             raise UsageError("--kp: the gains are tuned by --grid kp; leave one of them out")
         if key.key in given:
             raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")

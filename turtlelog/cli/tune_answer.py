@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
+from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import ScenarioError
 

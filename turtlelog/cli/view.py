@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import fill_lines, flush_stdout, list_written, print_note, print_text
 from turtlelog.cli.options import (
     Connect,
     Files,
@@ -22,7 +23,6 @@ from turtlelog.cli.options import (
     require_new_target,
     require_there,
 )
-from turtlelog.cli.output import fill_lines, flush_stdout, list_written, print_note, print_text
 from turtlelog.cli.work import show_progress
 from turtlelog.errors import UsageError
 
@@ -283,24 +283,24 @@ def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) ->
     return picture.at
 
 
-def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
+def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     """Refuse a movie that cannot be written, before any file is read."""
-    if options.movie is None:
-        if options.length is not None:
+    if movie.movie is None:
+        if movie.length is not None:
             raise UsageError("--length: needs --movie NAME.mp4")
         return
-    suffix = options.movie.suffix.lower()
+    suffix = movie.movie.suffix.lower()
     if suffix not in {".mp4", ".gif"}:
-        raise UsageError(f"--movie {options.movie}: the name must end in .mp4 or .gif")
-    require_new_target(options.movie, files, suffix=suffix)
+        raise UsageError(f"--movie {movie.movie}: the name must end in .mp4 or .gif")
+    require_new_target(movie.movie, files, suffix=suffix)
     from turtlelog.draw.movie_file import require_encoder
 
     require_encoder(suffix)
 
 
-def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) -> None:
+def film_runs(runs: "Sequence[Run]", movie: MovieOptions, *, timeline: str) -> None:
     """Write the movie if one is requested."""
-    if options.movie is None:
+    if movie.movie is None:
         return
     from turtlelog.draw.movie_file import write_movie
 
@@ -310,8 +310,8 @@ def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) ->
     with show_progress("filming", 100.0, "%") as progress:
         write_movie(
             runs,
-            options.movie,
+            movie.movie,
             timeline=timeline,
-            length_s=options.length,
+            length_s=movie.length,
             on_picture=progress.count,
         )

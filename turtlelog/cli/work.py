@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.output import print_note, print_run_notes
+from turtlelog.cli.console import print_note, print_run_notes
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import TurtlelogError, UsageError
 
