@@ -13,17 +13,7 @@ from typing import Any, Final
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from turtlelog.cli.console import (
-    EXIT_BAD_INPUT,
-    EXIT_DEFECT,
-    EXIT_FINE,
-    EXIT_INTERRUPTED,
-    drop_stdout,
-    flush_stdout,
-    print_error,
-    print_held_notes,
-    print_note,
-)
+from turtlelog.cli import console
 from turtlelog.cli.usage import HelpFormatter, describe_usage_error, find_split_pair, show_default
 from turtlelog.cli.work import end_progress
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
@@ -210,22 +200,22 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except (TurtlelogError, CycloptsError) as err:
         text = describe_usage_error(err) if isinstance(err, CycloptsError) else str(err)
         text = find_split_pair(sys.argv[1:] if tokens is None else tokens) or text
-        code = _fail(text, EXIT_BAD_INPUT)
+        code = _fail(text, console.EXIT_BAD_INPUT)
     except KeyboardInterrupt:
-        code = _fail("interrupted", EXIT_INTERRUPTED)
+        code = _fail("interrupted", console.EXIT_INTERRUPTED)
     except OSError as err:
         text = f"{err.filename}: cannot be used: {err.strerror}"
         if err.filename is None:
-            drop_stdout()
+            console.drop_stdout()
             text = f"standard output: cannot be written: {err}"
-        code = _fail(text, EXIT_BAD_INPUT)
+        code = _fail(text, console.EXIT_BAD_INPUT)
     except Exception:
         import traceback
 
         traceback.print_exc()
-        code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
-    print_held_notes()
-    sys.exit(code if isinstance(code, int) else EXIT_FINE)
+        code = _fail("this is a defect of turtlelog; please report it", console.EXIT_DEFECT)
+    console.print_held_notes()
+    sys.exit(code if isinstance(code, int) else console.EXIT_FINE)
 
 
 _ALL: Final = "--help-all"
@@ -240,7 +230,7 @@ def _call(tokens: Sequence[str] | None) -> Any:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         finally:
             end_progress()
-        flush_stdout()
+        console.flush_stdout()
     return code
 
 
@@ -250,7 +240,7 @@ def _print_remote_notes() -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, RemoteNote):
-            print_note(str(message))
+            console.print_note(str(message))
         else:
             usual(message, category, *place, **more)
 
@@ -291,6 +281,6 @@ def _prepare_streams() -> None:
 
 
 def _fail(text: str, code: int) -> int:
-    print_held_notes()
-    print_error(text)
+    console.print_held_notes()
+    console.print_error(text)
     return code

@@ -8,22 +8,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    build_table,
-    copy_fields,
-    fill_lines,
-    fit_table,
-    name_explain,
-    read_law,
-)
+from turtlelog.cli import console
 from turtlelog.display import describe_count, format_short, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Spec
     from turtlelog.check import CheckResult, Verdict
-    from turtlelog.compare import Column, Table
-    from turtlelog.compare.table import Cell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +65,7 @@ class CheckAnswer:
 def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
     """Return results as entries of the answer."""
     return [
-        copy_fields(
+        console.copy_fields(
             ResultAnswer,
             result,
             verdict=result.verdict.value,
@@ -210,17 +201,17 @@ def _write_head(
 ) -> str:
     """Return the verdict, facts that qualify it, and why a run differs from its reference."""
     facts = [*_list_facts(counted, spec, files)]
-    blocks = [fill_lines(facts)] if facts else []
-    blocks += [fill_lines(causes, indent=2)] if causes else []
+    blocks = [console.fill_lines(facts)] if facts else []
+    blocks += [console.fill_lines(causes, indent=2)] if causes else []
     return "\n".join([conclude(counted, files), *blocks])
 
 
 def _join(
-    head: str, tables: "Sequence[Table]", lines: Sequence[str], following: Sequence[str]
+    head: str, tables: "Sequence[tl.compare.Table]", lines: Sequence[str], following: Sequence[str]
 ) -> str:
     """Return the parts of an answer, separated by empty lines."""
-    blocks = [fit_table(table).strip("\n") for table in tables]
-    ends = [fill_lines(lines, indent=2)] if lines else []
+    blocks = [console.fit_table(table).strip("\n") for table in tables]
+    ends = [console.fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if following else []
     return "\n\n".join([head, *blocks, *ends])
 
@@ -340,10 +331,10 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
     option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
-    return f"{name_explain(failed.file, read_law(failed.file))}{option}"
+    return f"{console.name_explain(failed.file, console.read_law(failed.file))}{option}"
 
 
-def count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
+def count_checks(counted: CountedResults, *, shows_all: bool) -> "tl.compare.Table":
     """Return the number of passes of each check, and its result nearest to the limit.
 
     Checks that never fail are included only with `shows_all`.
@@ -351,7 +342,7 @@ def count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
     verdicts = [
         one for one in tl.check.Verdict if one != "SKIPPED" or shows_all or counted.verdicts[one]
     ]
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[tl.compare.Cell, ...]] = []
     for check, counts in counted.of_checks.items():
         if shows_all or counts[tl.check.Verdict.FAIL]:
             nearest = counted.nearest.get(check)
@@ -359,10 +350,10 @@ def count_checks(counted: CountedResults, *, shows_all: bool) -> "Table":
             file = None if nearest is None else nearest.file
             rows.append((check, *(counts[one] for one in verdicts), unit, margin, file))
     titles = ("check", *verdicts, "unit", "least margin", "file")
-    return build_table("Checks" if shows_all else "Checks that fail", titles, rows)
+    return console.build_table("Checks" if shows_all else "Checks that fail", titles, rows)
 
 
-def tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
+def tabulate_files(results: "Sequence[CheckResult]") -> "list[tl.compare.Table]":
     """Return a table per file, in the order of the first result of each."""
     files = dict.fromkeys(result.file for result in results)
     return [tabulate_checks([one for one in results if one.file == file], file) for file in files]
@@ -376,32 +367,32 @@ _VIOLATED: Final = "first violation"
 
 def tabulate_checks(
     results: "Sequence[CheckResult]", title: str, *, names_file: bool = False
-) -> "Table":
+) -> "tl.compare.Table":
     """Return results as rows: verdict, optionally file, check, value, limit and margin."""
-    heads: list[str | Column] = [*_HEADS]
+    heads: list[str | tl.compare.Column] = [*_HEADS]
     if any(result.first_violation_s is not None for result in results):
         lines = tuple(_VIOLATED.split())
         heads.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3, lines=lines))
     rows = [_list_cells(result)[: len(heads)] for result in results]
     if names_file:
-        return build_table(title, heads, rows)
-    return build_table(title, ["", *heads[2:]], ((row[0], *row[2:]) for row in rows))
+        return console.build_table(title, heads, rows)
+    return console.build_table(title, ["", *heads[2:]], ((row[0], *row[2:]) for row in rows))
 
 
-def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "Table":
+def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "tl.compare.Table":
     """Return the rows of a CSV file, whose columns are always the same."""
     meant = _read_reasons(spec)
     rows = ((*_list_cells(one), _explain(one, meant)) for one in results)
-    return build_table("Checks", (*_HEADS, f"{_VIOLATED} [s]", "reason"), rows)
+    return console.build_table("Checks", (*_HEADS, f"{_VIOLATED} [s]", "reason"), rows)
 
 
-def _list_cells(result: "CheckResult") -> "tuple[Cell, ...]":
+def _list_cells(result: "CheckResult") -> "tuple[tl.compare.Cell, ...]":
     """Return the cells of `_HEADS`, and the time of the first violation [s]."""
     verdict = result.verdict.value
     return verdict, result.file, result.check, *_show(result), result.first_violation_s
 
 
-def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
+def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[tl.compare.Table]":
     """Return the verdicts of several files, one row each; empty for one file."""
     files = dict.fromkeys(result.file for result in results)
     checks = dict.fromkeys(result.check for result in results)
@@ -411,7 +402,7 @@ def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
     heads = [tl.compare.Column(title=name, lines=tuple(re.split("[._]", name))) for name in checks]
     rows = ((file, *(verdicts.get((file, check)) for check in checks)) for file in files)
     title = f"{len(files)} recordings, {len(checks)} checks"
-    return [build_table(title, ["file", *heads], rows)]
+    return [console.build_table(title, ["file", *heads], rows)]
 
 
 def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, float | None]":

@@ -4,11 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console, options
 from turtlelog.cli.compare_answer import format_across
 from turtlelog.cli.compare_reference import (
     MetricBeside,
@@ -22,34 +23,9 @@ from turtlelog.cli.compare_trajectories import (
     compare_with_trajectory,
 )
 from turtlelog.cli.compare_why import WhyOptions, compare_why
-from turtlelog.cli.console import (
-    EXIT_FINE,
-    FormatOptions,
-    copy_fields,
-    print_errors,
-    print_json,
-    print_note,
-    print_tables,
-    print_text,
-)
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import (
-    Files,
-    Place,
-    ReadingOptions,
-    list_files,
-    read_runs,
-    require_new_target,
-    require_there,
-    split_names,
-)
 from turtlelog.cli.work import Jobs, count_jobs, show_progress, watch_summaries
 from turtlelog.errors import TurtlelogError, UsageError
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.compare import Mark, Ranking, RunSummary
-    from turtlelog.run import Parameter as ScenarioValue
 
 
 @Parameter(name="*")
@@ -67,8 +43,8 @@ class ReferenceOptions(WhyOptions):
         details: With --reference: show the signals also if several runs are compared.
     """
 
-    reference: Place | None = None
-    tolerances: Annotated[Place | None, Parameter(show=False)] = None
+    reference: options.Place | None = None
+    tolerances: Annotated[options.Place | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
     jobs: Jobs = None
     details: bool = False
@@ -100,11 +76,11 @@ class ChoiceOptions:
 
     def list_varied(self) -> list[str]:
         """Return the keys and conditions that were varied on purpose, in addition to gains."""
-        return [] if self.varied is None else split_names(self.varied, "--varied")
+        return [] if self.varied is None else options.split_names(self.varied, "--varied")
 
     def list_columns(self) -> list[str]:
         """Return the requested names and patterns; empty for the usual columns."""
-        return [] if self.metric is None else split_names(self.metric, "--metric")
+        return [] if self.metric is None else options.split_names(self.metric, "--metric")
 
 
 @Parameter(name="*")
@@ -118,19 +94,19 @@ class DrawingOptions:
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
-    plot: Annotated[Place | None, Parameter(metavar="FILE")] = None
-    rrd: Annotated[Place | None, Parameter(name="--rrd", metavar="FILE")] = None
+    plot: Annotated[options.Place | None, Parameter(metavar="FILE")] = None
+    rrd: Annotated[options.Place | None, Parameter(name="--rrd", metavar="FILE")] = None
 
 
 def compare(
-    files: Files,
+    files: options.Files,
     /,
     *,
     against: ReferenceOptions | None = None,
     choice: ChoiceOptions | None = None,
-    formats: FormatOptions | None = None,
+    formats: console.FormatOptions | None = None,
     pictures: DrawingOptions | None = None,
-    topics: ReadingOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> int:
     """Compare runs: which is best at what. With --reference: how much each differs.
 
@@ -172,14 +148,14 @@ def compare(
             (.json, .csv); and perhaps one scenario of a robot (.toml).
     """
     against, choice = against or ReferenceOptions(), choice or ChoiceOptions()
-    kind = (formats or FormatOptions()).choose()
+    kind = (formats or console.FormatOptions()).choose()
     pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
     if against.is_why:
         _require_why_sense(against, choice, rrd)
         paths = [*([] if against.reference is None else [against.reference]), *files]
         return compare_why(against, paths, plot=pictures.plot, topics=topics, kind=kind)
-    files = list_files(files, without=against.reference)
+    files = options.list_files(files, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     trajectories = against.trajectories
     if trajectories.require_sense():
@@ -198,11 +174,11 @@ def compare(
         )
     paths = [*([] if against.reference is None else [against.reference]), *files]
     _require_sense(paths, against, choice)
-    require_new_target(rrd, paths, suffix=".rrd")
+    options.require_new_target(rrd, paths, suffix=".rrd")
     held = None if rrd is None else _draw(paths, rrd, topics)
     if against.reference is not None:
         compare_with_reference(paths, held, against, topics, jobs=jobs, kind=kind)
-        return EXIT_FINE
+        return console.EXIT_FINE
     columns = choice.list_columns()
     only = None  # every metric
     if columns or kind != "json":
@@ -211,7 +187,7 @@ def compare(
         )
         only = partial(_list_needed, needed=needed, is_usual=not columns)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
-    code = print_errors(errors)
+    code = console.print_errors(errors)
     # A single run is not compared with others.
     if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
@@ -225,7 +201,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
-        require_there(paths)
+        options.require_there(paths)
         raise UsageError(
             f"compare needs at least two runs, but {len(paths)} was given; add another file, or"
             " --reference FILE"
@@ -240,9 +216,9 @@ _OF_MANY: Final = ("metric", "sort", "where", "varied")
 """Options for comparing runs side by side, without a reference."""
 
 
-def _list_given(options: object, names: Sequence[str]) -> dict[str, object]:
-    """Return the options with these names that are given."""
-    values = {name: getattr(options, name) for name in names}
+def _list_given(group: object, names: Sequence[str]) -> dict[str, object]:
+    """Return the options of a group with these names that are given."""
+    values = {name: getattr(group, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -268,23 +244,25 @@ def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> No
         )
 
 
-def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
+def _draw(
+    paths: Sequence[Path], rrd: Path, topics: options.ReadingOptions | None
+) -> "list[tl.Run]":
     """Write a picture of all runs, which needs all of them at once, and return the runs."""
-    runs = read_runs(paths, topics)
+    runs = options.read_runs(paths, topics)
     with show_progress("drawing"):
         tl.write_comparison_rrd(runs, rrd)
-    print_note(f"wrote {rrd}")
+    console.print_note(f"wrote {rrd}")
     return runs
 
 
 def _summarise(
     paths: Sequence[Path],
-    held: "Sequence[Run] | None",
-    topics: ReadingOptions | None,
+    held: "Sequence[tl.Run] | None",
+    topics: options.ReadingOptions | None,
     *,
-    only: "Callable[[Run], Sequence[str]] | None",
+    only: "Callable[[tl.Run], Sequence[str]] | None",
     jobs: int,
-) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
+) -> "tuple[tuple[tl.compare.RunSummary, ...], list[TurtlelogError]]":
     """Return run summaries, read one by one unless held, and the errors of unreadable files."""
     if held is not None:
         pairs = zip(held, paths, strict=True)
@@ -295,18 +273,20 @@ def _summarise(
             for run, path in pairs
         ), []
     errors: list[TurtlelogError] = []
-    chosen = (topics or ReadingOptions()).build_choice()
+    chosen = (topics or options.ReadingOptions()).build_choice()
     found = tl.compare.summarise_files(paths, only=only, topics=chosen, jobs=jobs)
     summaries = tuple(watch_summaries(found, len(paths), errors))
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
 
-def _list_needed(run: "Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
+def _list_needed(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
     # The usual metrics of a third-party bag are known when it is read.
     return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed
 
 
-def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
+def _compare_across(
+    summaries: "Sequence[tl.compare.RunSummary]", choice: ChoiceOptions, kind: str
+) -> None:
     count, title = len(summaries), ""
     notes: tuple[str, ...] = ()
     if choice.where is not None:
@@ -321,22 +301,22 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")
     ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
     if kind == "json":
-        print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
+        console.print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
         return
     if kind == "txt":
-        print_text(format_across(summaries, ranking, only=only, title=title, notes=notes))
+        console.print_text(format_across(summaries, ranking, only=only, title=title, notes=notes))
         return
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes, ranking=ranking)
-    print_tables([table], kind)
+    console.print_tables([table], kind)
     if kind == "csv":
         # CSV has no room for notes.
         for note in (*notes, *ranking.list_notes(tl.compare.name_runs(summaries))):
-            print_note(note)
+            console.print_note(note)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _MarkedMetric(MetricBeside):
-    mark: "Mark | None"
+    mark: "tl.compare.Mark | None"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -346,7 +326,7 @@ class _RunBeside:
     file: str
     name: str
     overlap_s: None = None
-    parameters: "Mapping[str, ScenarioValue]"
+    parameters: "Mapping[str, tl.run.Parameter]"
     signals: tuple[()] = ()
     metrics: list[_MarkedMetric]
 
@@ -387,11 +367,11 @@ class _AcrossAnswer:
 
 
 def _build_answer(
-    summaries: "Sequence[RunSummary]",
+    summaries: "Sequence[tl.compare.RunSummary]",
     *,
     only: Sequence[str],
     notes: tuple[str, ...],
-    ranking: "Ranking",
+    ranking: "tl.compare.Ranking",
 ) -> _AcrossAnswer:
     ids = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     if only:
@@ -419,7 +399,7 @@ def _build_answer(
         is_fair=ranking.is_fair,
         reason=ranking.describe() or None,
         varied=ranking.varied,
-        differences=[copy_fields(_Difference, found) for found in ranking.differences],
+        differences=[console.copy_fields(_Difference, found) for found in ranking.differences],
         unknown=[
             _Unknown(condition=condition, runs=[names[row] for row in rows])
             for condition, rows in ranking.unknown.items()

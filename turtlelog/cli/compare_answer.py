@@ -6,15 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    align_rows,
-    cut_rows,
-    fill_lines,
-    find_width,
-    fit_body,
-    name_explain,
-    quote_file,
-)
+from turtlelog.cli import console
 from turtlelog.display import describe_count, format_number, format_range, format_short, join_words
 
 if TYPE_CHECKING:
@@ -87,12 +79,14 @@ def format_across(
     best = [*_name_best(table), title]
     return "\n".join(
         [
-            fill_lines([*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]),
+            console.fill_lines(
+                [*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]
+            ),
             *_list_best(table),
-            *([fill_lines(above, indent=2)] if above else []),
-            fit_body(cut_rows(table)),
+            *([console.fill_lines(above, indent=2)] if above else []),
+            console.fit_body(console.cut_rows(table)),
             "",
-            fill_lines(
+            console.fill_lines(
                 [
                     *([f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []),
                     *_list_next(summaries, names, table, ranking),
@@ -144,7 +138,7 @@ def _narrow(table: "Table", summaries: "Sequence[RunSummary]") -> "tuple[Table, 
     ids = {name for one in summaries for name in one.metrics}
     titles = [column.title for column in table.columns]
     ranks = [_rank(title) if title in ids else None for title in titles]
-    narrow = tl.compare.narrow_table(table, find_width(), ranks)
+    narrow = tl.compare.narrow_table(table, console.find_width(), ranks)
     kept = {column.title for column in narrow.columns}
     return narrow, [title for title in titles if title not in kept]
 
@@ -168,10 +162,10 @@ def _list_best(table: "Table") -> list[str]:
     """Return the best and worst runs by the most important metrics, one line each."""
     rows = _rank_best(table)
     with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
-    lines = align_rows(with_ids)
+    lines = console.align_rows(with_ids)
     if not rows or rows[0][-1] in lines[0]:
         return lines
-    return align_rows(
+    return console.align_rows(
         [(label + _name_loop(name), who, value, worst) for label, who, name, value, worst in rows]
     )
 
@@ -232,7 +226,7 @@ def _list_next(
         metric = min(worst, key=_rank)
         row = worst[metric]
         option = "" if metric == "final.position_error" else f" --metric {metric}"
-        command = name_explain(summaries[row].file, summaries[row].law)
+        command = console.name_explain(summaries[row].file, summaries[row].law)
         yield f"Why is {names[row]} worse? {command}{option}"
     yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."
 
@@ -254,18 +248,18 @@ def format_reference(
     across = replace(across, notes=(*reasons, *changes, *told))
     comparisons = [one.comparison for one in found]
     signals = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
-    parts = [fit_body(across)]
+    parts = [console.fit_body(across)]
     if shows_signals or len(found) <= _MOST_RUNS:
-        parts.append(f"\n{signals.title}\n" + fit_body(replace(signals, notes=())))
+        parts.append(f"\n{signals.title}\n" + console.fit_body(replace(signals, notes=())))
     else:
         parts.append("\nThe largest difference of every signal: --details")
     return "\n".join(
         [
-            fill_lines(list_errors(errors, reference)),
+            console.fill_lines(list_errors(errors, reference)),
             *parts,
             "",
-            fill_lines(signals.notes),
-            "Verdicts with tolerances: turtlelog check --init " + quote_file(first.file),
+            console.fill_lines(signals.notes),
+            "Verdicts with tolerances: turtlelog check --init " + console.quote_file(first.file),
         ]
     )
 
@@ -326,10 +320,12 @@ def format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scen
     )
     return "\n".join(
         [
-            fill_lines([*heads, *table.notes], indent=2),
-            fit_body(replace(tl.compare.narrow_table(table, find_width(), ranks), notes=())),
+            console.fill_lines([*heads, *table.notes], indent=2),
+            console.fit_body(
+                replace(tl.compare.narrow_table(table, console.find_width(), ranks), notes=())
+            ),
             "",
-            fill_lines(
+            console.fill_lines(
                 [
                     f"The simulated robot is driven with the recorded commands. {means}",
                     f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",

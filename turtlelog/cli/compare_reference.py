@@ -7,18 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
+from turtlelog.cli import console
 from turtlelog.cli.compare_answer import format_reference, format_robots, list_errors
-from turtlelog.cli.console import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    copy_fields,
-    print_error,
-    print_json,
-    print_note,
-    print_run_notes,
-    print_tables,
-    print_text,
-)
 from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.compare.difference import compare_measured
@@ -28,45 +18,34 @@ from turtlelog.processes import map_in_processes
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from turtlelog import Metric, Run
     from turtlelog.cli.compare import ReferenceOptions
-    from turtlelog.compare import (
-        NoiseLevel,
-        PathDeviation,
-        RobotComparison,
-        RunComparison,
-        RunSummary,
-        Table,
-    )
-    from turtlelog.log import ReadChoice
-    from turtlelog.run import Clock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
     """Comparison of one run with the reference."""
 
-    summary: "RunSummary"
-    comparison: "RunComparison"
-    path_error: "PathDeviation"
+    summary: "tl.compare.RunSummary"
+    comparison: "tl.compare.RunComparison"
+    path_error: "tl.compare.PathDeviation"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Comparer:
     """A comparer of runs with a reference, one after another, in this process or another."""
 
-    reference: "Run"
+    reference: "tl.Run"
     alignment: str
-    choice: "ReadChoice"
+    choice: "tl.log.ReadChoice"
 
     @cached_property
-    def _metrics(self) -> "Mapping[str, Metric]":
+    def _metrics(self) -> "Mapping[str, tl.Metric]":
         return tl.measure_run(self.reference)
 
     def __call__(self, path: Path) -> Compared:
         return self.compare(path, tl.log.read_as_chosen(path, self.choice))
 
-    def compare(self, path: Path, run: "Run") -> Compared:
+    def compare(self, path: Path, run: "tl.Run") -> Compared:
         """Return the comparison of a run that has been read."""
         usual = [
             name for one in (run, self.reference) for name in tl.compare.list_usual_of_run(one)
@@ -84,7 +63,7 @@ class _Comparer:
 
 def compare_with_reference(
     paths: Sequence[Path],
-    held: "Sequence[Run] | None",
+    held: "Sequence[tl.Run] | None",
     against: "ReferenceOptions",
     topics: ReadingOptions | None,
     *,
@@ -103,7 +82,7 @@ def compare_with_reference(
     comparer = _Comparer(reference=reference, alignment=alignment, choice=choice)
     others = paths[1:]
     if held is None:
-        print_run_notes(paths[0], reference.notes)
+        console.print_run_notes(paths[0], reference.notes)
         found: Iterable[Compared] = map_in_processes(comparer, others, jobs)
     else:
         found = map(comparer.compare, others, held[1:])
@@ -111,10 +90,12 @@ def compare_with_reference(
     for one in watch_files(found, len(others)):
         compared.append(one)
         if held is None:
-            print_run_notes(one.summary.file, one.summary.notes)
+            console.print_run_notes(one.summary.file, one.summary.notes)
     if kind == "json":
         runs = [_build_run(*pair) for pair in zip(paths[1:], compared, strict=True)]
-        print_json(_ReferenceAnswer(reference=str(paths[0]), alignment=alignment, runs=runs))
+        console.print_json(
+            _ReferenceAnswer(reference=str(paths[0]), alignment=alignment, runs=runs)
+        )
     else:
         usual = [*tl.compare.list_usual_of_run(reference)]
         summaries = [one.summary for one in compared]
@@ -124,17 +105,19 @@ def compare_with_reference(
             reference, file=str(paths[0]), metrics=_measure_known(reference, usual)
         )
         if kind != "txt":
-            print_tables(_tabulate(first, compared, kind), kind)
+            console.print_tables(_tabulate(first, compared, kind), kind)
             return
-        print_text(format_reference(first, compared, shows_signals=against.details))
+        console.print_text(format_reference(first, compared, shows_signals=against.details))
 
 
-def _measure_known(run: "Run", names: Sequence[str]) -> "Mapping[str, Metric]":
+def _measure_known(run: "tl.Run", names: Sequence[str]) -> "Mapping[str, tl.Metric]":
     known = tl.measure.list_metrics(run.declaration)
     return tl.measure_run(run, only=[name for name in names if name in known])
 
 
-def _tabulate(first: "RunSummary", compared: "Sequence[Compared]", kind: str) -> "list[Table]":
+def _tabulate(
+    first: "tl.compare.RunSummary", compared: "Sequence[Compared]", kind: str
+) -> "list[tl.compare.Table]":
     summaries = [first, *(one.summary for one in compared)]
     comparisons = [one.comparison for one in compared]
     reference, *names = tl.compare.name_runs(summaries)
@@ -191,7 +174,7 @@ class _HeldRun:
     notes: tuple[str, ...]
     signals: list[_HeldSignal]
     metrics: list[_HeldMetric]
-    path_error: "PathDeviation"
+    path_error: "tl.compare.PathDeviation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +194,7 @@ def _build_run(path: Path, compared: Compared) -> _HeldRun:
         overlap_s=found.overlap_s,
         overlap_from_s=found.overlap_from_s,
         notes=found.notes,
-        signals=[copy_fields(_HeldSignal, one) for one in found.signals],
+        signals=[console.copy_fields(_HeldSignal, one) for one in found.signals],
         metrics=[
             _HeldMetric(
                 **take_metric(one.metric, one.reference.value),
@@ -223,7 +206,7 @@ def _build_run(path: Path, compared: Compared) -> _HeldRun:
     )
 
 
-def take_metric(metric: "Metric", reference: float | None = None) -> dict[str, Any]:
+def take_metric(metric: "tl.Metric", reference: float | None = None) -> dict[str, Any]:
     """Return the fields of `MetricBeside`."""
     kind = tl.measure.find_metric_kind(metric.id)
     return {
@@ -268,7 +251,7 @@ def compare_with_robot(
             f'{scenario_file}: must be the scenario of a robot, plant.kind = "lagged", not'
             f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
         )
-    found: list[tuple[Path, RobotComparison]] = []
+    found: list[tuple[Path, tl.compare.RobotComparison]] = []
     is_fine = True
     for bag in bags:
         try:
@@ -276,25 +259,27 @@ def compare_with_robot(
             with show_progress(f"simulating {run.name}"):
                 found.append((bag, tl.compare.compare_robot(run, scenario)))
         except TurtlelogError as err:
-            print_error(str(err))
+            console.print_error(str(err))
             is_fine = False
     if found:
         _print(found, scenario_file, kind)
         _draw(found[0][1], plot, rrd)
-    return EXIT_FINE if is_fine else EXIT_BAD_INPUT
+    return console.EXIT_FINE if is_fine else console.EXIT_BAD_INPUT
 
 
-def _print(found: "Sequence[tuple[Path, RobotComparison]]", scenario: Path, kind: str) -> None:
+def _print(
+    found: "Sequence[tuple[Path, tl.compare.RobotComparison]]", scenario: Path, kind: str
+) -> None:
     if kind == "json":
         seeds = found[0][1].seeds
         runs = [_build_robot(file, one) for file, one in found]
-        print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
+        console.print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
         return
     robots = [one for _, one in found]
     if kind == "txt":
-        print_text(format_robots(robots, [str(file) for file, _ in found], str(scenario)))
+        console.print_text(format_robots(robots, [str(file) for file, _ in found], str(scenario)))
     else:
-        print_tables([tl.compare.tabulate_robots(robots)], kind)
+        console.print_tables([tl.compare.tabulate_robots(robots)], kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -325,8 +310,8 @@ class _RobotRun:
     signals: tuple[()] = ()
     metrics: tuple[()] = ()
     errors: list[_BandAnswer]
-    noise: "tuple[NoiseLevel, ...]"
-    clock: "Clock | None"
+    noise: "tuple[tl.compare.NoiseLevel, ...]"
+    clock: "tl.run.Clock | None"
     notes: tuple[str, ...]
 
 
@@ -340,14 +325,14 @@ class _RobotAnswer:
     runs: list[_RobotRun]
 
 
-def _build_robot(file: Path, found: "RobotComparison") -> _RobotRun:
+def _build_robot(file: Path, found: "tl.compare.RobotComparison") -> _RobotRun:
     time_ns = found.recorded.time_ns
     return _RobotRun(
         file=str(file),
         name=found.name,
         overlap_s=int(time_ns[-1] - time_ns[0]) / 1e9,
         errors=[
-            copy_fields(
+            console.copy_fields(
                 _BandAnswer,
                 band,
                 unit="m" if band.quantity == "position" else "rad",
@@ -361,10 +346,10 @@ def _build_robot(file: Path, found: "RobotComparison") -> _RobotRun:
     )
 
 
-def _draw(found: "RobotComparison", plot: Path | None, rrd: Path | None) -> None:
+def _draw(found: "tl.compare.RobotComparison", plot: Path | None, rrd: Path | None) -> None:
     if plot is not None:
         tl.draw.write_prediction_figure(found, plot)
-        print_note(f"wrote {plot}")
+        console.print_note(f"wrote {plot}")
     if rrd is not None:
         tl.draw.write_prediction_rrd(found, rrd)
-        print_note(f"wrote {rrd}")
+        console.print_note(f"wrote {rrd}")

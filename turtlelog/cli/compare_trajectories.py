@@ -11,18 +11,7 @@ import numpy as np
 from cyclopts import Group, Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    fill_lines,
-    find_width,
-    fit_table,
-    print_error,
-    print_json,
-    print_note,
-    print_tables,
-    print_text,
-)
+from turtlelog.cli import console
 from turtlelog.cli.options import Place, ReadingOptions, require_pictures
 from turtlelog.cli.work import show_progress
 from turtlelog.display import LATEST_S, describe_count, format_short, join_words
@@ -31,7 +20,6 @@ from turtlelog.errors import CompareError, TurtlelogError, UsageError
 if TYPE_CHECKING:
     from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import ErrorStatistics, Table, TrajectoryComparison, TrajectorySettings
-    from turtlelog.log import ReadChoice
     from turtlelog.run import Trajectory
 
 
@@ -160,20 +148,20 @@ def compare_with_trajectory(
                 estimate = _read(file, choice, options)
                 found.append((file, tl.compare.compare_trajectories(true, estimate, settings)))
         except TurtlelogError as err:
-            print_error(str(err))
+            console.print_error(str(err))
     if found:
         _print(found, reference, options, kind)
         if plot is not None:
             tl.draw.write_trajectory_figure(found[0][1], plot)
-            print_note(f"wrote {plot}")
-    return EXIT_FINE if len(found) == len(files) else EXIT_BAD_INPUT
+            console.print_note(f"wrote {plot}")
+    return console.EXIT_FINE if len(found) == len(files) else console.EXIT_BAD_INPUT
 
 
-def _read(file: Path, choice: "ReadChoice", options: TrajectoryOptions) -> "Trajectory":
+def _read(file: Path, choice: "tl.log.ReadChoice", options: TrajectoryOptions) -> "Trajectory":
     """Return the trajectory in a file, named as typed, and print the chosen topics."""
     found = tl.log.read_trajectory(file, choice, times=options.times)
     if "chosen" in found.notes:
-        print_note(f"{file}: {found.notes['chosen']}")
+        console.print_note(f"{file}: {found.notes['chosen']}")
     return replace(found, name=str(file))
 
 
@@ -185,23 +173,23 @@ def _print(
 ) -> None:
     if kind == "json":
         runs = [_build_answer(file, one) for file, one in found]
-        print_json(TrajectoriesAnswer(reference=str(reference), runs=runs))
+        console.print_json(TrajectoriesAnswer(reference=str(reference), runs=runs))
         return
     table = tl.compare.tabulate_trajectories([one for _, one in found])
     if kind != "txt":
-        print_tables([table], kind)
+        console.print_tables([table], kind)
         return
     heads = [line for _, one in found for line in _describe(one)]
     told = [line for _, one in found for line in _describe_basis(one, options)]
     file = shlex.quote(str(found[0][0]))
     hint = f"turtlelog compare {file} --reference {shlex.quote(str(reference))} --ate --plot FILE"
-    print_text(
+    console.print_text(
         "\n".join(
             [
-                fill_lines(heads, indent=2),
+                console.fill_lines(heads, indent=2),
                 "",
-                fit_table(_shorten(table, find_width())),
-                fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
+                console.fit_table(_shorten(table, console.find_width())),
+                console.fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
             ]
         )
     )

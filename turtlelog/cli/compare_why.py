@@ -10,18 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    EXIT_FINE,
-    align_rows,
-    build_table,
-    fill_lines,
-    print_errors,
-    print_json,
-    print_note,
-    print_tables,
-    print_text,
-    quote_file,
-)
+from turtlelog.cli import console
 from turtlelog.cli.options import ReadingOptions, list_files, read_chosen_run, require_pictures
 from turtlelog.cli.work import count_jobs, require_jobs, show_progress, watch_summaries
 from turtlelog.display import describe_count, join_words, split_numbers
@@ -30,10 +19,7 @@ from turtlelog.escapes import escape_controls
 from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
-    from turtlelog import Run
     from turtlelog.cli.compare import ReferenceOptions
-    from turtlelog.compare import Table
-    from turtlelog.explain import Change, ExplainedDifference
 
 _LONGEST: Final = 40
 """Longest list of settings in a line [characters]; JSON and CSV contain all."""
@@ -91,7 +77,7 @@ class WhyAnswer:
     first: str | None
     second: str | None
     condition: str | None
-    explanation: "ExplainedDifference | None"
+    explanation: "tl.explain.ExplainedDifference | None"
 
 
 def split_metric(against: WhyOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
@@ -118,7 +104,7 @@ def compare_why(
     metric, files = split_metric(against, files)
     require_pictures(plot, None, files, drawn=(), of="")
     topics = topics or ReadingOptions()
-    code, told = EXIT_FINE, list[str]()
+    code, told = console.EXIT_FINE, list[str]()
     if against.first is None:
         if len(files) != 2:
             raise UsageError(
@@ -145,14 +131,14 @@ def compare_why(
         )
     if kind == "json":
         files_of = {"first": str(pair[0]), "second": str(pair[1])}
-        print_json(WhyAnswer(**files_of, condition=against.first, explanation=found))
+        console.print_json(WhyAnswer(**files_of, condition=against.first, explanation=found))
     elif kind == "txt":
-        print_text(format_why(found, pair, lead=told))
+        console.print_text(format_why(found, pair, lead=told))
     else:
-        print_tables([tabulate_why(found)], kind)
+        console.print_tables([tabulate_why(found)], kind)
     if plot is not None:
         tl.draw.write_difference_figure(found, plot)
-        print_note(f"wrote {plot}")
+        console.print_note(f"wrote {plot}")
     return code
 
 
@@ -170,10 +156,10 @@ def _find_pair(
         jobs=count_jobs(jobs, paths),
     )
     summaries = [*watch_summaries(found, len(paths), errors)]
-    code = print_errors(errors)
+    code = console.print_errors(errors)
     met, notes = tl.compare.select_runs(summaries, condition, source="--first")
     for note in notes:
-        print_note(note)
+        console.print_note(note)
     row = summaries.index(met[0]) if met else 0
     if row:
         first, second = Path(summaries[row - 1].file), Path(summaries[row].file)
@@ -187,7 +173,7 @@ def _find_pair(
         return ((first, second), told), code
     if kind == "json":
         bad = summaries[0].file if met else None
-        print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
+        console.print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
     elif summaries:
         name, readable = Path(summaries[0].file).name, " that can be read" if errors else ""
         text = f"None of {len(summaries)} recordings{readable} meets {condition}."
@@ -195,7 +181,7 @@ def _find_pair(
             text = f"{name} meets {condition}, and no recording{readable} comes before it."
         elif len(summaries) == 1:
             text = f"{name} does not meet {condition}."
-        print_text(fill_lines([text]))
+        console.print_text(console.fill_lines([text]))
     return None, code
 
 
@@ -203,12 +189,12 @@ _MOST_NAMED: Final = 3
 """Largest number of unreadable recordings that a sentence names; stderr has a line for each."""
 
 
-def _take_needed(needed: tuple[str, ...], _: "Run") -> tuple[str, ...]:
+def _take_needed(needed: tuple[str, ...], _: "tl.Run") -> tuple[str, ...]:
     return needed
 
 
 def format_why(
-    found: "ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
+    found: "tl.explain.ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
 ) -> str:
     """Return the causes of a difference: the answer, a line for each change, and its conditions."""
     head, *rest = found.sentences
@@ -219,13 +205,13 @@ def format_why(
             undone = f"without: {tl.explain.format_magnitude(found, one.undone)}"
         settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
         rows.append((one.name, size, settings, undone))
-    table = ["", *align_rows(rows), ""] if rows else []
-    following = f"turtlelog compare --reference {' '.join(map(quote_file, files))}"
-    ends = fill_lines([*rest, f"Signal by signal: {following}"])
-    return "\n".join([fill_lines([head, *lead]), *table, ends])
+    table = ["", *console.align_rows(rows), ""] if rows else []
+    following = f"turtlelog compare --reference {' '.join(map(console.quote_file, files))}"
+    ends = console.fill_lines([*rest, f"Signal by signal: {following}"])
+    return "\n".join([console.fill_lines([head, *lead]), *table, ends])
 
 
-def _list_settings(one: "Change") -> Iterator[str]:
+def _list_settings(one: "tl.explain.Change") -> Iterator[str]:
     """Yield the settings of a change. Settings with equal pairs of values share an entry."""
     pairs: dict[tuple[str, str], list[str]] = {}
     for key, before, after in zip(one.keys, one.first, one.second, strict=True):
@@ -245,7 +231,7 @@ def _show(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
 
 
-def tabulate_why(found: "ExplainedDifference") -> "Table":
+def tabulate_why(found: "tl.explain.ExplainedDifference") -> "tl.compare.Table":
     """Return a row for each change."""
     unit = f" [{found.unit}]" if found.unit else ""
     heads = ("change", f"contribution{unit}", f"s.e.{unit}", f"undone{unit}", "settings")
@@ -253,4 +239,4 @@ def tabulate_why(found: "ExplainedDifference") -> "Table":
     for one in found.contributions:
         settings = "; ".join(_list_settings(one))
         rows.append((one.name, one.contribution, one.standard_error, one.undone, settings))
-    return build_table(found.sentences[0], heads, rows, found.sentences[1:])
+    return console.build_table(found.sentences[0], heads, rows, found.sentences[1:])

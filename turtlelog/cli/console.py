@@ -13,16 +13,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeVar
+from typing import IO, Any, Final, TextIO, TypeVar
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
-
-if TYPE_CHECKING:
-    from turtlelog.compare import Column, Table
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
@@ -118,7 +115,7 @@ def print_lines(lines: Iterable[str]) -> None:
     print_text("\n".join(map(escape_controls, lines)))
 
 
-def print_tables(tables: "Sequence[Table]", kind: str) -> None:
+def print_tables(tables: "Sequence[tl.compare.Table]", kind: str) -> None:
     """Print tables in a format, separated by empty lines."""
     texts = (
         fit_table(table) if kind == "txt" else tl.draw.format_table(table, kind) for table in tables
@@ -245,10 +242,10 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def build_table(
     title: str,
-    heads: "Iterable[str | Column]",
+    heads: "Iterable[str | tl.compare.Column]",
     rows: Iterable[Iterable[Any]],
     notes: Iterable[str] = (),
-) -> "Table":
+) -> "tl.compare.Table":
     """Return a table. A head may end in a unit: `duration [s]`."""
     columns = []
     for head in heads:
@@ -261,12 +258,12 @@ def build_table(
     )
 
 
-def fit_table(table: "Table") -> str:
+def fit_table(table: "tl.compare.Table") -> str:
     """Return a table that fits a line."""
     return tl.draw.format_table(table, width=find_width())
 
 
-def fit_body(table: "Table") -> str:
+def fit_body(table: "tl.compare.Table") -> str:
     """Return a table that fits a line, below an empty line in place of its title."""
     return "\n" + fit_table(replace(table, title="")).strip("\n")
 
@@ -276,7 +273,7 @@ _MOST_ROWS: Final = 20
 run."""
 
 
-def cut_rows(table: "Table") -> "Table":
+def cut_rows(table: "tl.compare.Table") -> "tl.compare.Table":
     """Return the first rows of a table of runs, with the number of the other rows."""
     more = len(table.rows) - _MOST_ROWS
     if more <= 0:

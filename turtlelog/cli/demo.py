@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    fill_lines,
-    find_command_name,
-    find_width,
-    print_note,
-    print_text,
-    write_text,
-)
+from turtlelog.cli import console
 from turtlelog.cli.options import Place
 from turtlelog.display import format_short
 from turtlelog.errors import UsageError
@@ -22,8 +15,6 @@ from turtlelog.libraries import load_library
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from turtlelog import Run
 
 
 def demo(
@@ -43,22 +34,22 @@ def demo(
         raise UsageError(f"{output}: cannot be a folder: {err.strerror}") from err
     runs = [_record(name, output) for name in tl.scenario.PAPER_RUNS]
     tl.write_comparison_rrd(runs, output / "comparison.rrd")
-    print_note(f"wrote {output / 'comparison.rrd'}")
+    console.print_note(f"wrote {output / 'comparison.rrd'}")
     table1 = tl.compare.tabulate_table1(runs, beside_paper=True)
     for kind in tl.draw.TABLE_FORMATS:
-        write_text(output / f"table1.{kind}", tl.draw.format_table(table1, kind))
-    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
-    print_note("")
+        console.write_text(output / f"table1.{kind}", tl.draw.format_table(table1, kind))
+    console.print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
+    console.print_note("")
     tables = [
-        tl.draw.format_table(replace(table, notes=()), width=find_width())
-        + fill_lines([*table.notes, ""])
+        tl.draw.format_table(replace(table, notes=()), width=console.find_width())
+        + console.fill_lines([*table.notes, ""])
         for table in (table1, tl.compare.tabulate_whole_runs(runs))
     ]
-    answer = fill_lines([_write_answer(runs, output)])
-    print_text("\n".join([f"{answer}\n", *tables, _tell_next(output)]))
+    answer = console.fill_lines([_write_answer(runs, output)])
+    console.print_text("\n".join([f"{answer}\n", *tables, _tell_next(output)]))
 
 
-def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
+def _write_answer(runs: "Sequence[tl.Run]", folder: Path) -> str:
     """Return the distances from the goal of the nearest and the furthest run."""
     name = "final.position_error"
     errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
@@ -69,19 +60,19 @@ def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
     )
 
 
-def _record(name: str, folder: Path) -> "Run":
+def _record(name: str, folder: Path) -> "tl.Run":
     """Simulate, record, read back and show a preset. Only the file's contents are measured."""
     stem = name.removeprefix("paper-")
     recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
     tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)
     run = tl.read_recording(recording)
     tl.write_run_rrd(run, rrd)
-    print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
+    console.print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
     return run
 
 
 def _tell_next(folder: Path) -> str:
-    command = find_command_name()
+    command = console.find_command_name()
     comparison, run, recording = (folder / n for n in ("comparison.rrd", "kp10.rrd", "kp10.mcap"))
     return (
         f"See the four runs:   {command} view {comparison}\n"

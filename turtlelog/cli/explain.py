@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import options
 from turtlelog.cli.console import copy_fields, print_json, print_note, print_text, write_text
 from turtlelog.cli.explain_answer import (
     NEEDS,
@@ -18,29 +19,9 @@ from turtlelog.cli.explain_answer import (
     format_motion,
 )
 from turtlelog.cli.list_names import complete_causes, complete_metrics
-from turtlelog.cli.options import (
-    File,
-    Json,
-    Place,
-    ReadingOptions,
-    name_as_typed,
-    read_runs,
-    require_new_target,
-    require_there,
-    split_names,
-)
 from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
 from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.errors import ExplainError
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.explain import (
-        Attribution,
-        Identification,
-        MotionFacts,
-        Periods,
-    )
 
 _GIVEN: Final = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
 _DETAILS: Final = "Every cause, setting and its evidence: --details"
@@ -61,21 +42,21 @@ class ExplainOptions:
     """
 
     details: bool = False
-    scenario: Place | None = None
-    rrd: Place | None = None
+    scenario: options.Place | None = None
+    rrd: options.Place | None = None
     trust_law: bool = False
     jobs: Jobs = None
 
 
 def explain(
-    file: File,
+    file: options.File,
     /,
     *,
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
     causes: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_causes)] = None,
     chosen: ExplainOptions | None = None,
-    topics: ReadingOptions | None = None,
-    json: Json = False,
+    topics: options.ReadingOptions | None = None,
+    json: options.Json = False,
 ) -> None:
     """Explain a metric of a run: which effect of the implementation contributes how much.
 
@@ -111,14 +92,14 @@ def explain(
             the metric most.
         json: Print one JSON object.
     """
-    require_there([file])
+    options.require_there([file])
     chosen = chosen or ExplainOptions()
-    require_new_target(chosen.scenario, [file], suffix=".toml")
-    require_new_target(chosen.rrd, [file], suffix=".rrd")
-    names = None if causes is None else split_names(causes, "--causes")
-    (run,) = read_runs([file], topics)
+    options.require_new_target(chosen.scenario, [file], suffix=".toml")
+    options.require_new_target(chosen.rrd, [file], suffix=".rrd")
+    names = None if causes is None else options.split_names(causes, "--causes")
+    (run,) = options.read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
-    with name_as_typed(file, run):
+    with options.name_as_typed(file, run):
         tl.explain.require_causes(run, metric, names)
         tl.explain.require_trust(run, trust_law=chosen.trust_law)
         found = tl.identify_run(run, trust_law=chosen.trust_law)
@@ -168,9 +149,9 @@ def explain(
 
 
 def _draw(
-    run: "Run",
-    found: "Identification",
-    attribution: "Attribution | None",
+    run: "tl.Run",
+    found: "tl.explain.Identification",
+    attribution: "tl.explain.Attribution | None",
     path: Path,
     jobs: int | None,
 ) -> None:
@@ -276,10 +257,10 @@ class MotionAnswer:
     needs: str
 
 
-def build_motion(file: Path, run: "Run", found: "MotionFacts") -> MotionAnswer:
+def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> MotionAnswer:
     """Return the facts as an answer."""
 
-    def build_rate(rows: int, periods: "Periods | None") -> RateAnswer:
+    def build_rate(rows: int, periods: "tl.explain.Periods | None") -> RateAnswer:
         if periods is None:
             return RateAnswer(rows=rows)
         return RateAnswer(
@@ -381,7 +362,7 @@ class ExplainAnswer:
     identified: tuple[FindingAnswer, ...]
     resimulation: Mapping[str, Any] | None
     tried: Mapping[str, tuple[Any, ...]]
-    attribution: "Attribution | None"
+    attribution: "tl.explain.Attribution | None"
     in_words: Mapping[str, str]
     notes: tuple[str, ...]
     motion: MotionAnswer | None

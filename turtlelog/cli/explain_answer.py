@@ -14,10 +14,8 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import Run
     from turtlelog.cli.explain import ExplainAnswer
     from turtlelog.explain import Attribution, Finding, Identification, MotionFacts, Periods
-    from turtlelog.explain.scenario_from_log import Resimulation
 
 
 _ROWS: Final = (
@@ -146,7 +144,7 @@ def _write_confidence(found: "Identification", attribution: "Attribution") -> st
     return f"Confidence: {confidence}. {_write_differences(again)}"
 
 
-def _write_differences(again: "Resimulation") -> str:
+def _write_differences(again: "tl.explain.Resimulation") -> str:
     error = again.max_abs_error
     return (
         f"Largest differences of the re-simulation, in {again.samples} samples: x {error.x_m:.3g}"
@@ -275,7 +273,7 @@ _SILENCE: Final = 1.5
 """Silence, in usual periods, from which a silence is shown; one period may vary by half."""
 
 
-def format_motion(file: Path, run: "Run", found: "MotionFacts") -> str:
+def format_motion(file: Path, run: "tl.Run", found: "MotionFacts") -> str:
     """Return that no cause is known, and the facts as sentences."""
     topics = [run.notes.get(f"{kind}_topic", "") for kind in ("pose", "command")]
     where = join_words([escape_controls(topic) for topic in topics if topic])
@@ -305,7 +303,7 @@ def format_motion(file: Path, run: "Run", found: "MotionFacts") -> str:
     return fill_lines([*sentences, "", NEEDS])
 
 
-def _tell_rate(run: "Run", noun: str, rows: int, periods: "Periods | None") -> str:
+def _tell_rate(run: "tl.Run", noun: str, rows: int, periods: "Periods | None") -> str:
     if periods is None:
         return f"{describe_count(rows, noun)}." if rows else f"No {noun}s."
     usual, low, high = (
@@ -321,7 +319,7 @@ def _tell_rate(run: "Run", noun: str, rows: int, periods: "Periods | None") -> s
     return f"{text}."
 
 
-def _tell_plant(run: "Run", found: "MotionFacts") -> list[str]:
+def _tell_plant(run: "tl.Run", found: "MotionFacts") -> list[str]:
     replay, delays = found.replay, found.delays
     if found.refused:
         return [f"Turtlesim's plant was not driven. {found.refused}."]

@@ -5,43 +5,14 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    build_table,
-    copy_fields,
-    fill_lines,
-    fit_body,
-    name_explain,
-    print_json,
-    print_note,
-    print_text,
-    quote_file,
-    read_law,
-    write_text,
-)
-from turtlelog.cli.options import (
-    Files,
-    Json,
-    Place,
-    TopicOptions,
-    read_runs,
-    require_new_target,
-    require_pictures,
-    require_there,
-)
+from turtlelog.cli import console, options
 from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
-
-if TYPE_CHECKING:
-    from turtlelog import RobotModel
-    from turtlelog.identify import AxisModel, Estimate, RobotScenario, TickDelays
-    from turtlelog.run import Clock
 
 
 @Parameter(name="*")
@@ -56,19 +27,19 @@ class WrittenOptions:
             `theory` recommends gains for.
     """
 
-    plot: Place | None = None
-    rrd: Place | None = None
-    scenario: Place | None = None
+    plot: options.Place | None = None
+    rrd: options.Place | None = None
+    scenario: options.Place | None = None
 
 
 def identify(
-    files: Files,
+    files: options.Files,
     /,
     *,
     written: WrittenOptions | None = None,
     details: bool = False,
-    topics: TopicOptions | None = None,
-    json: Json = False,
+    topics: options.TopicOptions | None = None,
+    json: options.Json = False,
 ) -> int:
     """Identify how a robot follows its commands: gain, dead time, time constant of each axis.
 
@@ -105,28 +76,28 @@ def identify(
     """
     written = written or WrittenOptions()
     plot, rrd, scenario = written.plot, written.rrd, written.scenario
-    require_pictures(plot, rrd, files, drawn=files, of="file")
-    require_new_target(scenario, files, suffix=".toml")
-    require_there(files)
-    runs = read_runs(files, topics)
+    options.require_pictures(plot, rrd, files, drawn=files, of="file")
+    options.require_new_target(scenario, files, suffix=".toml")
+    options.require_there(files)
+    runs = options.read_runs(files, topics)
     model = tl.identify_robot(runs)
     robot = None if scenario is None else tl.identify.build_robot_scenario(model, runs)
     if json:
-        print_json(build_identify_answer(files, model, scenario, robot))
+        console.print_json(build_identify_answer(files, model, scenario, robot))
     else:
-        print_text(
+        console.print_text(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
         )
     if scenario is not None and robot is not None:
-        write_text(scenario, robot.text)
-        print_note(f"wrote {scenario}")
+        console.write_text(scenario, robot.text)
+        console.print_note(f"wrote {scenario}")
     if plot is not None:
         tl.draw.write_robot_figure(model, runs[0], plot)
-        print_note(f"wrote {plot}")
+        console.print_note(f"wrote {plot}")
     if rrd is not None:
         tl.draw.write_robot_rrd(model, runs[0], rrd)
-        print_note(f"wrote {rrd}")
-    return EXIT_FINE if any(axis.is_known for axis in model.axes) else EXIT_FAILED
+        console.print_note(f"wrote {rrd}")
+    return console.EXIT_FINE if any(axis.is_known for axis in model.axes) else console.EXIT_FAILED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,9 +169,9 @@ class IdentifyAnswer:
     """A robot's dynamics."""
 
     files: list[str]
-    clock: "Clock | None"
+    clock: "tl.run.Clock | None"
     axes: list[AxisAnswer]
-    tick_delays: "TickDelays | None"
+    tick_delays: "tl.identify.TickDelays | None"
     events: list[EventAnswer]
     notes: tuple[str, ...]
     scenario: ScenarioAnswer | None
@@ -208,9 +179,9 @@ class IdentifyAnswer:
 
 def build_identify_answer(
     files: Sequence[Path],
-    model: "RobotModel",
+    model: "tl.RobotModel",
     scenario: Path | None = None,
-    robot: "RobotScenario | None" = None,
+    robot: "tl.identify.RobotScenario | None" = None,
 ) -> IdentifyAnswer:
     """Return the answer as data."""
     written = None
@@ -221,7 +192,7 @@ def build_identify_answer(
         clock=model.clock,
         axes=[_build_axis(axis) for axis in model.axes],
         tick_delays=model.tick_delays,
-        events=[copy_fields(EventAnswer, event) for event in model.events],
+        events=[console.copy_fields(EventAnswer, event) for event in model.events],
         notes=model.notes,
         scenario=written,
     )
@@ -231,17 +202,15 @@ _MAY_BE_EMPTY: Final = ("reason", "advice", "limit_acts", "bound_acts", "correla
 """Texts of an axis that are null in the answer if they are empty."""
 
 
-def _build_axis(axis: "AxisModel") -> AxisAnswer:
-    from turtlelog.identify import Estimate
-
+def _build_axis(axis: "tl.identify.AxisModel") -> AxisAnswer:
     texts = {name: getattr(axis, name) or None for name in _MAY_BE_EMPTY}
     found = {one.name: getattr(axis, one.name) for one in fields(axis)}
     intervals = {
-        name: copy_fields(Interval, value)
+        name: console.copy_fields(Interval, value)
         for name, value in found.items()
-        if isinstance(value, Estimate)
+        if isinstance(value, tl.identify.Estimate)
     }
-    return copy_fields(AxisAnswer, axis, **texts, **intervals)
+    return console.copy_fields(AxisAnswer, axis, **texts, **intervals)
 
 
 _DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}
@@ -266,10 +235,10 @@ _NEAR: Final = 0.05
 
 
 def format_robot(
-    model: "RobotModel",
+    model: "tl.RobotModel",
     files: Sequence[Path],
     *,
-    robot: "RobotScenario | None" = None,
+    robot: "tl.identify.RobotScenario | None" = None,
     scenario: Path | None = None,
     shows_details: bool = False,
 ) -> str:
@@ -278,27 +247,30 @@ def format_robot(
     who = f"{len(files)} runs of one robot"
     if len(files) == 1:
         who = tl.compare.label_file(files[0])
-    parts = [fill_lines(tl.identify.write_robot_headline(model.axes, who))]
+    parts = [console.fill_lines(tl.identify.write_robot_headline(model.axes, who))]
     if known:
         brackets = model.brackets
         if any(axis.doubts for axis in known):
             brackets += ", wider for the doubts below"
         heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
-        table = build_table("", heads, map(tl.identify.list_model_values, known))
+        table = console.build_table("", heads, map(tl.identify.list_model_values, known))
         told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
-        parts += [f"{fit_body(table)}\n{fill_lines([' '.join(told)])}\n"]
-        parts += [fill_lines([f"The robot {join_words([*map(describe_gain, known)])}."])]
+        parts += [f"{console.fit_body(table)}\n{console.fill_lines([' '.join(told)])}\n"]
+        parts += [console.fill_lines([f"The robot {join_words([*map(describe_gain, known)])}."])]
     trust = [*_list_trust(model), *_list_axes(model, shows_details=shows_details)]
-    parts += [fill_lines(trust, indent=2)] if trust else []
+    parts += [console.fill_lines(trust, indent=2)] if trust else []
     parts += _list_nav2(known)
     if robot is not None:
-        told = f"Comments in {scenario} give the source of each number."
-        notes = fill_lines([f"- {note}" for note in robot.notes], indent=2)
-        parts += ["", f"The scenario {scenario}:\n{notes}" if shows_details else fill_lines([told])]
+        source = f"Comments in {scenario} give the source of each number."
+        notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
+        parts += [
+            "",
+            f"The scenario {scenario}:\n{notes}" if shows_details else console.fill_lines([source]),
+        ]
     return "\n".join([*parts, "", *_list_next(model, files, scenario, shows_details=shows_details)])
 
 
-def describe_gain(axis: "AxisModel") -> str:
+def describe_gain(axis: "tl.identify.AxisModel") -> str:
     """Return the steady-state response of an axis, with the digits that its interval allows.
 
     An axis with a bound follows its commands up to that rate.
@@ -315,7 +287,7 @@ def describe_gain(axis: "AxisModel") -> str:
     return does.format(f"{percent} of the commanded") + bound
 
 
-def _list_trust(model: "RobotModel") -> Iterator[str]:
+def _list_trust(model: "tl.RobotModel") -> Iterator[str]:
     """Yield sentences on the reliability of the values, and on further facts of the motion."""
     for axis in model.axes:
         yield from _describe_axis(axis)
@@ -341,7 +313,7 @@ def _list_trust(model: "RobotModel") -> Iterator[str]:
         )
 
 
-def _describe_axis(axis: "AxisModel") -> Iterator[str]:
+def _describe_axis(axis: "tl.identify.AxisModel") -> Iterator[str]:
     if not axis.is_known or axis.explained is None:
         return
     name = tl.identify.NAMES[axis.axis].capitalize()
@@ -361,7 +333,7 @@ def _describe_axis(axis: "AxisModel") -> Iterator[str]:
         yield f"{name}: commands below 0 have a gain of {gain}."
 
 
-def _describe_fit(axis: "AxisModel", explained: float) -> Iterator[str]:
+def _describe_fit(axis: "tl.identify.AxisModel", explained: float) -> Iterator[str]:
     """Yield how much of the motion the model explains, and whether it separates its delays."""
     name = tl.identify.NAMES[axis.axis].capitalize()
     little = curve = ""
@@ -382,7 +354,7 @@ def _describe_fit(axis: "AxisModel", explained: float) -> Iterator[str]:
         )
 
 
-def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
+def _describe_acceleration(axis: "tl.identify.AxisModel") -> Iterator[str]:
     """Yield the limits of how fast the rate changes, in sentences."""
     name = tl.identify.NAMES[axis.axis].capitalize()
     other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
@@ -400,7 +372,9 @@ def _describe_acceleration(axis: "AxisModel") -> Iterator[str]:
         )
 
 
-def _describe_wheels(axis: "AxisModel", beside: "Estimate") -> Iterator[str]:
+def _describe_wheels(
+    axis: "tl.identify.AxisModel", beside: "tl.identify.Estimate"
+) -> Iterator[str]:
     """Yield the limit of the wheels, which both axes share, in sentences."""
     name = tl.identify.NAMES[axis.axis]
     other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
@@ -425,11 +399,11 @@ def _describe_wheels(axis: "AxisModel", beside: "Estimate") -> Iterator[str]:
     )
 
 
-def _show_limit(found: "Estimate") -> str:
+def _show_limit(found: "tl.identify.Estimate") -> str:
     return f"{found.value:.3g} {found.unit} ({found.low:.3g} to {found.high:.3g})"
 
 
-def _describe_second_order(axis: "AxisModel") -> Iterator[str]:
+def _describe_second_order(axis: "tl.identify.AxisModel") -> Iterator[str]:
     """Yield text on a second order: two time constants, or an oscillation if that is certain."""
     product, lag, name = axis.lag_product_s2, axis.lag_s, tl.identify.NAMES[axis.axis].capitalize()
     if product is None or lag is None:
@@ -448,7 +422,7 @@ def _describe_second_order(axis: "AxisModel") -> Iterator[str]:
         )
 
 
-def _list_axes(model: "RobotModel", *, shows_details: bool) -> Iterator[str]:
+def _list_axes(model: "tl.RobotModel", *, shows_details: bool) -> Iterator[str]:
     """Yield why axes are not identified, with test drives; then second estimates of delays."""
     for axis in model.axes:
         if not axis.is_known:
@@ -466,7 +440,7 @@ def _list_axes(model: "RobotModel", *, shows_details: bool) -> Iterator[str]:
             yield f"{name}: commands and motion correlate best at a delay of {low} to {high} ms."
 
 
-def _list_events(model: "RobotModel") -> list[str]:
+def _list_events(model: "tl.RobotModel") -> list[str]:
     """Return the outliers one by one; many of one axis are in one sentence."""
     said, often = [], []
     for axis in model.axes:
@@ -486,7 +460,7 @@ def _list_events(model: "RobotModel") -> list[str]:
     return said
 
 
-def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
+def _list_nav2(known: "Sequence[tl.identify.AxisModel]") -> list[str]:
     """Return parameters for Nav2, whose model is a pure delay that includes the time constant."""
     lines = [
         f"  {_NAV2[axis.axis]}: {axis.advised_delay_s:.3f}"
@@ -500,17 +474,17 @@ def _list_nav2(known: "Sequence[AxisModel]") -> list[str]:
 
 
 def _list_next(
-    model: "RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
+    model: "tl.RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
 ) -> Iterator[str]:
     """Yield the next commands to type."""
     words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
     if scenario is not None:
-        target = quote_file(scenario)
+        target = console.quote_file(scenario)
         yield f"Next: turtlelog theory {target}"
         yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {name_explain(files[0], read_law(files[0]))}"
+        yield f"Why? {console.name_explain(files[0], console.read_law(files[0]))}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis

@@ -7,21 +7,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    build_table,
-    copy_fields,
-    fill_lines,
-    fit_table,
-    name_explain,
-    print_errors,
-    print_json,
-    print_text,
-)
+from turtlelog.cli import console
 from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
 from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
 from turtlelog.cli.work import Jobs, count_jobs, watch_files
@@ -29,9 +20,6 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
 from turtlelog.escapes import escape_controls
 from turtlelog.processes import map_in_processes
-
-if TYPE_CHECKING:
-    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 _FILE_S: Final = 2e-3
 """Time to open a file and describe its contents, in addition to the time for its bytes [s]."""
@@ -125,7 +113,7 @@ class InfoAnswer:
     run_duration_s: float | None
     scenario: Mapping[str, Any] | None
     parameters: Mapping[str, Any]
-    topics: "tuple[TopicInfo, ...]"
+    topics: "tuple[tl.log.TopicInfo, ...]"
     simulated_by: Mapping[str, str]
     absent: tuple[str, ...]
     missing: tuple[str, ...]
@@ -174,11 +162,11 @@ def info(
     read = list(watch_files(map_in_processes(describe, files, count), len(files)))
     errors = [one for one in read if isinstance(one, TurtlelogError)]
     found = [one for one in read if not isinstance(one, TurtlelogError)]
-    code = print_errors(errors)
+    code = console.print_errors(errors)
     if json:
-        print_json(found)
+        console.print_json(found)
     elif found:
-        print_text(_format(found, asked))
+        console.print_text(_format(found, asked))
     return code
 
 
@@ -189,7 +177,9 @@ def _format(found: "list[InfoAnswer]", asked: InfoOptions) -> str:
     return "\n\n".join(_format_answer(one, asked, is_alone=is_alone) for one in found)
 
 
-def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | TurtlelogError":
+def _read(
+    path: Path, *, choice: "tl.log.ReadChoice", is_asked: bool
+) -> "InfoAnswer | TurtlelogError":
     """Return the contents of a file, or its error."""
     try:
         recording = tl.log.read_file_info(path, choice)
@@ -201,7 +191,7 @@ def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | 
         )
     except TurtlelogError as err:
         return release_frames(err)
-    return copy_fields(
+    return console.copy_fields(
         InfoAnswer,
         recording,
         file=str(path),
@@ -224,7 +214,7 @@ def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | 
     )
 
 
-def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
+def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[str, ...]:
     """Return the absent fields. Topics of commands are known only if the run was read."""
     run = summary.run
     more = [] if run is None or run.has_poses else ["poses"]
@@ -253,8 +243,8 @@ def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) ->
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         rows_of_topics = ((topic.topic, topic.type, topic.count) for topic in answer.topics)
-        table = build_table("topics", ("topic", "type", "messages"), rows_of_topics)
-        lines += ["", fit_table(table)]
+        table = console.build_table("topics", ("topic", "type", "messages"), rows_of_topics)
+        lines += ["", console.fit_table(table)]
     if topics and answer.not_understood:
         texts = (escape_controls(f"  {text}") for text in answer.not_understood)
         lines += ["", "not readable", *texts]
@@ -264,7 +254,7 @@ def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) ->
         lines += [escape_controls(f"  {key} = {_shorten(value)}") for key, value in pairs]
     if parameters and answer.simulated_by:
         software = tl.run.describe_software(answer.simulated_by)
-        lines += ["", fill_lines([f"simulated by {escape_controls(software)}"])]
+        lines += ["", console.fill_lines([f"simulated by {escape_controls(software)}"])]
     if is_alone:
         lines += [*_list_next(answer, topics=topics, parameters=parameters)]
     return "\n".join(lines)
@@ -277,10 +267,10 @@ def _format_answers(answers: Sequence[InfoAnswer]) -> str:
     broken = sum(not answer.complete for answer in answers)
     state = f"; {broken} not complete" if broken else ""
     rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
-    table = build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
+    table = console.build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
     head = f"{len(answers)} files: {join_words(counts)}{state}."
     more = "Each in full: turtlelog info FILE, or all of them with --json."
-    return "\n\n".join((fill_lines([head]), fit_table(table).strip("\n"), more))
+    return "\n\n".join((console.fill_lines([head]), console.fit_table(table).strip("\n"), more))
 
 
 def _name_file(answer: InfoAnswer) -> str:
@@ -307,7 +297,7 @@ def _tell_state(answer: InfoAnswer) -> str:
 
 
 def _fill(head: str, text: str) -> str:
-    return fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
+    return console.fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
 
 
 def _write_head(answer: InfoAnswer) -> str:
@@ -431,7 +421,7 @@ def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterato
         yield f"Fix: {recover if has_rows else 'copy the file again from its source'}"
     elif answer.format_version is not None:
         yield f"Next: turtlelog metrics {file}"
-        yield f"      {name_explain(answer.file, answer.parameters.get('law.kind'))}"
+        yield f"      {console.name_explain(answer.file, answer.parameters.get('law.kind'))}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

@@ -11,15 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import draw
-from turtlelog.cli.console import (
-    copy_fields,
-    fill_lines,
-    find_command_name,
-    list_written,
-    print_json,
-    print_note,
-    print_text,
-)
+from turtlelog.cli import console
 from turtlelog.cli.options import PICTURES, require_new_target
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, format_number, join_words
@@ -27,7 +19,6 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog.cli.plot import ViewOptions
-    from turtlelog.draw import Page
     from turtlelog.sweep import (
         Border,
         LoopLimits,
@@ -78,7 +69,7 @@ class PageOptions:
         names: Sequence[str] | None,
         *,
         usual: Literal["column", "page"] = "column",
-    ) -> "Page":
+    ) -> "tl.draw.Page":
         """Return the size, resolution and time range of the figures.
 
         Raises:
@@ -137,15 +128,19 @@ def draw_table(
                 tl.draw.write_map_figure(shown, limits, output, kind=kind, page=page)
     told = build_map_answer(shown, limits, output)
     for note in told.notes:
-        print_note(f"plot: {note}")
+        console.print_note(f"plot: {note}")
     if json:
-        print_json(told)
+        console.print_json(told)
         return
     lines = list_map_lines(shown, limits, told)
     if kind == "tornado":
         lines = [lines[0], *list_sensitivity_lines(shown)]
-    lines = [line if " run --from " in line else fill_lines([line], indent=2) for line in lines]
-    print_text("\n".join([*lines, *list_written([] if output is None else [output])]))
+    lines = [
+        line if " run --from " in line else console.fill_lines([line], indent=2) for line in lines
+    ]
+    console.print_text(
+        "\n".join([*lines, *console.list_written([] if output is None else [output])])
+    )
 
 
 def _require_output(output: Path | None, table: Path, kind: str, where: PageOptions) -> None:
@@ -302,7 +297,9 @@ def build_map_answer(
         failed=results.failed,
         shown=len(view.rows),
         axes=[
-            copy_fields(SweptAxisAnswer, axis, keys=[*axis.keys], values=[*map(list, axis.values)])
+            console.copy_fields(
+                SweptAxisAnswer, axis, keys=[*axis.keys], values=[*map(list, axis.values)]
+            )
             for axis in view.axes
         ],
         held=_name_values(view.held),
@@ -359,7 +356,7 @@ def _describe_metric(
             chance=found.chance,
             explained=found.explained,
             keys=[
-                copy_fields(
+                console.copy_fields(
                     KeySensitivity,
                     one,
                     keys=list(one.axis.keys),
@@ -442,7 +439,7 @@ def _describe_borders(
         return None
     other = _find_other(view, own)
     return [
-        copy_fields(
+        console.copy_fields(
             BorderAnswer,
             border,
             at=_find_values(other, border.place),
@@ -474,7 +471,7 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     ids = [one.id for one in told.metrics]
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
     lines.insert(0, f"{results.path}: {lines.pop(first + 1)}")
-    command, path = find_command_name(), shlex.quote(str(results.path))
+    command, path = console.find_command_name(), shlex.quote(str(results.path))
     for row, names in best.items():
         again = f"{command} run --from {path} --row {row}"
         lines.append(f"best {join_words(names)}: {again}")

@@ -6,49 +6,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    FormatOptions,
-    copy_fields,
-    print_csv,
-    print_error,
-    print_errors,
-    print_json,
-    print_json_list,
-    print_lines,
-)
+from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
-from turtlelog.cli.options import (
-    Files,
-    MetricsAsked,
-    Output,
-    Place,
-    ReadingOptions,
-    find_files,
-    list_files,
-    require_files,
-    require_new_target,
-)
 from turtlelog.cli.usage import Whole
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 
-if TYPE_CHECKING:
-    from turtlelog import Declaration, MeasureSettings
-    from turtlelog.compare import RunSummary
-    from turtlelog.sweep import FoundRecording, TabulatedFiles
-
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasureOptions(MetricsAsked):
+class MeasureOptions(options.MetricsAsked):
     """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
@@ -68,11 +41,11 @@ class MeasureOptions(MetricsAsked):
     band: Annotated[float | None, Parameter(metavar="SHARE")] = None
     initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
-    reference_path: Place | None = None
+    reference_path: options.Place | None = None
     goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
     dead_time: Whole | None = None
 
-    def build_settings(self) -> "MeasureSettings":
+    def build_settings(self) -> "tl.MeasureSettings":
         """Return the options as settings."""
         path = self.reference_path
         asked: dict[str, Any] = {
@@ -132,15 +105,15 @@ class FolderOptions(WorkOptions):
             that have not changed since the table was written are not read again.
     """
 
-    output: Output = None
+    output: options.Output = None
 
-    def find(self, paths: Sequence[Path]) -> "list[FoundRecording]":
+    def find(self, paths: Sequence[Path]) -> "list[tl.sweep.FoundRecording]":
         """Return the given recordings, and those below given folders."""
-        return find_files(self.name_files(paths), self.output)
+        return options.find_files(self.name_files(paths), self.output)
 
     def list_files(self, paths: Sequence[Path]) -> list[Path]:
         """Return the files that are given, or those below folders."""
-        return list_files(self.name_files(paths))
+        return options.list_files(self.name_files(paths))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,14 +128,14 @@ class TableAnswer:
 
 
 def metrics(
-    files: Files,
+    files: options.Files,
     /,
     *,
     measuring: MeasureOptions | None = None,
     all_: Annotated[bool, Parameter(name="--all")] = False,
     folders: FolderOptions | None = None,
-    formats: FormatOptions | None = None,
-    topics: ReadingOptions | None = None,
+    formats: console.FormatOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> int:
     """Measure recordings: where each run ends, and how its loops respond.
 
@@ -183,10 +156,10 @@ def metrics(
             (.json, .csv).
         all_: Show every metric, not only the essential ones.
     """
-    require_files(files)
+    options.require_files(files)
     measuring = measuring or MeasureOptions()
-    choice = replace((topics or ReadingOptions()).build_choice(), allow_no_poses=True)
-    kind = (formats or FormatOptions()).choose()
+    choice = replace((topics or options.ReadingOptions()).build_choice(), allow_no_poses=True)
+    kind = (formats or console.FormatOptions()).choose()
     patterns = measuring.list_patterns()
     folders = folders or FolderOptions()
     if folders.output is not None:
@@ -195,7 +168,7 @@ def metrics(
         plan = tl.sweep.plan_metric_table(measuring.build_settings(), only=patterns, topics=choice)
         found = folders.find(files)
         inputs = [Path(one.path) for one in found]
-        require_new_target(folders.output, inputs, suffix=".parquet")
+        options.require_new_target(folders.output, inputs, suffix=".parquet")
         return _tell(tabulate(found, folders.output, plan, work=folders), kind)
     files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
@@ -213,7 +186,7 @@ def metrics(
         )
         summaries = watch_summaries(summarised, len(files), errors)
         if kind == "json":
-            print_json_list(
+            console.print_json_list(
                 MeasuredFile(
                     file=one.file,
                     name=one.name,
@@ -236,26 +209,28 @@ def metrics(
                 print_essential(held, kind)
             else:
                 print_chosen(held, kind)
-    return print_errors(errors)
+    return console.print_errors(errors)
 
 
-def _tell(done: "TabulatedFiles", kind: str) -> int:
+def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
     """Print the result of a table, and the first unreadable files."""
     if kind == "json":
         unchanged = done.files - done.read
-        print_json(copy_fields(TableAnswer, done, output=str(done.output), unchanged=unchanged))
+        console.print_json(
+            console.copy_fields(TableAnswer, done, output=str(done.output), unchanged=unchanged)
+        )
     else:
-        print_lines([summarise_table(done)])
+        console.print_lines([summarise_table(done)])
     for label, reason in done.errors:
-        print_error(f"{label}: {reason}")
+        console.print_error(f"{label}: {reason}")
     more = done.failed - len(done.errors)
     if more:
-        print_error(f"{more} more cannot be read: see the column error of {done.output}")
-    return EXIT_BAD_INPUT if done.failed else EXIT_FINE
+        console.print_error(f"{more} more cannot be read: see the column error of {done.output}")
+    return console.EXIT_BAD_INPUT if done.failed else console.EXIT_FINE
 
 
 def _refuse_patterns(
-    patterns: Sequence[str] | None, declarations: "Collection[Declaration]"
+    patterns: Sequence[str] | None, declarations: "Collection[tl.Declaration]"
 ) -> None:
     """Refuse patterns that match no metric of any run."""
     if patterns is None or not declarations:
@@ -277,16 +252,16 @@ class _CsvRow(NamedTuple):
 class _CsvRows:
     """CSV rows in the given order, some kB per run; the columns are known after the last run."""
 
-    def __init__(self, summaries: "Iterable[RunSummary]") -> None:
+    def __init__(self, summaries: "Iterable[tl.compare.RunSummary]") -> None:
         """Store the values of runs one by one."""
-        self.declarations: dict[Declaration, None] = {}
+        self.declarations: dict[tl.Declaration, None] = {}
         self._rows: list[_CsvRow] = []
         self._ids: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.units: dict[str, dict[str, bool]] = {}
         for summary in summaries:
             self._add(summary)
 
-    def _add(self, summary: "RunSummary") -> None:
+    def _add(self, summary: "tl.compare.RunSummary") -> None:
         found = summary.metrics
         ids = self._ids.setdefault(tuple(found), tuple(found))
         values = array("d", [0.0 if one.value is None else one.value for one in found.values()])
@@ -305,7 +280,9 @@ class _CsvRows:
         """Print the rows below the names of the columns."""
         chosen = tl.compare.order_ids(self.units)
         heads = [f"{name} [{' or '.join(self._list_units(name))}]" for name in chosen]
-        print_csv(["file", "run", *heads], (self._list_cells(row, chosen) for row in self._rows))
+        console.print_csv(
+            ["file", "run", *heads], (self._list_cells(row, chosen) for row in self._rows)
+        )
 
     def _list_units(self, name: str) -> list[str]:
         """Return the units of metrics with values; without values, the first unit."""

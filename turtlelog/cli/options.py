@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter, Token
 
@@ -19,11 +19,6 @@ from turtlelog.files.text_files import describe_missing
 from turtlelog.files.urls import RemotePath, make_path, parse_size, set_max_download
 from turtlelog.libraries import load_library
 from turtlelog.log.read_choice import parse_wheelbase, parse_wheels
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.log import ReadChoice
-    from turtlelog.sweep import FoundRecording
 
 
 def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
@@ -122,7 +117,7 @@ class TopicOptions:
     partial: Partial = False
     max_download: MaxDownload = None
 
-    def build_choice(self) -> "ReadChoice":
+    def build_choice(self) -> "tl.log.ReadChoice":
         """Return the options as a choice.
 
         Raises:
@@ -151,7 +146,7 @@ class ReadingOptions(TopicOptions):
 
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
 
-    def build_choice(self) -> "ReadChoice":
+    def build_choice(self) -> "tl.log.ReadChoice":
         """Return the options as a choice.
 
         Raises:
@@ -227,7 +222,7 @@ def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Pa
     return files
 
 
-def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecording]":
+def find_files(paths: Sequence[Path], without: Path | None) -> "list[tl.sweep.FoundRecording]":
     """Return the given recordings and those below folders, except a table to be written."""
     with show_progress("looking for recordings"):
         left_out = [] if without is None else [without]
@@ -236,7 +231,7 @@ def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecord
 
 def read_runs(
     paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
-) -> "list[Run]":
+) -> "list[tl.Run]":
     """Return the runs of recordings, bags, other recorders' files and the paper's logs.
 
     With `allow_no_poses`, bags with commands alone are accepted.
@@ -246,7 +241,7 @@ def read_runs(
 
 def iterate_runs(
     paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
-) -> "Iterator[Run]":
+) -> "Iterator[tl.Run]":
     """Yield runs as `read_runs` returns them, one by one, without keeping them."""
     require_files(paths)
     topics = topics or TopicOptions()
@@ -254,7 +249,7 @@ def iterate_runs(
         yield read_chosen_run(path, topics, allow_no_poses=allow_no_poses)
 
 
-def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "Run":
+def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "tl.Run":
     """Return the run in a file, and print the notes on its reading."""
     choice = replace(topics.build_choice(), allow_no_poses=allow_no_poses)
     run = tl.log.read_as_chosen(path, choice)
@@ -263,7 +258,7 @@ def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = 
 
 
 @contextmanager
-def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
+def name_as_typed(file: Path, run: "tl.Run") -> "Iterator[None]":
     """Replace the name of a run in errors by the file as typed."""
     try:
         yield

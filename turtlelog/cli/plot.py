@@ -11,21 +11,10 @@ from cyclopts import Group, Parameter
 
 import turtlelog as tl
 from turtlelog import draw
+from turtlelog.cli import options
 from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.list_names import complete_figures, complete_keys, complete_metrics
 from turtlelog.cli.map import TIMELESS, PageOptions, draw_table
-from turtlelog.cli.options import (
-    PICTURES,
-    Json,
-    MetricsAsked,
-    Place,
-    ReadingOptions,
-    list_files,
-    read_runs,
-    require_new_target,
-    require_there,
-    split_names,
-)
 from turtlelog.cli.view import MovieOptions, film_runs, require_movie
 from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.display import describe_count, join_words
@@ -33,11 +22,9 @@ from turtlelog.errors import ShowError, TurtlelogError, UsageError
 from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
-    from turtlelog import Run
     from turtlelog.draw.figures import FigureKind
 
     Only = Collection[str] | Mapping[str, FigureKind]
-    from turtlelog.draw import Page
 
 
 Kind = Literal["map", "curves", "tornado"]
@@ -111,7 +98,7 @@ _OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AskedOptions(MetricsAsked):
+class AskedOptions(options.MetricsAsked):
     """Content of the figures attribution, gains, luck, strips and violation.
 
     Attributes:
@@ -139,18 +126,19 @@ class AskedOptions(MetricsAsked):
         if self.expect is None and "violation" in names:
             raise UsageError("--only violation: needs --expect FORMULA")
 
-    def bind(self, names: Sequence[str], runs: "Sequence[Run]") -> "Only":
+    def bind(self, names: Sequence[str], runs: "Sequence[tl.Run]") -> "Only":
         """Return figures by name, with the requested content."""
         if not (runs and {*names} <= {*draw.FIGURES}):
             return names
         found = {name: draw.FIGURES[name] for name in names}
         for name, kind in found.items():
             content = {} if kind.find_lack(runs) else _read_content(self, name, runs)
-            found[name] = replace(kind, draw=partial(kind.draw, **content)) if content else kind
+            if content and kind.draw is not None:
+                found[name] = replace(kind, draw=partial(kind.draw, **content))
         return found
 
 
-def _read_content(asked: AskedOptions, name: str, runs: "Sequence[Run]") -> dict[str, Any]:
+def _read_content(asked: AskedOptions, name: str, runs: "Sequence[tl.Run]") -> dict[str, Any]:
     """Return the requested content of a figure, which may take seconds; empty for the usual one."""
     match name:
         case "gains" | "strips":
@@ -180,10 +168,10 @@ def _read_content(asked: AskedOptions, name: str, runs: "Sequence[Run]") -> dict
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
-    files: Annotated[list[Place] | None, Parameter(name="FILE")] = None,
+    files: Annotated[list[options.Place] | None, Parameter(name="FILE")] = None,
     /,
     *,
-    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None,
+    output: Annotated[options.Place | None, Parameter(name=("--output", "-o"))] = None,
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     where: PageOptions | None = None,
@@ -191,9 +179,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     view: ViewOptions | None = None,
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
-    topics: ReadingOptions | None = None,
+    topics: options.ReadingOptions | None = None,
     jobs: Jobs = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Plot recordings as the paper's figures and tables, and the table of a sweep as maps.
 
@@ -242,11 +230,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         json: Print one JSON object instead of lines.
     """
     jobs = require_jobs(jobs)
-    require_there(files or [])
+    options.require_there(files or [])
     movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
     given = {"--only": only, "--format": formats, "--movie": movie.movie}
     table = find_sweep_table(files or [], view, given)
-    files = list_files(files or [])
+    files = options.list_files(files or [])
     if table is not None:
         draw_table(table, output, view, where or PageOptions(), asked.list_patterns(), json=json)
         return
@@ -258,13 +246,13 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         film_runs(runs, movie, timeline=timeline)
         _tell(_build_answer(files, runs, {}, [], (), movie), runs, json=json)
         return
-    names = None if only is None else split_names(only, "--only")
-    is_file = output.suffix.lower() in PICTURES
+    names = None if only is None else options.split_names(only, "--only")
+    is_file = output.suffix.lower() in options.PICTURES
     _require_output(output, names, formats, files)
     kinds = (
         [output.suffix[1:].lower()]
         if is_file
-        else split_names("pdf" if formats is None else formats, "--format")
+        else options.split_names("pdf" if formats is None else formats, "--format")
     )
     page = (where or PageOptions()).build_page(kinds, names)
     asked.require_figures(names or [])
@@ -291,7 +279,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     _tell(answer, runs, json=json)
 
 
-def _tell_whole(names: Iterable[str], page: "Page") -> None:
+def _tell_whole(names: Iterable[str], page: "tl.draw.Page") -> None:
     """Print the names of figures that the page's time window does not cut."""
     whole = [name for name in names if name in TIMELESS]
     if whole and (page.from_s is not None or page.to_s is not None):
@@ -342,7 +330,7 @@ class PlotAnswer:
 
 def _build_answer(
     files: Sequence[Path],
-    runs: "Sequence[Run]",
+    runs: "Sequence[tl.Run]",
     figures: Mapping[Path, str],
     tables: Sequence[Path],
     left_out: Sequence[str],
@@ -366,7 +354,7 @@ def _build_answer(
     )
 
 
-def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
+def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
     """Print how the runs ended, the content of figures, and the written files."""
     if json:
         print_json(answer)
@@ -377,7 +365,7 @@ def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
     print_text("\n".join([fill_lines(said), *list_written(written)]))
 
 
-def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:
+def _describe_shown(answer: PlotAnswer, runs: "Sequence[tl.Run]") -> str:
     """Return one sentence on the content of the figures and their runs."""
     names = tl.compare.name_runs(runs)
     whose = join_words(names) if 0 < len(names) <= _MOST_NAMED else describe_count(len(runs), "run")
@@ -396,7 +384,7 @@ _MOST_NAMED: Final = 4
 """Largest number of runs in the first line."""
 
 
-def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list[Run]":
+def _collect_runs(words: Sequence[Path], topics: options.ReadingOptions | None) -> "list[tl.Run]":
     """Return recordings, and runs of scenarios and presets, in their order."""
     scenarios = {
         word
@@ -405,13 +393,13 @@ def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list
     }
     runs = []
     if words and not scenarios:
-        runs = read_runs(words, topics, allow_no_poses=True)
+        runs = options.read_runs(words, topics, allow_no_poses=True)
     for word in words if scenarios else ():
         if word in scenarios:
             with show_progress("simulating"):
                 runs.append(tl.simulate_run(tl.load_scenario(str(word))))
         else:
-            runs += read_runs([word], topics, allow_no_poses=True)
+            runs += options.read_runs([word], topics, allow_no_poses=True)
     bare = [run.name for run in runs if not len(run.poses)]
     if 0 < len(bare) < len(runs):  # there is no common axis
         raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
@@ -431,14 +419,14 @@ def _require_output(
 ) -> None:
     """Refuse a figure or a folder that cannot be written."""
     suffix = output.suffix.lower()
-    if suffix in PICTURES:
+    if suffix in options.PICTURES:
         if names is not None and len(names) != 1:
             raise UsageError(
                 f"--only: {output} has room for one figure; write several to a folder: -o FOLDER"
             )
         if formats is not None:
             raise UsageError(f"--format: leave it out, the name {output} says it")
-        require_new_target(output, files, suffix=suffix)
+        options.require_new_target(output, files, suffix=suffix)
     elif suffix in _OTHER_PICTURES:
         raise UsageError(
             f"{output}: figures are written as .pdf, .png or .svg, or to a folder, not as"
@@ -452,14 +440,14 @@ def _require_output(
         )
 
 
-def _choose_overview(runs: "Sequence[Run]") -> str:
+def _choose_overview(runs: "Sequence[tl.Run]") -> str:
     found = [name for name in _OVERVIEWS if not tl.draw.FIGURES[name].find_lack(runs)]
     name = [*found, _OVERVIEWS[0]][0]
     print_note(f"plot: the figure {name}; --only chooses another (turtlelog list figures)")
     return name
 
 
-def _draw_one(output: Path, runs: "Sequence[Run]", **settings: Any) -> None:
+def _draw_one(output: Path, runs: "Sequence[tl.Run]", **settings: Any) -> None:
     """Draw a figure into a file. The settings are those of `add_figures`."""
     from turtlelog.draw.figures.writing import add_figures
     from turtlelog.draw.output_files import replace_file
@@ -474,7 +462,7 @@ def _draw_one(output: Path, runs: "Sequence[Run]", **settings: Any) -> None:
 
 
 def _draw_all(
-    output: Path, runs: "Sequence[Run]", only: "Only | None", **settings: Any
+    output: Path, runs: "Sequence[tl.Run]", only: "Only | None", **settings: Any
 ) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
     from turtlelog.draw.figures.writing import add_figures, add_tables

@@ -10,29 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console, options
 from turtlelog.cli.check_answers import build_results, format_results
-from turtlelog.cli.console import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    build_table,
-    fill_lines,
-    fit_table,
-    print_json,
-    print_note,
-    print_verdicts,
-)
-from turtlelog.cli.options import (
-    Json,
-    Output,
-    Place,
-    StepBudgetMs,
-    TopicOptions,
-    choose_step_budget,
-    name_as_typed,
-    read_runs,
-    require_new_target,
-    require_there,
-)
 from turtlelog.cli.replay_answer import (
     CommandReplayAnswer,
     LawReplayAnswer,
@@ -55,15 +34,6 @@ from turtlelog.run.goal_end import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
-    from turtlelog.replay import (
-        CommandReplay,
-        Difference,
-        LawReplay,
-        LoopReplay,
-        PlantReplay,
-        SignalDifference,
-    )
-    from turtlelog.run import SoftwareChange
 
 
 _OF_LAW: Final = ("law", "shaping", "limits", "goal")
@@ -97,18 +67,18 @@ class ReplayOptions:
     tolerance: float | None = None
     expect_equal: bool = False
     trust_law: bool = False
-    step_budget_ms: StepBudgetMs = None
+    step_budget_ms: options.StepBudgetMs = None
 
 
 def replay(
-    file: Annotated[Place | None, Parameter(name="FILE")] = None,
+    file: Annotated[options.Place | None, Parameter(name="FILE")] = None,
     /,
     *,
     mode: ReplayOptions | None = None,
     changes: ScenarioOptions | None = None,
-    output: Output = None,
-    topics: TopicOptions | None = None,
-    json: Json = False,
+    output: options.Output = None,
+    topics: options.TopicOptions | None = None,
+    json: options.Json = False,
 ) -> int:
     """Replay a recording and show where the result departs from it.
 
@@ -135,7 +105,7 @@ def replay(
             alone, to this .mcap file.
         json: Print one JSON object instead of tables.
     """
-    require_there([] if file is None else [file])
+    options.require_there([] if file is None else [file])
     mode = mode or ReplayOptions()
     _require_sound(mode, changes, output)
     # A word after --law is its KIND. The last word is FILE if there is no other word.
@@ -145,14 +115,14 @@ def replay(
         raise UsageError("replay needs a recording: turtlelog replay FILE")
     if len(words) > 1:
         raise UsageError(f"--law: takes one KIND, not {' '.join(words)}")
-    require_new_target(output, [file], suffix=".mcap")
-    (run,) = read_runs([file], topics, allow_no_poses=True)
-    with name_as_typed(file, run):
+    options.require_new_target(output, [file], suffix=".mcap")
+    (run,) = options.read_runs([file], topics, allow_no_poses=True)
+    with options.name_as_typed(file, run):
         if not len(run.poses):
             _print(*_replay_commands(file, run, mode, changes, output), json=json)
-            return EXIT_FINE
+            return console.EXIT_FINE
         if mode.plant:
-            found: LawReplay | LoopReplay | PlantReplay
+            found: tl.replay.LawReplay | tl.replay.LoopReplay | tl.replay.PlantReplay
             found = driven = tl.replay_plant(run)
             answer: ReplayAnswer = build_plant(file, run, driven)
             text = format_plant(file, run, driven)
@@ -169,24 +139,24 @@ def replay(
         answer = replace(answer, verdict=verdict.value, results=build_results(results))
         text = f"{text}\n\n{format_results(results, files=1)}"
     _print(answer, text, json=json)
-    return EXIT_FAILED if failed else EXIT_FINE
+    return console.EXIT_FAILED if failed else console.EXIT_FINE
 
 
 def _print(answer: ReplayAnswer | CommandReplayAnswer, text: str, *, json: bool) -> None:
     if json:
-        print_json(answer)
+        console.print_json(answer)
     else:
-        print_verdicts(text)
+        console.print_verdicts(text)
 
 
 def _replay(
     file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
-) -> "tuple[ReplayAnswer, str, LawReplay | LoopReplay]":
+) -> "tuple[ReplayAnswer, str, tl.replay.LawReplay | tl.replay.LoopReplay]":
     """Replay a run through a law or in closed loop, and write the run of the closed loop."""
     settings: dict[str, Any] = {
         "tolerance": mode.tolerance or 0.0,
         "trust_law": mode.trust_law,
-        "step_budget_s": choose_step_budget(mode.step_budget_ms),
+        "step_budget_s": options.choose_step_budget(mode.step_budget_ms),
     }
     if mode.law is not None:
         by_law = tl.replay_law(run, scenario, **settings)
@@ -195,7 +165,7 @@ def _replay(
     found = tl.replay_loop(run, scenario, **settings)
     if output is not None:
         tl.write_recording(found.run, output)
-        print_note(f"wrote {output}")
+        console.print_note(f"wrote {output}")
     answer = build_loop(file, run, found, output)
     return answer, _format_loop(run, found, answer, details=mode.details), found
 
@@ -216,7 +186,7 @@ def _replay_commands(
     found = tl.replay.drive_commands(run, change_scenario(scenario, changes))
     if output is not None:
         tl.write_recording(found.run, output)
-        print_note(f"wrote {output}")
+        console.print_note(f"wrote {output}")
     x_m, y_m = map(float, found.run.poses.xy_m[-1])
     answer = CommandReplayAnswer(
         file=str(file),
@@ -233,7 +203,9 @@ def _replay_commands(
     return answer, _format_commands(file, found, answer)
 
 
-def _format_commands(file: Path, found: "CommandReplay", answer: CommandReplayAnswer) -> str:
+def _format_commands(
+    file: Path, found: "tl.replay.CommandReplay", answer: CommandReplayAnswer
+) -> str:
     """Return the path length and the end of the plant, and the limits of this answer."""
     kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
     end, name = answer.end, escape_controls(file.name)
@@ -250,7 +222,7 @@ def _format_commands(file: Path, found: "CommandReplay", answer: CommandReplayAn
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
     sentences.append("No poses were recorded: nothing tells whether the robot went there.")
-    lines = [fill_lines(sentences)]
+    lines = [console.fill_lines(sentences)]
     if answer.output is None:
         lines.append(f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap")
     else:
@@ -330,11 +302,11 @@ def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
         if value != was.get(key)
     ]
     if kept:
-        print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
+        console.print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
     return completed
 
 
-def _describe_software(run: "Run", changes: "Sequence[SoftwareChange]") -> list[str]:
+def _describe_software(run: "Run", changes: "Sequence[tl.run.SoftwareChange]") -> list[str]:
     """Return whether a run and its replay come from the same software, if the file shows this."""
     if not run.simulated_by:
         return []
@@ -345,7 +317,9 @@ def _describe_software(run: "Run", changes: "Sequence[SoftwareChange]") -> list[
     return [f"Recorded and replayed by {tl.run.describe_software(run.simulated_by)}."]
 
 
-def _format_law(run: "Run", found: "LawReplay", answer: LawReplayAnswer, *, details: bool) -> str:
+def _format_law(
+    run: "Run", found: "tl.replay.LawReplay", answer: LawReplayAnswer, *, details: bool
+) -> str:
     """Return whether a law commands as recorded, and its first difference."""
     law, first = escape_controls(found.scenario.law.kind), found.first_difference
     if first is None:
@@ -378,10 +352,10 @@ def _format_law(run: "Run", found: "LawReplay", answer: LawReplayAnswer, *, deta
     if found.missing_samples:
         lines.append(f"{found.missing_samples} samples are lost: the law did not see their poses.")
     title = f"{law} on the {found.samples} poses that {run.name} read"
-    return f"{fill_lines(lines)}\n{_format_signals(run, found, title, details=details)}"
+    return f"{console.fill_lines(lines)}\n{_format_signals(run, found, title, details=details)}"
 
 
-def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
+def _format_declaration(found: "tl.replay.LawReplay | tl.replay.LoopReplay") -> list[str]:
     """Return the declaration of the replayed law if another declaration was recorded."""
     told = found.declaration
     if told is None:
@@ -391,7 +365,7 @@ def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
 
 
 def _format_loop(
-    run: "Run", found: "LoopReplay", answer: LoopReplayAnswer, *, details: bool
+    run: "Run", found: "tl.replay.LoopReplay", answer: LoopReplayAnswer, *, details: bool
 ) -> str:
     """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
@@ -427,7 +401,7 @@ def _format_loop(
     counts = [f"Recorded: {'; '.join(told)}.", f"{escape_controls(end)}."]
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
-    parts = [fill_lines(lines if changes else [*lines, *counts])]
+    parts = [console.fill_lines(lines if changes else [*lines, *counts])]
     if first is not None:
         heads = ("metric", "unit", "recorded", "replayed", "difference")
         rows_of_metrics = []
@@ -436,8 +410,8 @@ def _format_loop(
             after = one.replayed_status if one.replayed is None else one.replayed
             rows_of_metrics.append((one.id, one.unit, before, after, one.difference))
         name = "Metrics of the recording and of the replay"
-        parts.append(f"\n{fit_table(build_table(name, heads, rows_of_metrics))}")
-    parts += [fill_lines(counts)] if changes and counts else []
+        parts.append(f"\n{console.fit_table(console.build_table(name, heads, rows_of_metrics))}")
+    parts += [console.fill_lines(counts)] if changes and counts else []
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
 
 
@@ -465,7 +439,7 @@ _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 
 
 def _format_signals(
-    run: "Run", found: "LawReplay | LoopReplay", title: str, *, details: bool
+    run: "Run", found: "tl.replay.LawReplay | tl.replay.LoopReplay", title: str, *, details: bool
 ) -> str:
     """Return the table of signals, or the number of differing signals and how to show them."""
     rows: list[tuple[Any, ...]] = []
@@ -484,16 +458,18 @@ def _format_signals(
     at = tl.compare.Column(title="at", unit="s", digits=3)
     heads = ("signal", "unit", "largest difference", at, "rows that differ", "of")
     others = {"Equal in every row as well": equal, "Not in the recording": found.absent}
-    rest = fill_lines(f"{head}: {', '.join(names)}." for head, names in others.items() if names)
-    return f"\n{fit_table(build_table(title, heads, rows))}\n{rest}".rstrip()
+    rest = console.fill_lines(
+        f"{head}: {', '.join(names)}." for head, names in others.items() if names
+    )
+    return f"\n{console.fit_table(console.build_table(title, heads, rows))}\n{rest}".rstrip()
 
 
-def _describe_slack(signals: "Iterable[SignalDifference]") -> str:
+def _describe_slack(signals: "Iterable[tl.replay.SignalDifference]") -> str:
     return ", within the tolerance" if any(found.largest > 0.0 for found in signals) else ""
 
 
 def _format_difference(
-    run: "Run", found: "Difference", signals: "Sequence[SignalDifference]"
+    run: "Run", found: "tl.replay.Difference", signals: "Sequence[tl.replay.SignalDifference]"
 ) -> str:
     unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
     was, now = format_pair(found.recorded, found.replayed, unit)

@@ -4,24 +4,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.escapes import escape_controls
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.replay import (
-        Difference,
-        LawReplay,
-        LoopReplay,
-        PlantReplay,
-        PoseError,
-        SignalDifference,
-    )
-    from turtlelog.run import SoftwareChange
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +147,7 @@ class LawReplayAnswer(ReplayAnswer):
     declaration: DifferenceAnswer | None
     missing_samples: int
     not_compared: tuple[str, ...]
-    software: "tuple[SoftwareChange, ...]"
+    software: "tuple[tl.run.SoftwareChange, ...]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,7 +163,7 @@ class LoopReplayAnswer(ReplayAnswer):
     not_compared: tuple[str, ...]
     output: str | None
     metrics: list[MetricChange]
-    software: "tuple[SoftwareChange, ...]"
+    software: "tuple[tl.run.SoftwareChange, ...]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,19 +207,21 @@ class CommandReplayAnswer:
     output: str | None
 
 
-def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
+def build_difference(
+    run: "tl.Run", found: "tl.replay.Difference | None"
+) -> DifferenceAnswer | None:
     """Return a difference for an answer, with its time from the first sample."""
     if found is None:
         return None
     return copy_fields(DifferenceAnswer, found, time_s=tell_time(run, found.time_ns))
 
 
-def build_pose_error(error: "PoseError") -> PoseAnswer:
+def build_pose_error(error: "tl.replay.PoseError") -> PoseAnswer:
     """Return the largest differences of a pose for an answer."""
     return PoseAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
 
 
-def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAnswer:
+def answer_law_replay(file: Path, run: "tl.Run", found: "tl.replay.LawReplay") -> LawReplayAnswer:
     """Return the answer of a replay through a law."""
     return LawReplayAnswer(
         file=str(file),
@@ -253,7 +243,7 @@ def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAn
 
 
 def build_loop(
-    file: Path, run: "Run", found: "LoopReplay", output: Path | None
+    file: Path, run: "tl.Run", found: "tl.replay.LoopReplay", output: Path | None
 ) -> LoopReplayAnswer:
     """Return the answer of a replay in closed loop."""
     return LoopReplayAnswer(
@@ -276,7 +266,9 @@ def build_loop(
     )
 
 
-def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[SoftwareChange, ...]":
+def _compare_software(
+    run: "tl.Run", found: "tl.replay.LawReplay | tl.replay.LoopReplay"
+) -> "tuple[tl.run.SoftwareChange, ...]":
     if isinstance(found, tl.replay.LoopReplay):
         replayed = found.run.simulated_by
     else:
@@ -293,7 +285,7 @@ _RANKS: Final = {"final": 0, "run": 2}
 """Order of metrics: the end, then each loop, then the whole run."""
 
 
-def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
+def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> list[MetricChange]:
     """Return the essential metrics of both runs. Missing metrics have a status."""
     essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
     names = [name for name in essential if name in _OF_RUN]
@@ -317,7 +309,9 @@ def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
     return changes
 
 
-def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[SignalAnswer]:
+def _build_signals(
+    run: "tl.Run", signals: "Iterable[tl.replay.SignalDifference]"
+) -> list[SignalAnswer]:
     return [
         copy_fields(
             SignalAnswer,
@@ -329,12 +323,12 @@ def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[Si
     ]
 
 
-def tell_time(run: "Run", time_ns: int) -> float:
+def tell_time(run: "tl.Run", time_ns: int) -> float:
     """Return a time of a run from its first sample [s]."""
     return (time_ns - run.start_ns) / 1e9
 
 
-def build_plant(file: Path, run: "Run", found: "PlantReplay") -> PlantReplayAnswer:
+def build_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> PlantReplayAnswer:
     """Return the answer."""
     return PlantReplayAnswer(
         file=str(file),
@@ -381,7 +375,7 @@ def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
     return PoseAnswer(x=pose[0], y=pose[1], heading=pose[2])
 
 
-def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
+def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> str:
     """Return whether the plant reproduces the poses, with its segments and their breaks."""
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
@@ -435,7 +429,7 @@ def format_plant(file: Path, run: "Run", found: "PlantReplay") -> str:
     return "\n".join([*parts, *list_breaks(run, found)]).rstrip()
 
 
-def judge_rounding(found: "PlantReplay") -> list[str]:
+def judge_rounding(found: "tl.replay.PlantReplay") -> list[str]:
     """Return whether rounding explains the differences, and whose arithmetic was used."""
     beyond = sum(not stretch.within_rounding for stretch in found.stretches)
     if found.of_rounding == 0.0:
@@ -452,7 +446,7 @@ def judge_rounding(found: "PlantReplay") -> list[str]:
     return sentences
 
 
-def list_breaks(run: "Run", found: "PlantReplay") -> list[str]:
+def list_breaks(run: "tl.Run", found: "tl.replay.PlantReplay") -> list[str]:
     """Return a line for each jump and gap, in order of time."""
     lines = []
     for jump in found.jumps:

@@ -10,28 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import (
-    EXIT_FINE,
-    EXIT_INTERRUPTED,
-    fill_lines,
-    fit_table,
-    flush_stdout,
-    print_error,
-    print_json,
-    print_note,
-    print_text,
-)
+from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.metrics_answer import format_run, list_needed
-from turtlelog.cli.options import (
-    Connect,
-    Json,
-    Output,
-    Place,
-    StepBudgetMs,
-    choose_step_budget,
-    require_new_target,
-)
 from turtlelog.cli.scenario_options import (
     LawOptions,
     RowOptions,
@@ -49,8 +30,6 @@ from turtlelog.run.stop_reasons import INTERRUPTED
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.draw.rerun.viewer import ViewerProcess
-    from turtlelog.log.recording.live_run import Sink
-    from turtlelog.simulate import Tick
 
 ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
@@ -79,8 +58,8 @@ class LiveOptions:
     watch: bool = False
     realtime: bool = False
     live: bool = False
-    connect: Connect = None
-    step_budget_ms: StepBudgetMs = None
+    connect: options.Connect = None
+    step_budget_ms: options.StepBudgetMs = None
 
 
 @Parameter(name="*")
@@ -97,8 +76,8 @@ class RecordOptions:
             in.
     """
 
-    output: Output = None
-    rrd: Annotated[Place | None, Parameter(name="--rrd")] = None
+    output: options.Output = None
+    rrd: Annotated[options.Place | None, Parameter(name="--rrd")] = None
     strip_scenario: bool = False
     trust_law: bool = False
 
@@ -111,7 +90,7 @@ def run(
     source: RowOptions | None = None,
     record: RecordOptions | None = None,
     live: LiveOptions | None = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     """Simulate a scenario in closed loop, print how it ended and its metrics, record it.
 
@@ -141,8 +120,8 @@ def run(
     with _open_viewer(live) as (window, url):
         result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)
-        if window is not None and code == EXIT_FINE:
-            flush_stdout()
+        if window is not None and code == console.EXIT_FINE:
+            console.flush_stdout()
             with suppress(KeyboardInterrupt):  # all is done: only the window is closed
                 window.wait()
     return code
@@ -160,7 +139,7 @@ def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = N
             Default: paper; with --law: textbook.
     """
     chosen = load_changed_scenario(scenario, changes)
-    print_text(tl.format_scenario(chosen))
+    console.print_text(tl.format_scenario(chosen))
 
 
 def _require_sound(
@@ -168,8 +147,8 @@ def _require_sound(
 ) -> None:
     """Refuse options that cannot be combined, and outputs that could not be written."""
     inputs = [] if scenario is None else [make_path(scenario)]
-    require_new_target(record.output, inputs, suffix=".mcap")
-    require_new_target(record.rrd, inputs, suffix=".rrd")
+    options.require_new_target(record.output, inputs, suffix=".mcap")
+    options.require_new_target(record.rrd, inputs, suffix=".rrd")
     if record.strip_scenario and live.realtime:
         raise UsageError("--strip-scenario: leave out --realtime, which writes the scenario first")
     if record.strip_scenario and record.output is None and record.rrd is None:
@@ -184,7 +163,7 @@ def _resolve(chosen: "Scenario", changes: LawOptions | None, record: RecordOptio
     """Return a scenario with its law's parameters, and print the notes on it."""
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
     for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(changes)):
-        print_note(note)
+        console.print_note(note)
     return chosen
 
 
@@ -210,22 +189,22 @@ def _watch(
                 seen = {**_read_texts(files), **seen}
                 result = _run(_resolve(chosen, changes, record), record, live, url)
                 code = _answer(result, record, before=before)
-                if code != EXIT_FINE:
+                if code != console.EXIT_FINE:
                     return code
                 before = result
             except (TurtlelogError, OSError) as err:
-                print_error(str(err))
-            flush_stdout()
+                console.print_error(str(err))
+            console.flush_stdout()
             if told != files:
                 names = ", ".join(map(str, files))
-                print_note(f"watching {names}: every save runs again, Ctrl-C ends")
+                console.print_note(f"watching {names}: every save runs again, Ctrl-C ends")
                 told = files
             saved = _wait_for_save(files, seen, window)
             if saved is None:
-                return EXIT_FINE
-            print_note(f"saved: {saved}")
-    print_note("watch ended")
-    return EXIT_INTERRUPTED
+                return console.EXIT_FINE
+            console.print_note(f"saved: {saved}")
+    console.print_note("watch ended")
+    return console.EXIT_INTERRUPTED
 
 
 def _answer(
@@ -236,15 +215,15 @@ def _answer(
     json: bool = False,
     before: "Run | None" = None,
 ) -> int:
-    code = EXIT_INTERRUPTED if result.stop_reason == INTERRUPTED else EXIT_FINE
+    code = console.EXIT_INTERRUPTED if result.stop_reason == INTERRUPTED else console.EXIT_FINE
     if code:
-        print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
+        console.print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
-        print_note(f"{name.replace('_', ' ')}: {note}")
+        console.print_note(f"{name.replace('_', ' ')}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
         end = find_goal_end(result)
-        print_json(
+        console.print_json(
             RunAnswer(
                 name=result.name,
                 file=None if record.output is None else str(record.output),
@@ -256,7 +235,7 @@ def _answer(
             )
         )
     else:
-        print_text(_describe_ending(result, file=record.output, before=before))
+        console.print_text(_describe_ending(result, file=record.output, before=before))
     return code
 
 
@@ -268,7 +247,7 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
             if is_rrd or not is_recorded:
                 written = _strip(run, path) if record.strip_scenario else run
                 (tl.write_run_rrd if is_rrd else tl.write_recording)(written, path)
-        print_note(f"wrote {path}")
+        console.print_note(f"wrote {path}")
 
 
 def _strip(run: "Run", path: Path) -> "Run":
@@ -305,7 +284,7 @@ def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: st
 
 
 def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
-    step_budget_s = choose_step_budget(live.step_budget_ms)
+    step_budget_s = options.choose_step_budget(live.step_budget_ms)
     if not live.realtime and url is None:
         from turtlelog.simulate import collect_run, iterate_ticks
 
@@ -315,7 +294,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())
-        sinks: list[Sink] = []
+        sinks: list[tl.log.Sink] = []
         viewer = None if url is None else tl.draw.LiveViewer(scenario, url)
         if viewer is not None:
             closing.callback(viewer.close, {})  # even if no run starts
@@ -331,7 +310,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
             scenario, sinks, realtime=live.realtime, step_budget_s=step_budget_s
         )
     if viewer is not None and viewer.lost:
-        print_note(f"viewer: {viewer.lost}; the run went on without it")
+        console.print_note(f"viewer: {viewer.lost}; the run went on without it")
     return result
 
 
@@ -341,7 +320,7 @@ class _Watcher:
     def __init__(self, progress: ProgressLine) -> None:
         self._progress = progress
 
-    def receive(self, tick: "Tick") -> None:
+    def receive(self, tick: "tl.simulate.Tick") -> None:
         self._progress.done = tick.time_ns / 1e9
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
@@ -387,7 +366,7 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
         run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
     )
     if before is not None:
-        head = fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
+        head = console.fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
         return f"{head}\n\n{_describe_change(run, before)}"
     return format_run(summary, name, facts=facts)
 
@@ -428,7 +407,7 @@ def _describe_change(run: "Run", before: "Run") -> str:
     if not changed:
         return "No metric changed."
     kept = [{name: one[name] for name in changed if name in one} for one in (now, was)]
-    text = fit_table(tl.compare.tabulate_measured(("now", "before"), kept))
+    text = console.fit_table(tl.compare.tabulate_measured(("now", "before"), kept))
     same = len(essential) - len(changed)
     return f"{text}\n{describe_count(same, 'essential metric')} did not change." if same else text
 

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -15,9 +15,6 @@ from turtlelog.cli.options import MaxDownload, Place, TopicOptions, read_chosen_
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path
-
-if TYPE_CHECKING:
-    from turtlelog import Declaration, Scenario
 
 
 @Parameter(name="*")
@@ -90,7 +87,7 @@ class RowOptions:
     table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
     row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
-    def load(self, scenario: str | None, options: LawOptions | None) -> "Scenario":
+    def load(self, scenario: str | None, options: LawOptions | None) -> "tl.Scenario":
         """Return the scenario to run, with the options applied."""
         if self.table is None:
             if self.row is not None:
@@ -121,7 +118,7 @@ def is_recording(path: Path) -> bool:
     return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
 
 
-def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
+def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "tl.Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
     The name of the scenario contains the changes. The code of a law is loaded only to set its
@@ -151,8 +148,8 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
 
 
 def apply_options(
-    base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
-) -> "Scenario":
+    base: "tl.Scenario", options: LawOptions | None, declared: "tl.Declaration | None" = None
+) -> "tl.Scenario":
     """Return a scenario with the options applied and named."""
     options, scenario, said = options or LawOptions(), base, []
     if options.law is not None:
@@ -172,8 +169,8 @@ def list_given_keys(options: ScenarioOptions | None) -> list[str]:
 
 
 def name_by_changes(
-    scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
-) -> "Scenario":
+    scenario: "tl.Scenario", base: str, options: ScenarioOptions | None, *more: str
+) -> "tl.Scenario":
     """Return a scenario that is named after its base and the changes.
 
     A name from --set is kept.
@@ -198,8 +195,10 @@ def _tell(text: str) -> str:
 
 
 def change_scenario(
-    scenario: "Scenario", options: ScenarioOptions | None, declaration: "Declaration | None" = None
-) -> "Scenario":
+    scenario: "tl.Scenario",
+    options: ScenarioOptions | None,
+    declaration: "tl.Declaration | None" = None,
+) -> "tl.Scenario":
     """Return a scenario with the options applied."""
     options = options or ScenarioOptions()
     if options.commands is not None:

@@ -33,7 +33,6 @@ from turtlelog.files.urls import make_path
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from turtlelog.theory import LoopModel, Process
 
 _MOST_GAINS: Final = 100
 
@@ -247,7 +246,7 @@ class _TermsAnswer:
     period_s: float
     dead_time_ticks: int
     dead_time_s: float
-    process: "Process"
+    process: "tl.theory.Process"
     overshoot_gain: None = None
     stability_gain: float | None
     gains: list[PidAnswer]
@@ -343,7 +342,7 @@ def _answer_file(
 
 def _read_models(
     word: str, options: LoopOptions, topics: ReadingOptions | None
-) -> "tuple[str, str, Sequence[LoopModel]]":
+) -> "tuple[str, str, Sequence[tl.theory.LoopModel]]":
     """Return the name of a scenario or recording, its kind, and its loops."""
     path = make_path(word)
     if is_recording(path):

@@ -33,7 +33,6 @@ from turtlelog.cli.theory_loops import (
 from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
-    from turtlelog.compare import Table
     from turtlelog.theory import LoopModel, PidLoop, Recommendation, SampledLoop
 
 _Ranges = tuple[tuple[float, float], ...]
@@ -71,7 +70,7 @@ def format_integrator(
 _RESPONSES: Final = {"impulse": "1", "step": "t", "ramp": "t^2 / 2"}
 
 
-def _tabulate_plant() -> "Table":
+def _tabulate_plant() -> "tl.compare.Table":
     ends = {kind: tl.theory.find_plant_final_value(kind) for kind in tl.theory.PLANT_INPUTS}
     endless = {
         end.reason: [kind for kind in ends if ends[kind].reason == end.reason]
@@ -89,7 +88,7 @@ def _tabulate_plant() -> "Table":
     return build_table("The plant 1/s", ("input", "response", "final value"), rows, notes)
 
 
-def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
+def _tabulate_ideal(loops: "list[SampledLoop]") -> "tl.compare.Table":
     rows = [
         (
             loop.kp,
@@ -105,7 +104,7 @@ def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
     return build_table("The ideal loop Kp / (s + Kp)", heads, rows, [note])
 
 
-def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
+def _tabulate_loops(loops: "list[SampledLoop]") -> "tl.compare.Table":
     column = tl.compare.Column
     heads = (
         *("Kp [1/s]", "slowest pole", column(title="damping", digits=3), "overshoots"),
@@ -126,7 +125,7 @@ def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
     return build_table(title, heads, rows)
 
 
-def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
+def _tabulate_limits(loops: "list[SampledLoop]") -> "tl.compare.Table":
     period_s = loops[0].period_s
     rows = [
         (ticks, 1e3 * ticks * period_s, *compute_limits(period_s, ticks))
@@ -309,13 +308,13 @@ def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -
     ]
 
 
-def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
+def _join(head: Sequence[str], tables: "Sequence[tl.compare.Table]", rest: Sequence[str]) -> str:
     shown = [_narrow(table) for table in tables if table.rows]
     texts = [tl.draw.format_table(table, width=find_width()).strip("\n") for table in shown]
     return "\n\n".join([fill_lines(head), *texts, fill_lines(rest)])
 
 
-def _narrow(table: "Table") -> "Table":
+def _narrow(table: "tl.compare.Table") -> "tl.compare.Table":
     """Return a table with fewer of the least important columns."""
     ranks = [0 if column.title in {"damping", "stable"} else None for column in table.columns]
     return tl.compare.narrow_table(table, find_width(), ranks)

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from turtlelog.compare import Table
-    from turtlelog.theory import LoopModel, Margins, PidLoop, Process, SampledLoop
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopAnswer:
@@ -37,8 +34,8 @@ class LoopAnswer:
     """
 
     title: str
-    found: "PidLoop | None"
-    model: "LoopModel | None" = None
+    found: "tl.theory.PidLoop | None"
+    model: "tl.theory.LoopModel | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +118,9 @@ class IntegratorAnswer:
     kept_kp: float | None
 
 
-def build_integrator(loops: "list[SampledLoop]", recommended: Recommended) -> IntegratorAnswer:
+def build_integrator(
+    loops: "list[tl.theory.SampledLoop]", recommended: Recommended
+) -> IntegratorAnswer:
     """Return the answer for P on 1/s."""
     theory, first = tl.theory, loops[0]
     limits = {ticks: compute_limits(first.period_s, ticks) for ticks in list_dead_times(first)}
@@ -169,7 +168,7 @@ def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
     return overshoot, tl.theory.compute_stability_gain(period_s, ticks)
 
 
-def list_dead_times(loop: "SampledLoop") -> list[int]:
+def list_dead_times(loop: "tl.theory.SampledLoop") -> list[int]:
     """Return the dead times [ticks] in a table of limits, including the dead time of the loop."""
     return sorted({*range(_LIMITS_UP_TO + 1), loop.dead_time_ticks})
 
@@ -195,7 +194,7 @@ class PidAnswer:
     filter_s: float
     period_s: float
     dead_time_s: float
-    process: "Process"
+    process: "tl.theory.Process"
     tau_s: float
     settling_time_s: float
     poles: list[PlanePole]
@@ -212,7 +211,7 @@ class PidAnswer:
     delay_margin_s: float | None
 
 
-def build_pid_loop(loop: "PidLoop") -> PidAnswer:
+def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
     """Return a loop for JSON."""
     whole = loop.gains.kp * loop.process.gain
     terms = {name: getattr(loop.gains, name) for name in ("kp", "ki", "kd", "filter_s")}
@@ -238,7 +237,7 @@ _MARGINS: Final = (
 )
 
 
-def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
+def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
     """Return a table with a column for each loop, without rows that are zero in all loops."""
     known = [answer.found for answer in answers if answer.found]
     rows = []
@@ -249,7 +248,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
     return build_table(title, ("", *(answer.title for answer in answers)), rows)
 
 
-def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
+def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
     """Return a table with a row for each Kp; optional columns with only `-` or 0 are left out."""
     loops = [answer.found for answer in answers if answer.found]
     columns, cells = [], []
@@ -268,7 +267,7 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
     return tl.compare.Table(title="The sampled loop", columns=tuple(columns), rows=rows)
 
 
-def describe_plant(loop: "PidLoop") -> str:
+def describe_plant(loop: "tl.theory.PidLoop") -> str:
     """Return the values that are equal at every Kp: other gains, plant and timing."""
     said = []
     for name, is_optional, write in _ROWS:
@@ -280,7 +279,7 @@ def describe_plant(loop: "PidLoop") -> str:
     return f"{', '.join((first[0].upper() + first[1:], *others))}."
 
 
-def _find_overshoot(loop: "PidLoop") -> str | float | None:
+def _find_overshoot(loop: "tl.theory.PidLoop") -> str | float | None:
     if not loop.stable:
         return "no end"
     percent = loop.overshoot_percent
@@ -324,7 +323,7 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
     return notes
 
 
-def tell_motion(loop: "PidLoop") -> str:
+def tell_motion(loop: "tl.theory.PidLoop") -> str:
     """Return whether a loop is stable, with its overshoot and settling time, as text."""
     if not loop.stable:
         return "unstable"
@@ -332,7 +331,7 @@ def tell_motion(loop: "PidLoop") -> str:
     return f"stable, {step or 'but its slowest part hardly decays'}"
 
 
-def _tell_sources(model: "LoopModel") -> str:
+def _tell_sources(model: "tl.theory.LoopModel") -> str:
     """Return the sources of values as text. Values from one source share an entry."""
     found: dict[str, list[str]] = {}
     for key, words in model.sources.items():
@@ -340,11 +339,11 @@ def _tell_sources(model: "LoopModel") -> str:
     return "; ".join(f"{join_words(names)} {words}" for words, names in found.items())
 
 
-def _overshoots(loop: "PidLoop") -> bool:
+def _overshoots(loop: "tl.theory.PidLoop") -> bool:
     return loop.overshoot_percent is not None and loop.overshoot_percent >= NO_OVERSHOOT
 
 
-def _tell_overshoot(loop: "PidLoop") -> str:
+def _tell_overshoot(loop: "tl.theory.PidLoop") -> str:
     if not loop.stable:
         return "without end"
     if loop.overshoot_percent is None:
@@ -352,7 +351,7 @@ def _tell_overshoot(loop: "PidLoop") -> str:
     return f"by {loop.overshoot_percent:.2f} %" if _overshoots(loop) else "no"
 
 
-def _tell_range(loop: "PidLoop") -> str:
+def _tell_range(loop: "tl.theory.PidLoop") -> str:
     if not loop.stable_gains:
         return "none"
     return ", ".join(
@@ -362,9 +361,9 @@ def _tell_range(loop: "PidLoop") -> str:
 
 
 def _tell_margin(
-    read: "Callable[[Margins], float | None]", form: str, factor: float = 1.0
-) -> "Callable[[PidLoop], str]":
-    def write(loop: "PidLoop") -> str:
+    read: "Callable[[tl.theory.Margins], float | None]", form: str, factor: float = 1.0
+) -> "Callable[[tl.theory.PidLoop], str]":
+    def write(loop: "tl.theory.PidLoop") -> str:
         value = None if loop.margins is None else read(loop.margins)
         return "-" if value is None else format(factor * value, form)
 
@@ -384,7 +383,7 @@ _OF_PLANT: Final = (
 _NOT_BESIDE: Final = (*_OF_PLANT, "stable", "stable for Kp [1/s]", "slowest pole")
 """Rows that a table of gains does not have. The sentences above contain them; poles are details."""
 
-_ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
+_ROWS: "Final[tuple[tuple[str, bool, Callable[[tl.theory.PidLoop], str]], ...]]" = (
     ("Kp [1/s]", False, lambda loop: _tell_number(loop.gains.kp)),
     ("Ki [1/s^2]", True, lambda loop: _tell_number(loop.gains.ki)),
     ("Kd", True, lambda loop: _tell_number(loop.gains.kd)),

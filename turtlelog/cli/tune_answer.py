@@ -12,7 +12,6 @@ from turtlelog.display import describe_count, format_number, format_short, join_
 from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from turtlelog.compare import Table
     from turtlelog.sweep.tune import KeyRange, SearchedKey, Spread, TunedScenario
 
 
@@ -214,7 +213,7 @@ def _describe_range(found: "KeyRange") -> str:
     return f"{found.key} = {low} to {high}"
 
 
-def _tabulate_best(found: "TunedScenario") -> "Table":
+def _tabulate_best(found: "TunedScenario") -> "tl.compare.Table":
     around = {one.key: one for one in found.around.ranges} if found.around else {}
     if not around:
         rows: list[tuple[Any, ...]] = [*found.values.items()]
@@ -259,7 +258,7 @@ def _tell_margin(margin: float) -> float | None:
     return margin if math.isfinite(margin) else None
 
 
-def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "Table":
+def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "tl.compare.Table":
     values = {
         "median": spread.median,
         "5 % below": spread.low,

@@ -6,28 +6,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import options
 from turtlelog.cli.console import fill_lines, flush_stdout, list_written, print_note, print_text
-from turtlelog.cli.options import (
-    Connect,
-    Files,
-    Place,
-    ReadingOptions,
-    list_files,
-    read_runs,
-    require_files,
-    require_new_target,
-    require_there,
-)
 from turtlelog.cli.work import show_progress
 from turtlelog.errors import UsageError
-
-if TYPE_CHECKING:
-    from turtlelog import Run
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
@@ -56,7 +43,7 @@ class PictureOptions:
         no_scans: Leave out the laser scans and the map of a bag.
     """
 
-    snapshot: Place | None = None
+    snapshot: options.Place | None = None
     at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     timeline: str = "sim_time"
     size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = _USUAL_SIZE
@@ -77,7 +64,7 @@ class WindowOptions:
 
     web: bool = False
     follow: bool = False
-    connect: Connect = None
+    connect: options.Connect = None
 
 
 @Parameter(name="*")
@@ -90,19 +77,19 @@ class MovieOptions:
         length: Length of the movie [s], 1 to 600. Default: real time, at most 10 s.
     """
 
-    movie: Place | None = None
+    movie: options.Place | None = None
     length: Annotated[float | None, Parameter(metavar="SECONDS")] = None
 
 
 def view(
-    files: Files,
+    files: options.Files,
     /,
     *,
-    save: Place | None = None,
+    save: options.Place | None = None,
     picture: PictureOptions | None = None,
     window: WindowOptions | None = None,
     movie: MovieOptions | None = None,
-    topics: ReadingOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> None:
     """Open recordings in the Rerun viewer; several recordings are overlaid for comparison.
 
@@ -117,15 +104,15 @@ def view(
     """
     picture, window = picture or PictureOptions(), window or WindowOptions()
     movie = movie or MovieOptions()
-    require_files(files)
+    options.require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
     _require_picture(picture, movie)
     require_movie(movie, files)
-    require_there(files)
-    files = list_files(files)
-    require_new_target(save, files, suffix=".rrd")
-    require_new_target(picture.snapshot, files, suffix=".png")
+    options.require_there(files)
+    files = options.list_files(files)
+    options.require_new_target(save, files, suffix=".rrd")
+    options.require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
     if window.follow:
         with suppress(KeyboardInterrupt):  # as if the window was closed
@@ -135,7 +122,7 @@ def view(
         ready = [path for path in files if path.suffix == ".rrd"]
         if ready:
             raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
-        runs = read_runs(files, topics)
+        runs = options.read_runs(files, topics)
         film_runs(runs, movie, timeline=picture.timeline)
         _tell([movie.movie], runs)
         if save is None and picture.snapshot is None and not window.web:
@@ -161,7 +148,7 @@ def view(
                 tl.open_viewer(rrds)
 
 
-def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
+def _tell(written: Sequence[Path], runs: "Sequence[tl.Run]") -> None:
     """Print how the runs in a file ended, and the written files."""
     if written:
         ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
@@ -232,8 +219,8 @@ def _prepare_rrds(
     save: Path | None,
     picture: PictureOptions,
     folder: Path,
-    topics: ReadingOptions | None,
-) -> tuple[list[Path], "list[Run]"]:
+    topics: options.ReadingOptions | None,
+) -> tuple[list[Path], "list[tl.Run]"]:
     """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
@@ -244,7 +231,7 @@ def _prepare_rrds(
         raise UsageError(f"--snapshot: takes one view, not {len(ready)}")
     if ready:
         return ready, []
-    runs = read_runs(files, topics)
+    runs = options.read_runs(files, topics)
     seen = None  # the surroundings of a bag's robot
     if not picture.no_scans and len(runs) == 1 and "pose_topic" in runs[0].notes:
         seen = tl.log.read_surroundings(files[0], runs[0])
@@ -260,7 +247,7 @@ def _prepare_rrds(
     return [rrd], runs
 
 
-def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
+def _find_span(runs: "Sequence[tl.Run]") -> tuple[float, float] | None:
     """Return the time of the first pose and the end of the longest run [s]; None without runs."""
     if not runs:
         return None
@@ -292,13 +279,13 @@ def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     suffix = movie.movie.suffix.lower()
     if suffix not in {".mp4", ".gif"}:
         raise UsageError(f"--movie {movie.movie}: the name must end in .mp4 or .gif")
-    require_new_target(movie.movie, files, suffix=suffix)
+    options.require_new_target(movie.movie, files, suffix=suffix)
     from turtlelog.draw.movie_file import require_encoder
 
     require_encoder(suffix)
 
 
-def film_runs(runs: "Sequence[Run]", movie: MovieOptions, *, timeline: str) -> None:
+def film_runs(runs: "Sequence[tl.Run]", movie: MovieOptions, *, timeline: str) -> None:
     """Write the movie if one is requested."""
     if movie.movie is None:
         return

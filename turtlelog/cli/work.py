@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from turtlelog.compare import RunSummary
-    from turtlelog.simulate import Tick
-    from turtlelog.sweep import FoundRecording, RecordingTable, TabulatedFiles
 
 _DELAY_S: Final = 1.0
 _REFRESH_S: Final = 0.1
@@ -142,7 +140,7 @@ def end_progress() -> None:
         progress.close()
 
 
-def watch_ticks(ticks: "Iterable[Tick]", most_s: float) -> "Iterator[Tick]":
+def watch_ticks(ticks: "Iterable[tl.simulate.Tick]", most_s: float) -> "Iterator[tl.simulate.Tick]":
     """Yield ticks, and show how many of at most `most_s` seconds are simulated."""
     with show_progress("simulated", most_s, "s at most") as progress:
         for tick in ticks:
@@ -251,13 +249,13 @@ def watch_files(found: "Iterable[Found]", count: int) -> "Iterator[Found]":
 
 
 def tabulate(
-    found: "Sequence[FoundRecording]",
+    found: "Sequence[tl.sweep.FoundRecording]",
     output: Path,
-    table: "RecordingTable",
+    table: "tl.sweep.RecordingTable",
     *,
     work: WorkOptions,
     file_s: float | None = None,
-) -> "TabulatedFiles":
+) -> "tl.sweep.TabulatedFiles":
     """Write the table of recordings."""
     from turtlelog.processes import FILE_S
 
@@ -286,7 +284,7 @@ def _watch(chunks: Iterator[Any], count: int) -> Iterator[Any]:
             progress.done += len(chunk)
 
 
-def summarise_table(done: "TabulatedFiles") -> str:
+def summarise_table(done: "tl.sweep.TabulatedFiles") -> str:
     """Return the result of a table in one line."""
     files = "1 file" if done.files == 1 else f"{done.files} files"
     counts = f"{done.read} read, {done.files - done.read} unchanged"
