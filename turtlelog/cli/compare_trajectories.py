@@ -180,7 +180,17 @@ def _print(
         console.print_tables([table], kind)
         return
     heads = [line for _, one in found for line in _describe(one)]
-    told = [line for _, one in found for line in _describe_basis(one, options)]
+    how = "the nearest in time"
+    if options.associate == "linear":
+        how = "interpolated linearly between the nearest"
+    told = []
+    for _, one in found:
+        count, (ours, theirs) = len(one.estimate), one.poses
+        what = "x, y and heading" if one.space == "plane" else "positions and rotations in space"
+        told.append(
+            f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
+            f" {one.reference_name} {theirs}."
+        )
     file = shlex.quote(str(found[0][0]))
     hint = f"turtlelog compare {file} --reference {shlex.quote(str(reference))} --ate --plot FILE"
     console.print_text(
@@ -248,7 +258,10 @@ _TINY: Final = 1e-9
 
 
 def _describe_alignment(one: "TrajectoryComparison") -> str:
-    turn_rad = _find_turn(one)
+    rotation = one.alignment.rotation
+    skew = rotation - rotation.T
+    sine = float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
+    turn_rad = math.atan2(sine, float(np.trace(rotation)) - 1.0)
     moved_m = float(np.linalg.norm(one.alignment.translation_m))
     scaled = f", scales it by {one.alignment.scale:.5g}" if one.align.startswith("sim") else ""
     turned, moved = (
@@ -256,29 +269,6 @@ def _describe_alignment(one: "TrajectoryComparison") -> str:
         for value, unit in ((turn_rad, "rad"), (moved_m, "m"))
     )
     return f"turns the estimate by {turned} about the origin{scaled} and moves it by {moved}"
-
-
-def _find_turn(one: "TrajectoryComparison") -> float:
-    """Return the angle of the alignment's rotation [rad]."""
-    rotation = one.alignment.rotation
-    skew = rotation - rotation.T
-    sine = float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
-    return math.atan2(sine, float(np.trace(rotation)) - 1.0)
-
-
-def _describe_basis(one: "TrajectoryComparison", options: TrajectoryOptions) -> list[str]:
-    """Return text on the compared poses."""
-    count, (ours, theirs) = len(one.estimate), one.poses
-    what = "x, y and heading" if one.space == "plane" else "positions and rotations in space"
-    how = (
-        "interpolated linearly between the nearest"
-        if options.associate == "linear"
-        else "the nearest in time"
-    )
-    return [
-        f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
-        f" {one.reference_name} {theirs}."
-    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

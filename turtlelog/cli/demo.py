@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -12,9 +12,6 @@ from turtlelog.cli.options import Place
 from turtlelog.display import format_short
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 def demo(
@@ -45,19 +42,21 @@ def demo(
         + console.fill_lines([*table.notes, ""])
         for table in (table1, tl.compare.tabulate_whole_runs(runs))
     ]
-    answer = console.fill_lines([_write_answer(runs, output)])
-    console.print_text("\n".join([f"{answer}\n", *tables, _tell_next(output)]))
-
-
-def _write_answer(runs: "Sequence[tl.Run]", folder: Path) -> str:
-    """Return the distances from the goal of the nearest and the furthest run."""
     name = "final.position_error"
     errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
     near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
-    return (
-        f"{folder}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
+    answer = (
+        f"{output}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
         f" {far} {format_short(errors[far], 'm')}."
     )
+    command = console.find_command_name()
+    following = (
+        f"See the four runs:   {command} view {output / 'comparison.rrd'}\n"
+        f"See one of them:     {command} view {output / 'kp10.rrd'}\n"
+        f"Why does it miss?    {command} explain {output / 'kp10.mcap'}\n"
+        f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
+    )
+    console.print_text("\n".join([f"{console.fill_lines([answer])}\n", *tables, following]))
 
 
 def _record(name: str, folder: Path) -> "tl.Run":
@@ -69,14 +68,3 @@ def _record(name: str, folder: Path) -> "tl.Run":
     tl.write_run_rrd(run, rrd)
     console.print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
     return run
-
-
-def _tell_next(folder: Path) -> str:
-    command = console.find_command_name()
-    comparison, run, recording = (folder / n for n in ("comparison.rrd", "kp10.rrd", "kp10.mcap"))
-    return (
-        f"See the four runs:   {command} view {comparison}\n"
-        f"See one of them:     {command} view {run}\n"
-        f"Why does it miss?    {command} explain {recording}\n"
-        f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
-    )

@@ -239,7 +239,11 @@ def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) ->
     rows += _describe_durations(answer)
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
-    lines += _list_possible(answer) if is_alone else []
+    if is_alone and answer.complete and answer.format_version is None and answer.run is not None:
+        can = ["metrics", "check", "compare", "view", "plot"]
+        can[1:1] = ["identify"] if answer.run.has_commands else []
+        can[1:1] = ["explain"] if answer.run.has_samples else []
+        lines.append(f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}")
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         rows_of_topics = ((topic.topic, topic.type, topic.count) for topic in answer.topics)
@@ -324,24 +328,18 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if run is not None:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
-    yield from _describe_robots(answer)
+    sizes = {topic.topic: topic.count for topic in answer.topics}
+    for robot in answer.robots[:_MOST_ENTRIES]:
+        parts = [
+            f"{what} {topic}, {describe_count(sizes[topic], 'message')}"
+            for what, topic in {"poses": robot.poses, "commands": robot.commands}.items()
+            if topic is not None
+        ]
+        yield f"robot {robot.name}", "; ".join(parts)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
-
-
-def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the first robots of a bag, with their topics."""
-    counts = {topic.topic: topic.count for topic in answer.topics}
-    for robot in answer.robots[:_MOST_ENTRIES]:
-        held = {"poses": robot.poses, "commands": robot.commands}
-        parts = [
-            f"{what} {topic}, {describe_count(counts[topic], 'message')}"
-            for what, topic in held.items()
-            if topic is not None
-        ]
-        yield f"robot {robot.name}", "; ".join(parts)
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
@@ -400,16 +398,6 @@ def _write_gains(known: Mapping[str, Any]) -> str:
     if len(gains) == len(_AXES) and gains[0][0] == gains[1][0]:
         return f", Kp = {gains[0][0]:g} 1/s (turning and driving)"
     return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
-
-
-def _list_possible(answer: InfoAnswer) -> list[str]:
-    """Return the commands that can use a third-party file, in a line."""
-    if not answer.complete or answer.format_version is not None or answer.run is None:
-        return []
-    can = ["metrics", "check", "compare", "view", "plot"]
-    can[1:1] = ["identify"] if answer.run.has_commands else []
-    can[1:1] = ["explain"] if answer.run.has_samples else []
-    return [f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"]
 
 
 def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:

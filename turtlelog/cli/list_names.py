@@ -142,23 +142,18 @@ def _list_presets() -> Entries:
 def _list_laws() -> Entries:
     from turtlelog.laws import LAWS
 
-    return [
-        {"name": name, "parameters": [*law.Parameters.__dataclass_fields__], "meaning": law.meaning}
-        for name, law in LAWS.items()
-    ]
+    return [_describe_part(name, law.Parameters, law.meaning) for name, law in LAWS.items()]
 
 
 def _list_plants() -> Entries:
     from turtlelog.plants import PLANTS
 
-    return [
-        {
-            "name": name,
-            "parameters": [one.name for one in dataclasses.fields(part.Keys)],
-            "meaning": part.meaning,
-        }
-        for name, part in PLANTS.items()
-    ]
+    return [_describe_part(name, part.Keys, part.meaning) for name, part in PLANTS.items()]
+
+
+def _describe_part(name: str, keys: Any, meaning: str) -> dict[str, Any]:
+    parameters = [one.name for one in dataclasses.fields(keys)]
+    return {"name": name, "parameters": parameters, "meaning": meaning}
 
 
 def _list_causes() -> Entries:

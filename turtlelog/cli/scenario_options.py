@@ -175,18 +175,13 @@ def name_by_changes(
 
     A name from --set is kept.
     """
-    said = [*more, *_list_changes(options)]
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
-
-
-def _list_changes(options: ScenarioOptions | None) -> list[str]:
-    if options is None:
-        return []
-    said = [] if options.commands is None else [f"commands={options.commands.stem}"]
+    said, options = [*more], options or ScenarioOptions()
+    said += [] if options.commands is None else [f"commands={options.commands.stem}"]
     said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
-    return said + [_tell(text) for text in options.assignments or ()]
+    said += map(_tell, options.assignments or ())
+    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
+    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
 
 
 def _tell(text: str) -> str:
