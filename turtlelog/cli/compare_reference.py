@@ -1,17 +1,24 @@
 """`turtlelog compare` against a reference: runs against a run, robots against a scenario."""
 
-from collections.abc import Iterable, Sequence
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.compare_answer import format_reference, format_robots, list_errors
+from turtlelog.cli.compare_across import (
+    MetricBeside,
+    list_cell_reasons,
+    narrow_columns,
+    take_metric,
+)
 from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.compare.difference import compare_measured
+from turtlelog.display import format_number, format_short, join_words
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.processes import map_in_processes
 
@@ -19,6 +26,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from turtlelog.cli.compare import ReferenceOptions
+    from turtlelog.compare import PathDeviation, RobotComparison, RunSummary
+
+
+_LONGEST: Final = 24
+"""Longest name of a recorded robot [characters]; a robot with a longer name is called by its
+file."""
+
+_MOST_RUNS: Final = 1
+"""Largest number of runs whose signals are shown with a reference by default."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +123,7 @@ def compare_with_reference(
         if kind != "txt":
             console.print_tables(_tabulate(first, compared, kind), kind)
             return
-        console.print_text(format_reference(first, compared, shows_signals=against.details))
+        console.print_text(_format_reference(first, compared, shows_signals=against.details))
 
 
 def _measure_known(run: "tl.Run", names: Sequence[str]) -> "Mapping[str, tl.Metric]":
@@ -125,29 +141,71 @@ def _tabulate(
     if kind == "csv":
         return [differences]
     errors = {name: one.path_error for name, one in zip(names, compared, strict=True)}
-    told = tuple(list_errors(errors, reference))
+    told = tuple(_list_errors(errors, reference))
     return [tl.tabulate_runs(summaries), replace(differences, notes=(*differences.notes, *told))]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MetricBeside:
-    """A metric of a run.
+def _format_reference(
+    first: "RunSummary",
+    found: "Sequence[Compared]",
+    *,
+    shows_signals: bool,
+) -> str:
+    """Return the distances of runs from a reference's path, then metrics and signals."""
+    summaries, changes = tl.compare.shorten_names([first, *(one.summary for one in found)])
+    reference, *names = tl.compare.name_runs(summaries)
+    errors = dict(zip(names, (one.path_error for one in found), strict=True))
+    ranking = tl.compare.judge_runs(summaries)
+    across, _ = narrow_columns(tl.tabulate_runs(summaries, ranking=ranking, differing=0), summaries)
+    told = [f"{ranking.describe().capitalize()}."] if ranking.differences else []
+    reasons = list_cell_reasons(across, summaries)
+    across = replace(across, notes=(*reasons, *changes, *told))
+    comparisons = [one.comparison for one in found]
+    signals = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
+    parts = [console.fit_body(across)]
+    if shows_signals or len(found) <= _MOST_RUNS:
+        parts.append(f"\n{signals.title}\n" + console.fit_body(replace(signals, notes=())))
+    else:
+        parts.append("\nThe largest difference of every signal: --details")
+    return "\n".join(
+        [
+            console.fill_lines(_list_errors(errors, reference)),
+            *parts,
+            "",
+            console.fill_lines(signals.notes),
+            "Verdicts with tolerances: turtlelog check --init " + console.quote_file(first.file),
+        ]
+    )
 
-    Attributes:
-        id: Id of the metric.
-        value: Value in `unit`; None if `status` is not `ok`.
-        unit: Unit of both values.
-        status: Whether the metric has a value.
-        reference: Value of the reference; None if the reference has no value.
-        better: `lower`, `higher`, or None if neither is better.
-    """
 
-    id: str
-    value: float | None
-    unit: str
-    status: str
-    reference: float | None
-    better: str | None
+def _show(value_m: float) -> str:
+    return format_number(round(value_m, 9), "m")  # smaller values are rounding
+
+
+def _list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterator[str]:
+    """Yield the run furthest from the reference's path, then the distance of each run."""
+    name, worst = max(errors.items(), key=lambda one: one[1].largest_m)
+    at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
+    is_on = round(worst.largest_m, 9) == 0.0
+    if len(errors) == 1:
+        yield (
+            f"{name} stays on the path of {reference}, within 1e-9 m."
+            if is_on
+            else f"{name} departs from the path of {reference} {at}."
+        )
+    else:
+        head = f"{len(errors)} runs beside {reference}"
+        yield (
+            f"{head}: all stay on its path, within 1e-9 m."
+            if is_on
+            else f"{head}: {name} departs most from its path, {at}."
+        )
+    for name, error in errors.items():
+        if not round(error.largest_apart_m, 9):
+            continue
+        path = f"up to {_show(error.largest_m)} from the path, RMS {_show(error.rms_m)}; "
+        apart = f"at equal times up to {_show(error.largest_apart_m)} apart"
+        yield f"{name}: {path if len(errors) > 1 else ''}{apart}, RMS {_show(error.rms_apart_m)}."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,19 +262,6 @@ def _build_run(path: Path, compared: Compared) -> _HeldRun:
         ],
         path_error=compared.path_error,
     )
-
-
-def take_metric(metric: "tl.Metric", reference: float | None = None) -> dict[str, Any]:
-    """Return the fields of `MetricBeside`."""
-    kind = tl.measure.find_metric_kind(metric.id)
-    return {
-        "id": metric.id,
-        "value": metric.value,
-        "unit": metric.unit,
-        "status": metric.status.value,
-        "reference": reference,
-        "better": None if kind is None else kind.better,
-    }
 
 
 def list_scenario_files(files: Sequence[Path]) -> list[Path]:
@@ -277,9 +322,50 @@ def _print(
         return
     robots = [one for _, one in found]
     if kind == "txt":
-        console.print_text(format_robots(robots, [str(file) for file, _ in found], str(scenario)))
+        console.print_text(_format_robots(robots, [str(file) for file, _ in found], str(scenario)))
     else:
         console.print_tables([tl.compare.tabulate_robots(robots)], kind)
+
+
+def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scenario: str) -> str:
+    """Return the distances of recorded robots from a simulated one, their meaning, and a table."""
+    found = [
+        one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.label_file(file))
+        for one, file in zip(found, files, strict=True)
+    ]
+    table = tl.compare.tabulate_robots(found)
+    heads = []
+    for one in found:
+        said = []
+        for band in (band for band in one.bands if band.quantity == "position"):
+            simulated = band.simulated_median
+            beside = "" if simulated is None else f" (simulated {format_short(simulated, 'm')})"
+            said.append(f"{format_short(band.median, 'm')}{beside} after {band.horizon_s:g} s")
+        head = f"{one.name} beside the scenario {one.scenario}"
+        heads.append(f"{head}: median position error {join_words(said)}.")
+    if len(found) > 1:
+        heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
+    # The sentences contain the number of errors outside of the band.
+    ranks = [0 if column.title in {"above", "below"} else None for column in table.columns]
+    seeds = found[0].seeds
+    means = (
+        f"Each motion is simulated with {seeds} seeds." if seeds else "The scenario has no noise."
+    )
+    return "\n".join(
+        [
+            console.fill_lines([*heads, *table.notes], indent=2),
+            console.fit_body(
+                replace(tl.compare.narrow_table(table, console.find_width(), ranks), notes=())
+            ),
+            "",
+            console.fill_lines(
+                [
+                    f"The simulated robot is driven with the recorded commands. {means}",
+                    f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
+                ]
+            ),
+        ]
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
