@@ -17,10 +17,7 @@ from turtlelog.cli.compare_reference import (
     compare_with_robot,
     list_scenario_files,
 )
-from turtlelog.cli.compare_trajectories import (
-    TrajectoryOptions,
-    compare_with_trajectory,
-)
+from turtlelog.cli.compare_trajectories import TrajectoryOptions, compare_with_trajectory
 from turtlelog.cli.work import Jobs, count_jobs, require_jobs, show_progress, watch_summaries
 from turtlelog.display import describe_count, join_words, split_numbers
 from turtlelog.errors import TurtlelogError, UsageError

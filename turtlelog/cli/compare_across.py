@@ -16,11 +16,7 @@ from turtlelog.display import describe_count, format_range, join_words
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog.compare import (
-        Ranking,
-        RunSummary,
-        Table,
-    )
+    from turtlelog.compare import Ranking, RunSummary, Table
 
 _LABELS: Final = {
     "final.position_error": "most accurate",

@@ -19,14 +19,7 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog.cli.plot import ViewOptions
-    from turtlelog.sweep import (
-        Border,
-        LoopLimits,
-        Sensitivity,
-        SweptAxis,
-        SweptMetric,
-        SweptView,
-    )
+    from turtlelog.sweep import Border, LoopLimits, Sensitivity, SweptAxis, SweptMetric, SweptView
 
 
 TIMELESS: Final = frozenset(

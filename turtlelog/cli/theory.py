@@ -20,12 +20,7 @@ from turtlelog.cli.theory_gains import (
     build_recommended,
     find_kept,
 )
-from turtlelog.cli.theory_loops import (
-    LoopAnswer,
-    PidAnswer,
-    build_integrator,
-    build_pid_loop,
-)
+from turtlelog.cli.theory_loops import LoopAnswer, PidAnswer, build_integrator, build_pid_loop
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
