@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog import draw
 from turtlelog.cli import console
 from turtlelog.cli.options import PICTURES, require_new_target
 from turtlelog.cli.work import show_progress
@@ -80,7 +79,7 @@ class PageOptions:
                 raise UsageError(f"{option}: needs a figure over time, not {found}")
         if self.dpi is not None and "png" not in formats:
             raise UsageError(f"--dpi: is for png files, not {', '.join(formats)}")
-        return draw.Page(
+        return tl.draw.Page(
             kind=self.kind or usual,
             **({} if self.text_width is None else {"text_width_mm": self.text_width}),
             dpi=self.dpi,
@@ -147,8 +146,9 @@ def _require_output(output: Path | None, table: Path, kind: str, where: PageOpti
     if output is None:
         return
     if suffix not in {*PICTURES, ".html"}:
-        expected = "a name that ends in .pdf, .png, .svg or .html"
-        raise UsageError(f"--output {output}: must be {expected}")
+        raise UsageError(
+            f"--output {output}: must be a name that ends in .pdf, .png, .svg or .html"
+        )
     if suffix == ".html" and kind != "map":
         raise UsageError(
             f"--kind {kind}: {output} is no figure; end its name in .pdf, .png or .svg"

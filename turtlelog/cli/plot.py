@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Group, Parameter
 
 import turtlelog as tl
-from turtlelog import draw
 from turtlelog.cli import options
 from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.list_names import complete_figures, complete_keys, complete_metrics
@@ -128,9 +127,9 @@ class AskedOptions(options.MetricsAsked):
 
     def bind(self, names: Sequence[str], runs: "Sequence[tl.Run]") -> "Only":
         """Return figures by name, with the requested content."""
-        if not (runs and {*names} <= {*draw.FIGURES}):
+        if not (runs and {*names} <= {*tl.draw.FIGURES}):
             return names
-        found = {name: draw.FIGURES[name] for name in names}
+        found = {name: tl.draw.FIGURES[name] for name in names}
         for name, kind in found.items():
             content = {} if kind.find_lack(runs) else _read_content(self, name, runs)
             if content and kind.draw is not None:
@@ -268,9 +267,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     else:
         drawn, tables = _draw_all(output, runs, only=kinds_of, **settings)
         figures = {path: path.stem for path in drawn}
-        left_out = draw.list_left_out(runs, names) if runs else ()
+        left_out = tl.draw.list_left_out(runs, names) if runs else ()
     if page.has_marks and (names or is_file):
-        left_out = (*left_out, *draw.list_unmarked(runs, figures.values()))
+        left_out = (*left_out, *tl.draw.list_unmarked(runs, figures.values()))
     for line in left_out:
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
@@ -468,7 +467,7 @@ def _draw_all(
     from turtlelog.draw.figures.writing import add_figures, add_tables
     from turtlelog.draw.output_files import replace_together
 
-    most = len(settings["formats"]) * len(draw.FIGURES if only is None else only)
+    most = len(settings["formats"]) * len(tl.draw.FIGURES if only is None else only)
     with (
         show_progress("drawing", most, "files at most") as progress,
         replace_together(output) as write,
