@@ -106,9 +106,6 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 }
 """Commands by help group, with their arguments and the first sentence of each docstring."""
 
-_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
-"""Modules and functions of commands whose names differ from the command."""
-
 
 _SUMMARIES: Final = {
     name: summary for group in _COMMANDS.values() for name, (_, summary) in group.items()
@@ -161,8 +158,10 @@ def _register() -> None:
         for order, (name, (words, _)) in enumerate(commands.items()):
             usage = f"Usage: turtlelog {name} [OPTIONS] {words}".rstrip()
             # As text, so that a command loads only its own module, and help none.
-            place = f"turtlelog.cli.{_PLACES.get(name, f'{name}:{name}')}"
-            app.command(place, name=name, group=group, sort_key=order, usage=usage)
+            place = "list_names:list_" if name == "list" else f"{name}:{name}"
+            app.command(
+                f"turtlelog.cli.{place}", name=name, group=group, sort_key=order, usage=usage
+            )
     others = Group("Help and completion", sort_key=len(_COMMANDS))
     app.command(_help, name="help", group=others, usage="Usage: turtlelog help [COMMAND]")
     app.command(

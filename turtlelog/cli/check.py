@@ -26,7 +26,7 @@ from turtlelog.cli.check_answers import (
     tabulate_matrix,
     tabulate_values,
 )
-from turtlelog.cli.scenario_options import is_recording
+from turtlelog.cli.scenario import is_recording
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_files
 from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError

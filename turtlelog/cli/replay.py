@@ -25,7 +25,7 @@ from turtlelog.cli.replay_answer import (
     format_plant,
     tell_time,
 )
-from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
+from turtlelog.cli.scenario import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls

@@ -1,4 +1,4 @@
-"""`turtlelog run`: simulation of a scenario; `turtlelog scenario`: printing of it."""
+"""`turtlelog run`: simulation of a scenario."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,11 +11,11 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.metrics_answer import format_run, list_needed
-from turtlelog.cli.scenario_options import (
+from turtlelog.cli.scenario import (
     LawOptions,
     RowOptions,
+    ScenarioWord,
     find_scenario_file,
     list_given_keys,
     load_changed_scenario,
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.draw.rerun.viewer import ViewerProcess
 
-ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
@@ -125,21 +124,6 @@ def run(
             with suppress(KeyboardInterrupt):  # all is done: only the window is closed
                 window.wait()
     return code
-
-
-def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = None) -> None:
-    """Print the scenario of a preset, file or recording as a whole file, to edit and run.
-
-    The code of a law of your own is not loaded: only the given keys are printed.
-
-    Example: turtlelog scenario paper-kp10 > mine.toml
-
-    Args:
-        scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
-            Default: paper; with --law: textbook.
-    """
-    chosen = load_changed_scenario(scenario, changes)
-    console.print_text(tl.format_scenario(chosen))
 
 
 def _require_sound(

@@ -14,8 +14,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.run import ScenarioWord
-from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
+from turtlelog.cli.scenario import LawOptions, ScenarioWord, list_given_keys, load_changed_scenario
 from turtlelog.cli.usage import Whole
 from turtlelog.cli.work import WorkOptions, show_progress
 from turtlelog.display import describe_count, format_range

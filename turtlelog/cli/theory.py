@@ -11,7 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.console import print_json, print_text
 from turtlelog.cli.list_names import complete_keys, complete_preset
 from turtlelog.cli.options import Json, ReadingOptions, read_runs
-from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
+from turtlelog.cli.scenario import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
 from turtlelog.cli.theory_gains import (
     Recommended,

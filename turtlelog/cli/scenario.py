@@ -1,4 +1,4 @@
-"""Options that choose a scenario and change it, shared by several commands."""
+"""`turtlelog scenario`: printing of a scenario; options that choose and change scenarios."""
 
 import re
 from dataclasses import dataclass, replace
@@ -9,12 +9,14 @@ from typing import Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.console import print_note
-from turtlelog.cli.list_names import complete_keys, complete_law
+from turtlelog.cli.console import print_note, print_text
+from turtlelog.cli.list_names import complete_keys, complete_law, complete_preset
 from turtlelog.cli.options import MaxDownload, Place, TopicOptions, read_chosen_run
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path
+
+ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
 
 @Parameter(name="*")
@@ -98,6 +100,21 @@ class RowOptions:
         if self.row is None:
             raise UsageError("--from: needs --row NUMBER")
         return apply_options(tl.sweep.load_row_scenario(self.table, self.row), options)
+
+
+def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = None) -> None:
+    """Print the scenario of a preset, file or recording as a whole file, to edit and run.
+
+    The code of a law of your own is not loaded: only the given keys are printed.
+
+    Example: turtlelog scenario paper-kp10 > mine.toml
+
+    Args:
+        scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
+            Default: paper; with --law: textbook.
+    """
+    chosen = load_changed_scenario(scenario, changes)
+    print_text(tl.format_scenario(chosen))
 
 
 _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
