@@ -11,8 +11,7 @@ import pytest
 
 from tests.cli.conftest import Call
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.cli.check_answers import format_results
-from turtlelog.cli.check_tables import CountedResults
+from turtlelog.cli.check_answers import CountedResults, format_results
 
 RATES = """format = 1
 [checks.rate]

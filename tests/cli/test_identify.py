@@ -95,7 +95,7 @@ def test_the_text_has_what_to_paste_into_nav2(call: Call, bag: Path) -> None:
 def test_what_the_robot_does_is_as_exact_as_its_interval(
     gain: float, low: float, high: float, words: str
 ) -> None:
-    from turtlelog.cli.identify_answer import describe_gain
+    from turtlelog.cli.identify import describe_gain
 
     estimate = Estimate(value=gain, low=low, high=high, unit="1")
     assert describe_gain(AxisModel(axis="turn_rate", status="ok", gain=estimate)) == words
@@ -237,7 +237,7 @@ def test_outliers_are_named_one_by_one_unless_they_are_many(call: Call, tmp_path
 
 @pytest.mark.parametrize(("least_s", "is_told"), [(0.0, True), (0.001, False)])
 def test_a_sum_that_the_log_does_not_divide_is_told(least_s: float, *, is_told: bool) -> None:
-    from turtlelog.cli.identify_answer import format_robot
+    from turtlelog.cli.identify import format_robot
 
     part = Estimate(value=0.1, low=0.0, high=0.2)
     axis = AxisModel(

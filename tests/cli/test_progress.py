@@ -12,7 +12,7 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import Call
 from turtlelog.cli.options import iterate_runs
-from turtlelog.cli.progress import end_progress, show_progress
+from turtlelog.cli.work import end_progress, show_progress
 from turtlelog.simulate.compiled.compiled_code import COMPILING
 
 ROOT = Path(__file__).parents[2]
@@ -74,7 +74,7 @@ def test_a_bar_shows_up_after_a_second_and_is_gone_at_the_end(attach: Attach) ->
 @on_terminals
 def test_a_bar_says_that_loops_compile(attach: Attach, monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = attach()
-    monkeypatch.setattr("turtlelog.cli.progress._DELAY_S", 0.0)
+    monkeypatch.setattr("turtlelog.cli.work._DELAY_S", 0.0)
     with show_progress("simulated", 3, "rows", has_rate=True):
         COMPILING.set()
         time.sleep(0.3)

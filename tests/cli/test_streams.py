@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import Call
-from turtlelog.cli.output import print_json
+from turtlelog.cli.console import print_json
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-m", "turtlelog"]

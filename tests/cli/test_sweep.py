@@ -8,7 +8,7 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import Call
 from turtlelog.cli import sweep as sweep_command
-from turtlelog.cli.progress import Rate
+from turtlelog.cli.work import Rate
 from turtlelog.sweep import read_result_table
 
 GRID = ("--grid", "law.kp_linear=1:2")
@@ -203,7 +203,7 @@ def test_rate_and_time_left_count_from_where_a_sweep_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = [10.0]
-    monkeypatch.setattr("turtlelog.cli.progress.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("turtlelog.cli.work.time.monotonic", lambda: now[0])
     rate = Rate()
     assert rate.describe(50, 150) == ""
     now[0] = 12.0

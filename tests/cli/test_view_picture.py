@@ -11,8 +11,13 @@ from tests.draw.rerun.rrds import list_entities
 from tests.fresh_process import run_command
 from tests.log.ros2.robots import say_odometry, write_robot
 from tests.log.ros2.test_bag_scans import say_map, say_scan
-from turtlelog.cli.picture_options import MovieOptions
-from turtlelog.cli.view import PictureOptions, _choose_time, _parse_size, _require_picture
+from turtlelog.cli.view import (
+    MovieOptions,
+    PictureOptions,
+    _choose_time,
+    _parse_size,
+    _require_picture,
+)
 from turtlelog.draw.rerun.snapshot import _require_inside
 from turtlelog.errors import ShowError, UsageError
 from turtlelog.scenario import get_preset

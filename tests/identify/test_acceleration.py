@@ -19,7 +19,7 @@ from tests.identify.robots import Log
 from tests.identify.strange_robots import Strange, draw_robot
 from tests.identify.wheel_robots import Wheeled, drive_wheels
 from tests.known import known
-from turtlelog.cli.identify_answer import format_robot
+from turtlelog.cli.identify import format_robot
 from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import fit_axis, list_ends
 from turtlelog.identify.axis_motion import read_axis_motion

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import turtlelog as tl
 from tests.identify.robots import Log, build_run, make_run
 from tests.known import known
-from turtlelog.cli.identify_answer import format_robot
+from turtlelog.cli.identify import format_robot
 from turtlelog.identify import AxisModel, Estimate
 from turtlelog.identify.axis_fit import find_outlying_steps
 from turtlelog.identify.axis_motion import find_silent_stops, read_axis_motion

@@ -10,8 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from tests.known import known
-from turtlelog.cli.identify import build_identify_answer
-from turtlelog.cli.identify_answer import format_robot
+from turtlelog.cli.identify import build_identify_answer, format_robot
 from turtlelog.identify import refused_axes
 from turtlelog.identify.axis_motion import AxisMotion, read_axis_motion
 from turtlelog.identify.refused_axes import find_correlation_delay

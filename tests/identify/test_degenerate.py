@@ -13,7 +13,7 @@ import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, build_run, make_run
 from tests.known import known
 from tests.log.runs import find_shared
-from turtlelog.cli.identify_answer import format_robot
+from turtlelog.cli.identify import format_robot
 from turtlelog.compare import compare_robot
 from turtlelog.errors import TurtlelogError
 from turtlelog.identify import build_robot_scenario

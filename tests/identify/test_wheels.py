@@ -12,7 +12,7 @@ from tests.identify.limited_robots import Limited
 from tests.identify.robots import Log, make_run
 from tests.identify.wheel_robots import Wheeled, drive_wheels
 from tests.known import known
-from turtlelog.cli.identify_answer import format_robot
+from turtlelog.cli.identify import format_robot
 from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import find_outlying_steps
 from turtlelog.run import Run

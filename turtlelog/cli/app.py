@@ -13,19 +13,9 @@ from typing import Any, Final
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_DEFECT,
-    EXIT_FINE,
-    EXIT_INTERRUPTED,
-    drop_stdout,
-    outlive_reader,
-    print_error,
-    print_held_notes,
-    print_note,
-)
-from turtlelog.cli.progress import end_progress
+from turtlelog.cli import console
 from turtlelog.cli.usage import HelpFormatter, describe_usage_error, find_split_pair, show_default
+from turtlelog.cli.work import end_progress
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.files.urls import RemoteNote, limit_downloads
 from turtlelog.version import __version__
@@ -116,9 +106,6 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 }
 """Commands by help group, with their arguments and the first sentence of each docstring."""
 
-_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
-"""Modules and functions of commands whose names differ from the command."""
-
 
 _SUMMARIES: Final = {
     name: summary for group in _COMMANDS.values() for name, (_, summary) in group.items()
@@ -171,8 +158,10 @@ def _register() -> None:
         for order, (name, (words, _)) in enumerate(commands.items()):
             usage = f"Usage: turtlelog {name} [OPTIONS] {words}".rstrip()
             # As text, so that a command loads only its own module, and help none.
-            place = f"turtlelog.cli.{_PLACES.get(name, f'{name}:{name}')}"
-            app.command(place, name=name, group=group, sort_key=order, usage=usage)
+            place = "list_names:list_" if name == "list" else f"{name}:{name}"
+            app.command(
+                f"turtlelog.cli.{place}", name=name, group=group, sort_key=order, usage=usage
+            )
     others = Group("Help and completion", sort_key=len(_COMMANDS))
     app.command(_help, name="help", group=others, usage="Usage: turtlelog help [COMMAND]")
     app.command(
@@ -210,18 +199,22 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except (TurtlelogError, CycloptsError) as err:
         text = describe_usage_error(err) if isinstance(err, CycloptsError) else str(err)
         text = find_split_pair(sys.argv[1:] if tokens is None else tokens) or text
-        code = _fail(text, EXIT_BAD_INPUT)
+        code = _fail(text, console.EXIT_BAD_INPUT)
     except KeyboardInterrupt:
-        code = _fail("interrupted", EXIT_INTERRUPTED)
+        code = _fail("interrupted", console.EXIT_INTERRUPTED)
     except OSError as err:
-        code = _fail(_describe_os_error(err), EXIT_BAD_INPUT)
+        text = f"{err.filename}: cannot be used: {err.strerror}"
+        if err.filename is None:
+            console.drop_stdout()
+            text = f"standard output: cannot be written: {err}"
+        code = _fail(text, console.EXIT_BAD_INPUT)
     except Exception:
         import traceback
 
         traceback.print_exc()
-        code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
-    print_held_notes()
-    sys.exit(code if isinstance(code, int) else EXIT_FINE)
+        code = _fail("this is a defect of turtlelog; please report it", console.EXIT_DEFECT)
+    console.print_held_notes()
+    sys.exit(code if isinstance(code, int) else console.EXIT_FINE)
 
 
 _ALL: Final = "--help-all"
@@ -236,8 +229,7 @@ def _call(tokens: Sequence[str] | None) -> Any:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         finally:
             end_progress()
-        with outlive_reader():
-            sys.stdout.flush()
+        console.flush_stdout()
     return code
 
 
@@ -247,7 +239,7 @@ def _print_remote_notes() -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, RemoteNote):
-            print_note(str(message))
+            console.print_note(str(message))
         else:
             usual(message, category, *place, **more)
 
@@ -287,14 +279,7 @@ def _prepare_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _describe_os_error(err: OSError) -> str:
-    if err.filename is not None:
-        return f"{err.filename}: cannot be used: {err.strerror}"
-    drop_stdout()
-    return f"standard output: cannot be written: {err}"
-
-
 def _fail(text: str, code: int) -> int:
-    print_held_notes()
-    print_error(text)
+    console.print_held_notes()
+    console.print_error(text)
     return code

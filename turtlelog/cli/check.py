@@ -1,54 +1,42 @@
 """`turtlelog check`: check recordings against a specification."""
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import print_marks, print_results
-from turtlelog.cli.options import (
-    Output,
-    Place,
-    ReadingOptions,
-    WorkOptions,
-    find_files,
-    list_files,
-    list_reading_words,
-    watch_files,
+from turtlelog.cli import console, options
+from turtlelog.cli.check_answers import (
+    CheckAnswer,
+    CountedResults,
+    build_results,
+    conclude,
+    format_many,
+    format_results,
+    list_failure_reasons,
+    list_verdict_reasons,
+    tabulate_files,
+    tabulate_matrix,
+    tabulate_values,
 )
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    FormatOptions,
-    fill_lines,
-    print_json,
-    print_note,
-    print_run_notes,
-    print_text,
-    quote_file,
-    write_text,
-)
-from turtlelog.cli.scenario_options import is_recording
-from turtlelog.cli.targets import require_apart, require_new_target, summarise_table, tabulate
+from turtlelog.cli.scenario import is_recording
+from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_files
 from turtlelog.display import describe_count
 from turtlelog.errors import ExpressionError, LogError, UsageError
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from turtlelog import Run, Spec
-    from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.judged_files import FileJudge, JudgedFile
-    from turtlelog.sweep import FoundRecording
+    from turtlelog.check.judged_files import CheckedFile, FileJudge, JudgedFile
 
 
-Words = Annotated[list[Place], Parameter(name="SPEC FILE")]
+Words = Annotated[list[options.Place], Parameter(name="SPEC FILE")]
 
 
 @Parameter(name="*")
@@ -66,8 +54,8 @@ class FirstSpecOptions:
     """
 
     expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None
-    init: Place | None = None
-    output: Output = None
+    init: options.Place | None = None
+    output: options.Output = None
     schema: bool = False
 
 
@@ -93,9 +81,9 @@ class ReportOptions(WorkOptions):
         marks: Print one line for each recording: its verdict, and how many of its checks pass.
     """
 
-    junit: Place | None = None
-    artifacts: Place | None = None
-    report: Place | None = None
+    junit: options.Place | None = None
+    artifacts: options.Place | None = None
+    report: options.Place | None = None
     all_: Annotated[bool, Parameter(name="--all")] = False
     no_why: Annotated[bool, Parameter(negative=())] = False
     marks: bool = False
@@ -105,11 +93,11 @@ def check(
     words: Words | None = None,
     /,
     *,
-    reference: Place | None = None,
+    reference: options.Place | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
-    formats: FormatOptions | None = None,
-    topics: ReadingOptions | None = None,
+    formats: console.FormatOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> int:
     """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
@@ -135,56 +123,53 @@ def check(
         reference: Reference recording, instead of the one in SPEC; also the reference trajectory of
             ate.* and rpe.* in --expect.
     """
-    kind = (formats or FormatOptions()).choose()
+    kind = (formats or console.FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
     if first.schema:
         from turtlelog.check.spec import build_schema
 
-        print_json(build_schema())
-        return EXIT_FINE
+        console.print_json(build_schema())
+        return console.EXIT_FINE
     if first.init is not None:
-        return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
-    words, expect = words or [], first.expect
+        return _write_first(
+            first.init, words or [], first.output, topics or options.ReadingOptions()
+        )
+    words = words or []
     files = reports.name_files(_choose_files(words, first))
     _require_targets(reports, first.output, words)
-    spec = (
-        replace(build_spec(expect), reference=reference)
-        if expect
-        else tl.load_spec(words[0], reference=reference)
-    )
-    _require_use(spec, reference if expect else None)
-    topics = topics or ReadingOptions()
+    spec = _load_spec(words[0], first.expect or (), reference)
+    topics = topics or options.ReadingOptions()
     if first.output is not None:
-        found = find_files(files, first.output)
+        found = options.find_files(files, first.output)
         files = [Path(one.path) for one in found]
         _require_known(spec, files, topics)
         results = _check_into_table(first.output, spec, found, reports, topics)
     else:
-        files = list_files(files)
+        files = options.list_files(files)
         _require_known(spec, files, topics)
         results = _check_all(spec, files, reports, topics)
     if reports.marks:
         if kind != "txt" or reports.all_:
             raise UsageError("--marks prints a line for each recording; leave other formats out")
-        return EXIT_FAILED if print_marks(results) == "FAIL" else EXIT_FINE
-    verdict = print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
-    return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+        return console.EXIT_FAILED if _print_marks(results) == "FAIL" else console.EXIT_FINE
+    verdict = _print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
+    return console.EXIT_FAILED if verdict == "FAIL" else console.EXIT_FINE
 
 
-def _require_use(spec: "Spec", reference: Path | None) -> None:
-    """Refuse a reference that no formula needs.
-
-    Raises:
-        UsageError: If there is such a reference.
-    """
+def _load_spec(path: Path, formulas: Sequence[str], reference: Path | None) -> "tl.Spec":
+    """Return the specification of --expect, or else of a file, with a reference that it needs."""
     from turtlelog.check.spec import list_formula_names
     from turtlelog.check.vocabulary import TRAJECTORY_VALUES
 
+    if not formulas:
+        return tl.load_spec(path, reference=reference)
+    spec = replace(build_spec(formulas), reference=reference)
     if reference is not None and list_formula_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(
             "--reference: leave it out beside --expect, which has no tolerances and names no error"
             " of a trajectory (ate.position.rmse)"
         )
+    return spec
 
 
 def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
@@ -199,7 +184,16 @@ def _choose_files(words: list[Path], first: FirstSpecOptions) -> list[Path]:
             f" turtlelog check FILE... --expect {_FORMULA}"
         )
     if is_recording(words[0]) or str(words[0]) in tl.PRESETS:
-        raise UsageError(_describe_no_spec(words))
+        specs = [word for word in words if word.suffix.lower() == ".toml"]
+        others = shlex.join(str(word) for word in words if word not in specs)
+        head = f"{words[0]} is a recording"
+        if specs:
+            command = f"turtlelog check {shlex.quote(str(specs[0]))} {others}"
+            raise UsageError(f"{head}; the specification goes first: {command}")
+        raise UsageError(
+            f"{head}, but check needs a specification first: turtlelog check SPEC {others}, or"
+            f" --expect {_FORMULA}, or create one with --init {words[0]}"
+        )
     if len(words) == 1:
         raise UsageError(f"which recordings? turtlelog check {shlex.quote(str(words[0]))} FILE...")
     return words[1:]
@@ -209,32 +203,18 @@ _FORMULA: Final = '"rotate.overshoot <= 2"'
 """Example of a formula."""
 
 
-def _describe_no_spec(words: list[Path]) -> str:
-    """Return what to type if a recording is given in place of the specification."""
-    specs = [word for word in words if word.suffix.lower() == ".toml"]
-    others = shlex.join(str(word) for word in words if word not in specs)
-    if specs:
-        spec = shlex.quote(str(specs[0]))
-        where = "the specification goes first"
-        return f"{words[0]} is a recording; {where}: turtlelog check {spec} {others}"
-    return (
-        f"{words[0]} is a recording, but check needs a specification first: turtlelog check SPEC"
-        f" {others}, or --expect {_FORMULA}, or create one with --init {words[0]}"
-    )
-
-
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
     """Refuse files next to the answer that could not be written."""
     if output is not None and output.suffix.lower() != ".parquet":
         other = "--init, or a name that ends in .parquet"
         raise UsageError(f"--output {output}: needs {other}")
-    require_new_target(reports.junit, words, suffix=".xml")
-    require_new_target(reports.report, words, suffix=".html")
+    options.require_new_target(reports.junit, words, suffix=".xml")
+    options.require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
-    require_apart([path for path in targets if path is not None])
+    options.require_apart([path for path in targets if path is not None])
 
 
-def build_spec(formulas: "Sequence[str]") -> "Spec":
+def build_spec(formulas: "Sequence[str]") -> "tl.Spec":
     """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
     from turtlelog.check.spec import Check
     from turtlelog.check.vocabulary import names_metrics_alone, require_known_names
@@ -248,7 +228,7 @@ def build_spec(formulas: "Sequence[str]") -> "Spec":
     return tl.Spec(checks=tuple(checks), source="--expect")
 
 
-def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) -> None:
+def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.ReadingOptions) -> None:
     """Refuse names that neither the tables of names nor any recording contains.
 
     Recordings are read only for names that may be states or parameters of a user law, until one
@@ -281,43 +261,43 @@ def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) 
 
 
 def _write_first(
-    path: Path, words: Sequence[Path], output: Path | None, topics: ReadingOptions
+    path: Path, words: Sequence[Path], output: Path | None, topics: options.ReadingOptions
 ) -> int:
     from turtlelog.check.first_spec import format_first_spec, name_reference
     from turtlelog.check.judged_files import read_to_judge
 
     if words:
         raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")
-    require_new_target(output, [path], suffix=".toml")
+    options.require_new_target(output, [path], suffix=".toml")
     file, topic = tl.log.split_topic(path)
     choice = topics.build_choice()
     run, notes = read_to_judge(path, choice)
-    print_run_notes(path, notes)
+    console.print_run_notes(path, notes)
     if topic is not None:  # the specification distinguishes both
         choice = replace(choice, pose_topic=topic)
     text = format_first_spec(run, reference=name_reference(file, output), read=choice)
     if output is None:
-        print_text(text)
-        return EXIT_FINE
-    write_text(output, text)
-    print_note(f"wrote {output}")
+        console.print_text(text)
+        return console.EXIT_FINE
+    console.write_text(output, text)
+    console.print_note(f"wrote {output}")
     checks = describe_count(text.count("\n[checks."), "check")
-    spec = quote_file(output)
+    spec = console.quote_file(output)
     lines = [
         f"{output.name}: {checks} read off {file.name}, each bound with its reason.",
         f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",
     ]
-    print_text(fill_lines(lines))
-    return EXIT_FINE
+    console.print_text(console.fill_lines(lines))
+    return console.EXIT_FINE
 
 
 def _check_into_table(
     output: Path,
-    spec: "Spec",
-    found: "Sequence[FoundRecording]",
+    spec: "tl.Spec",
+    found: "Sequence[tl.sweep.FoundRecording]",
     reports: ReportOptions,
-    topics: ReadingOptions,
-) -> "Iterator[CheckResult]":
+    topics: options.ReadingOptions,
+) -> "Iterator[tl.check.CheckResult]":
     """Return the results of files. The table provides the results of unchanged files."""
     from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
 
@@ -326,13 +306,18 @@ def _check_into_table(
             raise UsageError(f"--{name}: leave out --output, which does not read unchanged files")
     judge = _prepare_judge(spec, topics)
     table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
+    options.require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
     done = tabulate(found, output, table, work=reports, file_s=_FILE_S)
-    print_note(summarise_table(done))
+    console.print_note(summarise_table(done))
     return read_verdicts(output, {one.label: one.path for one in found})
 
 
 def _prepare_judge(
-    spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
+    spec: "tl.Spec",
+    topics: options.ReadingOptions,
+    *,
+    is_described: bool = False,
+    keeps_runs: bool = False,
 ) -> "FileJudge":
     from turtlelog.check.judged_files import FileJudge
     from turtlelog.check.reference import read_reference_run, read_reference_trajectory
@@ -350,34 +335,23 @@ def _prepare_judge(
 
 
 def _check_all(
-    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
-) -> "Iterator[CheckResult]":
+    spec: "tl.Spec", files: Sequence[Path], reports: ReportOptions, topics: options.ReadingOptions
+) -> "Iterator[tl.check.CheckResult]":
     """Yield the results of files, and write the requested files next to the answer."""
+    from turtlelog.check.judged_files import format_junit
+
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: leave out --scheduler")
-    with reports.find_place(files, file_s=_FILE_S) as place:
-        yield from _check_placed(spec, files, reports, topics, place=place)
-
-
-def _check_placed(
-    spec: "Spec",
-    files: Sequence[Path],
-    reports: ReportOptions,
-    topics: ReadingOptions,
-    *,
-    place: "int | Executor",
-) -> "Iterator[CheckResult]":
-    from turtlelog.check.judged_files import CheckedFile, format_junit
-
-    jobs = 1 if reports.report is not None else place
-    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
-    is_described = reports.junit is not None
-    judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
-    judged = map_in_processes(judge, files, jobs)
-    explain = None if reports.no_why or reports.marks else judge.build_explainer()
     checked: list[CheckedFile] = []  # data for a report
-    runs: dict[str, Run] = {}
+    runs: dict[str, tl.Run] = {}
     with ExitStack() as stack:
+        place = stack.enter_context(reports.find_place(files, file_s=_FILE_S))
+        jobs = 1 if reports.report is not None else place
+        keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
+        is_described = reports.junit is not None
+        judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
+        judged = map_in_processes(judge, files, jobs)
+        explain = None if reports.no_why or reports.marks else judge.build_explainer()
         writer = reports.artifacts and stack.enter_context(
             tl.check.ArtifactWriter(reports.artifacts)
         )
@@ -386,7 +360,7 @@ def _check_placed(
                 file = explain(path, file)
             if reports.junit is not None or reports.report is not None:
                 checked.append(file.checked)
-            print_run_notes(file.checked.file, file.notes)
+            console.print_run_notes(file.checked.file, file.notes)
             if file.run is not None and reports.report is not None:
                 runs[file.checked.file] = file.run
             if writer:
@@ -394,48 +368,103 @@ def _check_placed(
                 _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
             yield from file.checked.results
     if reports.junit is not None:
-        write_text(reports.junit, format_junit(checked))
-        print_note(f"wrote {reports.junit}")
-    if reports.report is not None:
-        results = [result for file in checked for result in file.results]
-        words = [*runs, *list_reading_words(topics), "--report", str(reports.report)]
-        _write_report(reports.report, runs, results, _join_command(spec, words))
+        console.write_text(reports.junit, format_junit(checked))
+        console.print_note(f"wrote {reports.junit}")
+    _write_report(reports.report, runs, checked, spec, topics)
 
 
 def _write_report(
-    path: Path, runs: "Mapping[str, Run]", results: "Sequence[CheckResult]", command: str
+    path: Path | None,
+    runs: "Mapping[str, tl.Run]",
+    checked: "Sequence[CheckedFile]",
+    spec: "tl.Spec",
+    topics: options.ReadingOptions,
 ) -> None:
-    """Write a report on the readable recordings, with the command that creates it."""
+    """Write the requested report on the readable recordings, with the command that creates it."""
     from turtlelog.cli.report import build_check_lines
 
-    bare = [file for file, run in runs.items() if not len(run.poses)]
-    runs = {file: run for file, run in runs.items() if file not in bare}
-    for file in bare:
-        print_note(f"{path}: {file} has commands alone, and a report needs poses")
-    if not runs:
-        print_note(f"{path}: no report: none of the recordings could be read")
+    if path is None:
         return
-    names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
+    bare = [file for file, run in runs.items() if not len(run.poses)]
+    posed = {file: run for file, run in runs.items() if file not in bare}
+    for file in bare:
+        console.print_note(f"{path}: {file} has commands alone, and a report needs poses")
+    if not posed:
+        console.print_note(f"{path}: no report: none of the recordings could be read")
+        return
+    names = dict(zip(posed, tl.compare.name_runs([*posed.values()]), strict=True))
+    results = [result for file in checked for result in file.results]
+    words = ["turtlelog", "check", str(spec.source), *runs, *options.list_reading_words(topics)]
+    is_file = not str(spec.source).startswith("--")  # else no file contains the checks
     tl.draw.write_report(
-        [*runs.values()],
+        [*posed.values()],
         path,
-        sources=[*runs],
-        checks=build_check_lines(results, names, runs),
-        command=command,
+        sources=[*posed],
+        checks=build_check_lines(results, names, posed),
+        command=shlex.join([*words, "--report", str(path)]) if is_file else "",
     )
-    print_note(f"wrote {path}")
+    console.print_note(f"wrote {path}")
 
 
-def _join_command(spec: "Spec", words: Sequence[str]) -> str:
-    """Return the command that repeats the check; empty if no file contains the checks."""
-    is_file = not str(spec.source).startswith("--")
-    return shlex.join(["turtlelog", "check", str(spec.source), *words]) if is_file else ""
-
-
-def _write_artifacts(file: "JudgedFile", writer: "ArtifactWriter") -> None:
+def _write_artifacts(file: "JudgedFile", writer: "tl.check.ArtifactWriter") -> None:
     for result in file.checked.results:
         if file.run is None or result.verdict != "FAIL":
             continue
         written = writer.write(file.run, result)
         for line in (*(f"wrote {path}" for path in written.files), *written.notes):
-            print_note(line)
+            console.print_note(line)
+
+
+def _print_results(
+    spec: "tl.Spec",
+    results: "Iterable[tl.check.CheckResult]",
+    *,
+    files: int,
+    kind: str = "txt",
+    shows_all: bool = False,
+) -> "tl.check.Verdict":
+    """Print the verdict and what fails, and return the verdict.
+
+    Results of many files are counted one by one. CSV contains only rows.
+    """
+    if kind == "txt" and files > _MOST_FILES:
+        counted = CountedResults(results)
+        console.print_verdicts(format_many(counted, files=files, spec=spec, shows_all=shows_all))
+        return counted.verdict
+    results = [*results]
+    verdict = tl.check.join_verdicts(results)
+    if kind == "json":
+        console.print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
+    elif kind == "csv":
+        console.print_tables([tabulate_values(spec, results)], kind)
+    elif kind == "txt":
+        console.print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
+    else:
+        tables = [*tabulate_files(results), *tabulate_matrix(results)]
+        notes = (
+            conclude(CountedResults(results), files),
+            *list_verdict_reasons(spec, results),
+            *list_failure_reasons(results),
+        )
+        console.print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
+    return verdict
+
+
+def _print_marks(results: "Iterable[tl.check.CheckResult]") -> "tl.check.Verdict":
+    """Print a line for each recording as soon as it is checked, and return the joint verdict."""
+    from turtlelog.check.result import decide_verdict
+
+    counted = []
+    for file, of_file in groupby(results, key=lambda result: result.file):
+        found = CountedResults(of_file)
+        counted.append(found.verdict)
+        passed = found.verdicts[tl.check.Verdict.PASS]
+        total = found.verdicts.total()
+        console.print_verdicts(
+            f"{found.verdict}  {file}: {passed} of {describe_count(total, 'check')} passed"
+        )
+    return decide_verdict(Counter(counted))
+
+
+_MOST_FILES: Final = 20
+"""Largest number of recordings whose checks are kept in memory; for more, checks are counted."""

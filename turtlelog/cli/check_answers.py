@@ -1,44 +1,20 @@
-"""Text and JSON of `turtlelog check`."""
+"""Results of checks as counts, tables, reasons, text and JSON."""
 
+import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.check_tables import (
-    CountedResults,
-    count_checks,
-    list_failure_reasons,
-    list_verdict_reasons,
-    tabulate_checks,
-    tabulate_files,
-    tabulate_matrix,
-    tabulate_values,
-)
-from turtlelog.cli.output import (
-    copy_fields,
-    fill_lines,
-    fit_table,
-    name_explain,
-    print_json,
-    print_tables,
-    print_verdicts,
-    read_law,
-)
-from turtlelog.display import describe_count, format_short
+from turtlelog.cli import console
+from turtlelog.display import describe_count, format_short, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import Spec
     from turtlelog.check import CheckResult, Verdict
-    from turtlelog.compare import Table
-
-
-_MOST_FILES: Final = 20
-"""Largest number of recordings whose checks are kept in memory; for more, checks are counted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +65,7 @@ class CheckAnswer:
 def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
     """Return results as entries of the answer."""
     return [
-        copy_fields(
+        console.copy_fields(
             ResultAnswer,
             result,
             verdict=result.verdict.value,
@@ -103,55 +79,78 @@ def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
     ]
 
 
-def print_results(
-    spec: "Spec",
-    results: "Iterable[CheckResult]",
-    *,
-    files: int,
-    kind: str = "txt",
-    shows_all: bool = False,
-) -> "Verdict":
-    """Print the verdict and what fails, and return the verdict.
+_MOST_FAILURES: Final = 40
+"""Largest number of failures that are shown for several recordings: a screen of rows, and one of
+reasons."""
 
-    Results of many files are counted one by one. CSV contains only rows.
+_MOST_NAMES: Final = 8
+"""Largest number of recordings that are named as failing."""
+
+
+class CountedResults:
+    """Results counted one by one, so that memory does not grow with them.
+
+    Attributes:
+        verdicts: Number of each verdict.
+        of_checks: Number of each verdict, by check.
+        nearest: For each check, the result nearest to its limit, or furthest beyond it.
+        failures: First failed results.
+        valueless: Number of checks that failed because a value is missing.
+        failing: Number of failed checks in each of the first failing files.
+        failing_files: Number of files with a failed check.
+        file: First file.
     """
-    if kind == "txt" and files > _MOST_FILES:
-        counted = CountedResults(results)
-        print_verdicts(_format_many(counted, files=files, spec=spec, shows_all=shows_all))
-        return counted.verdict
-    results = [*results]
-    verdict = tl.check.join_verdicts(results)
-    if kind == "json":
-        print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
-    elif kind == "csv":
-        print_tables([tabulate_values(spec, results)], kind)
-    elif kind == "txt":
-        print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
-    else:
-        tables = [*tabulate_files(results), *tabulate_matrix(results)]
-        notes = (
-            conclude(CountedResults(results), files),
-            *list_verdict_reasons(spec, results),
-            *list_failure_reasons(results),
-        )
-        print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
-    return verdict
 
+    def __init__(self, results: "Iterable[CheckResult]") -> None:
+        """Count results one by one."""
+        self.verdicts: Counter[Verdict] = Counter()
+        self.of_checks: dict[str, Counter[Verdict]] = {}
+        self.nearest: dict[str, CheckResult] = {}
+        self.failures: list[CheckResult] = []
+        self.valueless = 0
+        self.failing: dict[str, int] = {}
+        self.failing_files = 0
+        self._latest = ""
+        self.file = ""
+        for result in results:
+            self._count(result)
 
-def print_marks(results: "Iterable[CheckResult]") -> "Verdict":
-    """Print a line for each recording as soon as it is checked, and return the joint verdict."""
-    from turtlelog.check.result import decide_verdict
+    def _count(self, result: "CheckResult") -> None:
+        self.file = self.file or result.file
+        self.verdicts[result.verdict] += 1
+        self.of_checks.setdefault(result.check, Counter())[result.verdict] += 1
+        if result.margin is not None:
+            nearest = self.nearest.setdefault(result.check, result)
+            if result.margin < (nearest.margin or 0.0):
+                self.nearest[result.check] = result
+        if result.verdict != "FAIL":
+            return
+        self.valueless += result.value is None
+        self.failing_files += result.file != self._latest
+        self._latest = result.file
+        if result.file in self.failing or len(self.failing) < _MOST_NAMES:
+            self.failing[result.file] = self.failing.get(result.file, 0) + 1
+        if len(self.failures) < _MOST_FAILURES:
+            self.failures.append(result)
 
-    counted = []
-    for file, of_file in groupby(results, key=lambda result: result.file):
-        found = CountedResults(of_file)
-        counted.append(found.verdict)
-        passed = found.verdicts[tl.check.Verdict.PASS]
-        total = found.verdicts.total()
-        print_verdicts(
-            f"{found.verdict}  {file}: {passed} of {describe_count(total, 'check')} passed"
-        )
-    return decide_verdict(Counter(counted))
+    def find_smallest(self) -> "CheckResult | None":
+        """Return the result nearest to its limit, or furthest beyond, in proportion.
+
+        The margin counts relative to the larger of value and limit, as a limit may be 0.
+        """
+        parts = [
+            (one.margin / max(abs(one.limit), abs(one.value or 0.0)), number)
+            for number, one in enumerate(self.nearest.values())
+            if one.margin is not None and one.limit is not None and (one.limit or one.value)
+        ]
+        return [*self.nearest.values()][min(parts)[1]] if parts else None
+
+    @property
+    def verdict(self) -> "Verdict":
+        """The joint verdict of all results."""
+        from turtlelog.check.result import decide_verdict
+
+        return decide_verdict(self.verdicts)
 
 
 def format_results(
@@ -164,7 +163,7 @@ def format_results(
     """Return the verdict, then the failed checks."""
     counted = CountedResults(results)
     if files > 1 and not shows_all:
-        return _format_many(counted, files=files, spec=spec)
+        return format_many(counted, files=files, spec=spec)
     shown = [*results] if shows_all else [one for one in results if one.verdict != "PASS"]
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
@@ -174,14 +173,20 @@ def format_results(
     return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
 
 
-def _format_many(
-    counted: "CountedResults", *, files: int, spec: "Spec | None", shows_all: bool = False
+def format_many(
+    counted: CountedResults, *, files: int, spec: "Spec | None", shows_all: bool = False
 ) -> str:
     """Return the verdict, and for each check the number and the names of failing recordings."""
     tables = [count_checks(counted, shows_all=shows_all)]
     if shows_all:
         tables.append(tabulate_checks(counted.failures, "Failures", names_file=True))
-    lines = [*_list_failing(counted), *list_verdict_reasons(spec, counted.failures)]
+    lines = []
+    if counted.failing:
+        names = ", ".join(f"{file} ({count})" for file, count in counted.failing.items())
+        others = counted.failing_files - len(counted.failing)
+        rest = f" and {others} more" if others else ""
+        lines.append(f"Recordings in which checks fail, and how many: {names}{rest}")
+    lines += list_verdict_reasons(spec, counted.failures)
     lines += list_failure_reasons(counted.failures)
     more = counted.verdicts[tl.check.Verdict.FAIL] - len(counted.failures)
     if more:
@@ -192,32 +197,33 @@ def _format_many(
 
 
 def _write_head(
-    counted: "CountedResults", files: int, spec: "Spec | None", causes: Sequence[str] = ()
+    counted: CountedResults, files: int, spec: "Spec | None", causes: Sequence[str] = ()
 ) -> str:
     """Return the verdict, facts that qualify it, and why a run differs from its reference."""
     facts = [*_list_facts(counted, spec, files)]
-    blocks = [fill_lines(facts)] if facts else []
-    blocks += [fill_lines(causes, indent=2)] if causes else []
+    blocks = [console.fill_lines(facts)] if facts else []
+    blocks += [console.fill_lines(causes, indent=2)] if causes else []
     return "\n".join([conclude(counted, files), *blocks])
 
 
 def _join(
-    head: str, tables: "Sequence[Table]", lines: Sequence[str], following: Sequence[str]
+    head: str, tables: "Sequence[tl.compare.Table]", lines: Sequence[str], following: Sequence[str]
 ) -> str:
     """Return the parts of an answer, separated by empty lines."""
-    blocks = [fit_table(table).strip("\n") for table in tables]
-    ends = [fill_lines(lines, indent=2)] if lines else []
+    blocks = [console.fit_table(table).strip("\n") for table in tables]
+    ends = [console.fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if following else []
     return "\n\n".join([head, *blocks, *ends])
 
 
-def conclude(counted: "CountedResults", files: int) -> str:
+def conclude(counted: CountedResults, files: int) -> str:
     """Return the verdict and the number of checks, in one line."""
     verdicts, verdict = counted.verdicts, counted.verdict
     total = verdicts.total()
     failed, skipped = verdicts[tl.check.Verdict.FAIL], verdicts[tl.check.Verdict.SKIPPED]
     place = counted.file if files == 1 and counted.file else f"{files} recordings"
-    rest = f", {skipped} {_is_or_are(skipped)} skipped" if skipped else ""
+    skips = f"{skipped} {'is' if skipped == 1 else 'are'} skipped"
+    rest = f", {skips}" if skipped else ""
     if failed and total == 1:
         (one,) = counted.failures
         text = f"{one.check} fails, {_tell_value(one)}"
@@ -227,7 +233,7 @@ def conclude(counted: "CountedResults", files: int) -> str:
         names = _name_failing(counted)
         text = f"{failed} of {describe_count(total, 'check')} {verb}{names}{lacking}{rest}"
     elif verdict == "SKIPPED":
-        return f"{verdict}: no check was judged in {place}: {skipped} {_is_or_are(skipped)} skipped"
+        return f"{verdict}: no check was judged in {place}: {skips}"
     elif skipped:
         passed = verdicts[tl.check.Verdict.PASS]
         verb = "passes" if passed == 1 else "pass"
@@ -239,11 +245,13 @@ def conclude(counted: "CountedResults", files: int) -> str:
     return f"{verdict}: {escape_controls(place)}: {text}"
 
 
-def _name_failing(counted: "CountedResults") -> str:
+def _name_failing(counted: CountedResults) -> str:
     """Return in brackets the only failed check with its value, or failed checks without limits."""
     if counted.verdicts[tl.check.Verdict.FAIL] == 1:
         one = counted.failures[0]
-        told = "it has no value" if one.value is None else _write_value(one, one.value)
+        told = (
+            "it has no value" if one.value is None else f"value {format_short(one.value, one.unit)}"
+        )
         return f" ({escape_controls(one.check)}, {told})"
     if _find_worst(counted) is not None:
         return ""
@@ -252,7 +260,7 @@ def _name_failing(counted: "CountedResults") -> str:
     return f" ({escape_controls(names[0])}{more})"
 
 
-def _find_worst(counted: "CountedResults") -> "CheckResult | None":
+def _find_worst(counted: CountedResults) -> "CheckResult | None":
     """Return the failed check that is furthest beyond its limit, if several fail."""
     several = counted.verdicts[tl.check.Verdict.FAIL] > 1
     if all(one.limit == 0.0 for one in counted.failures):
@@ -261,7 +269,7 @@ def _find_worst(counted: "CountedResults") -> "CheckResult | None":
     return worst if worst is not None and worst.verdict == "FAIL" else None
 
 
-def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> Iterator[str]:
+def _list_facts(counted: CountedResults, spec: "Spec | None", files: int) -> Iterator[str]:
     """Yield the check furthest beyond or nearest to its limit, and whether limits are observed."""
     worst = _find_worst(counted)
     if worst is not None:
@@ -277,7 +285,7 @@ def _list_facts(counted: "CountedResults", spec: "Spec | None", files: int) -> I
         yield f"{were} read off a run, not required: observed = true in {source}"
 
 
-def _count_observed(counted: "CountedResults", spec: "Spec | None") -> int:
+def _count_observed(counted: CountedResults, spec: "Spec | None") -> int:
     """Return the number of failed checks whose limits were read off a run."""
     names = {check.name for check in spec.checks if check.is_observed} if spec else set()
     return sum(
@@ -289,30 +297,13 @@ def _count_observed(counted: "CountedResults", spec: "Spec | None") -> int:
 def _tell_value(result: "CheckResult") -> str:
     if result.value is None:
         return "it has no value"
-    value = _write_value(result, result.value)
+    value = f"value {format_short(result.value, result.unit)}"
     if result.limit is None:
         return value
     return f"{value}, limit {format_short(result.limit, result.unit)}"
 
 
-def _write_value(result: "CheckResult", value: float) -> str:
-    return f"value {format_short(value, result.unit)}"
-
-
-def _is_or_are(number: int) -> str:
-    return "is" if number == 1 else "are"
-
-
-def _list_failing(counted: "CountedResults") -> Iterator[str]:
-    """Yield the recordings in which checks fail, the first ones if there are many."""
-    if counted.failing:
-        names = ", ".join(f"{file} ({count})" for file, count in counted.failing.items())
-        more = counted.failing_files - len(counted.failing)
-        rest = f" and {more} more" if more else ""
-        yield f"Recordings in which checks fail, and how many: {names}{rest}"
-
-
-def _list_next(counted: "CountedResults", spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
+def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
     """Yield bounds to confirm, and next commands."""
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
     if spec is not None and observed and not _count_observed(counted, spec):
@@ -340,4 +331,128 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
     option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
-    return f"{name_explain(failed.file, read_law(failed.file))}{option}"
+    return f"{console.name_explain(failed.file, console.read_law(failed.file))}{option}"
+
+
+def count_checks(counted: CountedResults, *, shows_all: bool) -> "tl.compare.Table":
+    """Return the number of passes of each check, and its result nearest to the limit.
+
+    Checks that never fail are included only with `shows_all`.
+    """
+    verdicts = [
+        one for one in tl.check.Verdict if one != "SKIPPED" or shows_all or counted.verdicts[one]
+    ]
+    rows: list[tuple[tl.compare.Cell, ...]] = []
+    for check, counts in counted.of_checks.items():
+        if shows_all or counts[tl.check.Verdict.FAIL]:
+            nearest = counted.nearest.get(check)
+            unit, *_, margin = (None,) * 4 if nearest is None else _show(nearest)
+            file = None if nearest is None else nearest.file
+            rows.append((check, *(counts[one] for one in verdicts), unit, margin, file))
+    titles = ("check", *verdicts, "unit", "least margin", "file")
+    return console.build_table("Checks" if shows_all else "Checks that fail", titles, rows)
+
+
+def tabulate_files(results: "Sequence[CheckResult]") -> "list[tl.compare.Table]":
+    """Return a table per file, in the order of the first result of each."""
+    files = dict.fromkeys(result.file for result in results)
+    return [tabulate_checks([one for one in results if one.file == file], file) for file in files]
+
+
+_HEADS: Final = ("verdict", "file", "check", "unit", "value", "limit", "margin")
+
+_VIOLATED: Final = "first violation"
+"""Column [s] after `_HEADS`, which terminal tables have if a check is violated."""
+
+
+def tabulate_checks(
+    results: "Sequence[CheckResult]", title: str, *, names_file: bool = False
+) -> "tl.compare.Table":
+    """Return results as rows: verdict, optionally file, check, value, limit and margin."""
+    heads: list[str | tl.compare.Column] = [*_HEADS]
+    if any(result.first_violation_s is not None for result in results):
+        lines = tuple(_VIOLATED.split())
+        heads.append(tl.compare.Column(title=_VIOLATED, unit="s", digits=3, lines=lines))
+    rows = [_list_cells(result)[: len(heads)] for result in results]
+    if names_file:
+        return console.build_table(title, heads, rows)
+    return console.build_table(title, ["", *heads[2:]], ((row[0], *row[2:]) for row in rows))
+
+
+def tabulate_values(spec: "Spec", results: "Sequence[CheckResult]") -> "tl.compare.Table":
+    """Return the rows of a CSV file, whose columns are always the same."""
+    meant = _read_reasons(spec)
+    rows = ((*_list_cells(one), _explain(one, meant)) for one in results)
+    return console.build_table("Checks", (*_HEADS, f"{_VIOLATED} [s]", "reason"), rows)
+
+
+def _list_cells(result: "CheckResult") -> "tuple[tl.compare.Cell, ...]":
+    """Return the cells of `_HEADS`, and the time of the first violation [s]."""
+    verdict = result.verdict.value
+    return verdict, result.file, result.check, *_show(result), result.first_violation_s
+
+
+def tabulate_matrix(results: "Sequence[CheckResult]") -> "list[tl.compare.Table]":
+    """Return the verdicts of several files, one row each; empty for one file."""
+    files = dict.fromkeys(result.file for result in results)
+    checks = dict.fromkeys(result.check for result in results)
+    verdicts = {(result.file, result.check): result.verdict.value for result in results}
+    if len(files) < 2:
+        return []
+    heads = [tl.compare.Column(title=name, lines=tuple(re.split("[._]", name))) for name in checks]
+    rows = ((file, *(verdicts.get((file, check)) for check in checks)) for file in files)
+    title = f"{len(files)} recordings, {len(checks)} checks"
+    return [console.build_table(title, ["file", *heads], rows)]
+
+
+def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, float | None]":
+    """Return unit, value, limit and margin for display, angles in degrees."""
+    found = (result.value, result.limit, result.margin)
+    value, limit, margin = (v if v is None else show_angle(v, result.unit)[0] for v in found)
+    return show_angle(0.0, result.unit)[1], value, limit, margin
+
+
+def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:
+    """Yield the reasons of failed or skipped checks, if their rows do not show them."""
+    meant = {} if spec is None else _read_reasons(spec)
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for result in results:
+        # Name, value and limit explain a failure by a plain bound.
+        is_named = result.expected.startswith(result.check)
+        is_plain = not (result.reason or result.decided_by or meant.get(result.check))
+        has_values = result.value is not None and result.limit is not None
+        is_told = is_named and is_plain and has_values
+        if not is_told and (reason := _explain(result, meant)):
+            alike = result.verdict, result.file, reason.removeprefix(f"{result.check}: ")
+            found.setdefault(alike, []).append(result.check)
+    for (verdict, file, reason), checks in found.items():
+        yield f"{verdict} {file}: {', '.join(checks)}: {reason}"
+
+
+def list_failure_reasons(results: "Sequence[CheckResult]") -> Iterator[str]:
+    """Yield why runs differ from their reference, as far as it was determined."""
+    for result in results:
+        if result.why:
+            yield f"WHY {result.file} against its reference: {result.why[0]}"
+            yield from (f"  {line}" for line in result.why[1:])
+
+
+def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
+    """Return the reason of a result; empty for a plain pass. `meant` contains reasons of bounds."""
+    why = f" ({meant[result.check]})" if meant.get(result.check) else ""
+    if result.reason:
+        return result.reason + (why if result.verdict == "FAIL" and result.is_decided else "")
+    if result.verdict != "FAIL":
+        return ""
+    by = f"; decided by {result.decided_by}" if result.decided_by else ""
+    return f"expected {result.expected}{why}{by}"
+
+
+def _read_reasons(spec: "Spec") -> dict[str, str]:
+    """Return the reasons of bounds by check, without bounds observed in a run."""
+    tolerances = {
+        **{f"signals.{name}": found for name, found in spec.tolerances.signals.items()},
+        **{f"metrics.{name}": found for name, found in spec.tolerances.metrics.items()},
+    }
+    bounds = {found.name: found.reason for found in spec.checks if not found.is_observed}
+    return bounds | {name: found.reason for name, found in tolerances.items()}

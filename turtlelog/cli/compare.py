@@ -1,67 +1,43 @@
-"""`turtlelog compare`: comparison of runs with each other, or with a reference."""
+"""`turtlelog compare`: which runs are compared how; --why: causes of a difference."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from textwrap import shorten
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.compare_answer import format_across
+from turtlelog.cli import console, options
+from turtlelog.cli.compare_across import ChoiceOptions, compare_across
 from turtlelog.cli.compare_reference import (
-    MetricBeside,
     compare_with_reference,
     compare_with_robot,
     list_scenario_files,
-    take_metric,
 )
-from turtlelog.cli.compare_trajectories import (
-    TrajectoryOptions,
-    compare_with_trajectory,
-)
-from turtlelog.cli.compare_why import WhyOptions, compare_why
-from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import (
-    Files,
-    Jobs,
-    Place,
-    ReadingOptions,
-    count_jobs,
-    list_files,
-    read_runs,
-    require_there,
-    split_names,
-    watch_summaries,
-)
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    FormatOptions,
-    copy_fields,
-    print_error,
-    print_json,
-    print_note,
-    print_tables,
-    print_text,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.compare_trajectories import TrajectoryOptions, compare_with_trajectory
+from turtlelog.cli.work import Jobs, count_jobs, require_jobs, show_progress, watch_summaries
+from turtlelog.display import describe_count, join_words, split_numbers
 from turtlelog.errors import TurtlelogError, UsageError
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.compare import Mark, Ranking, RunSummary
-    from turtlelog.run import Parameter as ScenarioValue
+from turtlelog.escapes import escape_controls
+from turtlelog.files.urls import make_path
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceOptions(WhyOptions):
-    """The reference, and how to compare with it. `turtlelog check` gives verdicts.
+class ReferenceOptions:
+    """Why two runs differ; the reference, and how to compare with it.
+
+    `turtlelog check` gives verdicts.
 
     Attributes:
+        why: Explain why this metric differs between two runs. Example: --why run.duration. Default:
+            the final position error, or without a goal the error of the last loop.
+        first: With --why: explain the first recording, by name, that meets this condition, compared
+            with the recording before. Example: "final.position_error > 0.01".
+        trust_law: With --why: run the code of the laws that the recordings name.
         reference: Run with which the others are compared.
         align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
             they are), sample (samples by their number). Default: first_sample. With --ate or --rpe
@@ -71,44 +47,32 @@ class ReferenceOptions(WhyOptions):
         details: With --reference: show the signals also if several runs are compared.
     """
 
-    reference: Place | None = None
-    tolerances: Annotated[Place | None, Parameter(show=False)] = None
+    why: Annotated[bool | str | None, Parameter(negative=(), metavar="METRIC")] = None
+    first: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
+    trust_law: bool = False
+    reference: options.Place | None = None
+    tolerances: Annotated[options.Place | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
     jobs: Jobs = None
     details: bool = False
     trajectories: TrajectoryOptions = field(default_factory=TrajectoryOptions)
 
+    @property
+    def is_why(self) -> bool:
+        """Whether --why is given.
 
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChoiceOptions:
-    """Rows and columns of the table across runs.
+        Raises:
+            UsageError: If an option needs --why.
+        """
+        lacking = {"--first": self.first is not None, "--trust-law": self.trust_law}
+        if not self.why and any(lacking.values()):
+            name = next(name for name, is_given in lacking.items() if is_given)
+            raise UsageError(f"{name}: needs --why")
+        return bool(self.why)
 
-    Attributes:
-        metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: Metric, parameter or column (name, Kp) to sort by. A minus sign sorts in falling
-            order. Example: -run.duration. Default: rising gain.
-        where: Use only the runs that meet this condition. Example: "law.kp_linear >= 2 and
-            run.duration < 20".
-        varied: Keys that were varied on purpose, separated by commas: limits.speed_m_s, or a group
-            such as goal, path, start, plant or limits. If another group differs, no run is called
-            the best. Gains may always differ.
-    """
 
-    metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
-    sort: Annotated[
-        str | None, Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics)
-    ] = None
-    where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
-    varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
-
-    def list_varied(self) -> list[str]:
-        """Return the keys and conditions that were varied on purpose, in addition to gains."""
-        return [] if self.varied is None else split_names(self.varied, "--varied")
-
-    def list_columns(self) -> list[str]:
-        """Return the requested names and patterns; empty for the usual columns."""
-        return [] if self.metric is None else split_names(self.metric, "--metric")
+_SUFFIXES: Final = (".mcap", ".json", ".csv", ".parquet", ".tum", ".db3", ".bag")
+"""Suffixes of recordings except folders. A word after --why with such a suffix is not a metric."""
 
 
 @Parameter(name="*")
@@ -122,19 +86,19 @@ class DrawingOptions:
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
-    plot: Annotated[Place | None, Parameter(metavar="FILE")] = None
-    rrd: Annotated[Place | None, Parameter(name="--rrd", metavar="FILE")] = None
+    plot: Annotated[options.Place | None, Parameter(metavar="FILE")] = None
+    rrd: Annotated[options.Place | None, Parameter(name="--rrd", metavar="FILE")] = None
 
 
 def compare(
-    files: Files,
+    files: options.Files,
     /,
     *,
     against: ReferenceOptions | None = None,
     choice: ChoiceOptions | None = None,
-    formats: FormatOptions | None = None,
+    formats: console.FormatOptions | None = None,
     pictures: DrawingOptions | None = None,
-    topics: ReadingOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> int:
     """Compare runs: which is best at what. With --reference: how much each differs.
 
@@ -176,14 +140,14 @@ def compare(
             (.json, .csv); and perhaps one scenario of a robot (.toml).
     """
     against, choice = against or ReferenceOptions(), choice or ChoiceOptions()
-    kind = (formats or FormatOptions()).choose()
+    kind = (formats or console.FormatOptions()).choose()
     pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
     if against.is_why:
         _require_why_sense(against, choice, rrd)
         paths = [*([] if against.reference is None else [against.reference]), *files]
-        return compare_why(against, paths, plot=pictures.plot, topics=topics, kind=kind)
-    files = list_files(files, without=against.reference)
+        return _compare_why(against, paths, plot=pictures.plot, topics=topics, kind=kind)
+    files = options.list_files(files, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     trajectories = against.trajectories
     if trajectories.require_sense():
@@ -202,19 +166,12 @@ def compare(
         )
     paths = [*([] if against.reference is None else [against.reference]), *files]
     _require_sense(paths, against, choice)
-    require_new_target(rrd, paths, suffix=".rrd")
+    options.require_new_target(rrd, paths, suffix=".rrd")
     held = None if rrd is None else _draw(paths, rrd, topics)
     if against.reference is not None:
         compare_with_reference(paths, held, against, topics, jobs=jobs, kind=kind)
-        return EXIT_FINE
-    only = _choose_needed(choice, kind)
-    summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
-    for err in errors:
-        print_error(str(err))
-    # A single run is not compared with others.
-    if not errors or len(summaries) > 1:
-        _compare_across(summaries, choice, kind)
-    return EXIT_BAD_INPUT if errors else EXIT_FINE
+        return console.EXIT_FINE
+    return compare_across(paths, held, choice, topics, jobs=jobs, kind=kind)
 
 
 def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
@@ -224,7 +181,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
         )
     if len(paths) < 2:
-        require_there(paths)
+        options.require_there(paths)
         raise UsageError(
             f"compare needs at least two runs, but {len(paths)} was given; add another file, or"
             " --reference FILE"
@@ -239,9 +196,9 @@ _OF_MANY: Final = ("metric", "sort", "where", "varied")
 """Options for comparing runs side by side, without a reference."""
 
 
-def _list_given(options: object, names: Sequence[str]) -> dict[str, object]:
-    """Return the options with these names that are given."""
-    values = {name: getattr(options, name) for name in names}
+def _list_given(group: object, names: Sequence[str]) -> dict[str, object]:
+    """Return the options of a group with these names that are given."""
+    values = {name: getattr(group, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -267,176 +224,202 @@ def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> No
         )
 
 
-def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
+def _draw(
+    paths: Sequence[Path], rrd: Path, topics: options.ReadingOptions | None
+) -> "list[tl.Run]":
     """Write a picture of all runs, which needs all of them at once, and return the runs."""
-    runs = read_runs(paths, topics)
+    runs = options.read_runs(paths, topics)
     with show_progress("drawing"):
         tl.write_comparison_rrd(runs, rrd)
-    print_note(f"wrote {rrd}")
+    console.print_note(f"wrote {rrd}")
     return runs
 
 
-def _summarise(
-    paths: Sequence[Path],
-    held: "Sequence[Run] | None",
-    topics: ReadingOptions | None,
+_LONGEST: Final = 40
+"""Longest list of settings in a line [characters]; JSON and CSV contain all."""
+
+_MOST_SETTINGS: Final = 3
+"""Largest number of settings of a change in its line; a law has ten and more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WhyAnswer:
+    """Causes of a metric's difference between two recordings.
+
+    Attributes:
+        first: File of the first run; None if there is nothing to compare.
+        second: File of the second run.
+        condition: Given condition, which `second` is the first to meet.
+        explanation: Causes of the difference; None if there is nothing to compare.
+    """
+
+    first: str | None
+    second: str | None
+    condition: str | None
+    explanation: "tl.explain.ExplainedDifference | None"
+
+
+def split_metric(against: ReferenceOptions, files: Sequence[Path]) -> tuple[str | None, list[Path]]:
+    """Return the metric and the files, because the word after --why may be the first file."""
+    word = against.why
+    if not isinstance(word, str):
+        return None, [*files]
+    is_metric = tl.measure.find_metric_kind(word) is not None
+    path = make_path(word)
+    if not is_metric and ("/" in word or path.suffix.lower() in _SUFFIXES or path.exists()):
+        return None, [path, *files]
+    return word, [*files]
+
+
+def _compare_why(
+    against: ReferenceOptions,
+    files: Sequence[Path],
     *,
-    only: "Callable[[Run], Sequence[str]] | None",
-    jobs: int,
-) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
-    """Return run summaries, read one by one unless held, and the errors of unreadable files."""
-    if held is not None:
-        pairs = zip(held, paths, strict=True)
-        return tuple(
-            tl.summarise_run(
-                run, file=str(path), metrics=tl.measure_run(run, only=only and only(run))
+    plot: Path | None,
+    topics: options.ReadingOptions | None,
+    kind: str,
+) -> int:
+    """Print the causes of a metric's difference between two runs."""
+    metric, files = split_metric(against, files)
+    options.require_pictures(plot, None, files, drawn=(), of="")
+    topics = topics or options.ReadingOptions()
+    code, told = console.EXIT_FINE, list[str]()
+    if against.first is None:
+        if len(files) != 2:
+            raise UsageError(
+                f"--why compares two runs, but {len(files)} {'was' if len(files) == 1 else 'were'}"
+                " given; of more, --first EXPRESSION takes the first that meets a condition and the"
+                " one before it"
             )
-            for run, path in pairs
-        ), []
-    errors: list[TurtlelogError] = []
-    chosen = (topics or ReadingOptions()).build_choice()
-    found = tl.compare.summarise_files(paths, only=only, topics=chosen, jobs=jobs)
-    summaries = tuple(watch_summaries(found, len(paths), errors))
-    return tl.compare.complete_summaries(summaries, topics=chosen), errors
-
-
-def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequence[str]] | None":
-    """Return a function that chooses the metrics to compute and keep; None: all."""
-    columns = choice.list_columns()
-    if not columns and kind == "json":
-        return None
-    needed = tl.compare.list_needed_metrics(
-        columns, where=choice.where, sort=choice.sort, source="--where"
-    )
-
-    return partial(_list_needed, needed=needed, is_usual=not columns)
-
-
-def _list_needed(run: "Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
-    # The usual metrics of a third-party bag are known when it is read.
-    return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed
-
-
-def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
-    count, title = len(summaries), ""
-    notes: tuple[str, ...] = ()
-    if choice.where is not None:
-        summaries, notes = tl.compare.select_runs(summaries, choice.where, source="--where")
-        title = f"{len(summaries)} of {count} runs, where {choice.where}"
-    if choice.sort is None:
-        summaries = tl.compare.order_by_gain(summaries)
+        pair = files[0], files[1]
     else:
-        from turtlelog.compare.run_selection import sort_by_column
-
-        summaries = sort_by_column(summaries, choice.sort, source="--sort")
-    only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")
-    ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
-    if kind == "json":
-        print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
-        return
-    if kind == "txt":
-        print_text(format_across(summaries, ranking, only=only, title=title, notes=notes))
-        return
-    table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes, ranking=ranking)
-    print_tables([table], kind)
-    if kind == "csv":
-        # CSV has no room for notes.
-        for note in (*notes, *ranking.list_notes(tl.compare.name_runs(summaries))):
-            print_note(note)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _MarkedMetric(MetricBeside):
-    mark: "Mark | None"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _RunBeside:
-    """A run next to other runs, without a reference and therefore without signals."""
-
-    file: str
-    name: str
-    overlap_s: None = None
-    parameters: "Mapping[str, ScenarioValue]"
-    signals: tuple[()] = ()
-    metrics: list[_MarkedMetric]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Difference:
-    condition: str
-    key: str
-    values: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Unknown:
-    condition: str
-    runs: list[str]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _RankingAnswer:
-    """Whether a run may be called the best, with varied keys, differing and unknown conditions."""
-
-    is_fair: bool
-    reason: str | None
-    varied: tuple[str, ...]
-    differences: list[_Difference]
-    unknown: list[_Unknown]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _AcrossAnswer:
-    """Runs next to each other, with marks on their metrics."""
-
-    reference: None = None
-    alignment: None = None
-    notes: tuple[str, ...]
-    ranking: _RankingAnswer
-    runs: list[_RunBeside]
-
-
-def _build_answer(
-    summaries: "Sequence[RunSummary]",
-    *,
-    only: Sequence[str],
-    notes: tuple[str, ...],
-    ranking: "Ranking",
-) -> _AcrossAnswer:
-    ids = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
-    if only:
-        chosen = tl.compare.choose_columns(summaries, only)
-        ids = [
-            name for name in chosen if any(one.find_metric(name) is not None for one in summaries)
-        ]
-    marks = {name: tl.compare.mark_metric(summaries, name, ranking=ranking) for name in ids}
-    parameters = tl.compare.order_parameters(summaries, ranking)
-    names = tl.compare.name_runs(summaries)
-    runs = [
-        _RunBeside(
-            file=summary.file,
-            name=name,
-            parameters=parameters[row],
-            metrics=[
-                _MarkedMetric(**take_metric(metric), mark=marks[metric.id].get(row))
-                for metric in map(summary.find_metric, ids)
-                if metric is not None
-            ],
+        found_pair, code = _find_pair(against.first, files, against.jobs, topics, kind)
+        if found_pair is None:
+            return code
+        pair, told = found_pair
+        if metric is None:  # the first metric that the condition names
+            names = tl.expressions.parse_expression(against.first, source="--first").names
+            metric = next((name for name in names if tl.measure.find_metric_kind(name)), None)
+    runs = [replace(options.read_chosen_run(one, topics), name=one.name) for one in pair]
+    with show_progress("simulated", 100.0, "%") as progress:
+        found = tl.explain_difference(
+            *runs,
+            metric=metric,
+            trust_law=against.trust_law,
+            work=tl.explain.Work(jobs=require_jobs(against.jobs), report=progress.count),
         )
-        for row, (name, summary) in enumerate(zip(names, summaries, strict=True))
-    ]
-    return _AcrossAnswer(notes=notes, ranking=_build_ranking(ranking, names), runs=runs)
+    if kind == "json":
+        files_of = {"first": str(pair[0]), "second": str(pair[1])}
+        console.print_json(WhyAnswer(**files_of, condition=against.first, explanation=found))
+    elif kind == "txt":
+        console.print_text(format_why(found, pair, lead=told))
+    else:
+        console.print_tables([tabulate_why(found)], kind)
+    if plot is not None:
+        tl.draw.write_difference_figure(found, plot)
+        console.print_note(f"wrote {plot}")
+    return code
 
 
-def _build_ranking(ranking: "Ranking", names: Sequence[str]) -> _RankingAnswer:
-    return _RankingAnswer(
-        is_fair=ranking.is_fair,
-        reason=ranking.describe() or None,
-        varied=ranking.varied,
-        differences=[copy_fields(_Difference, found) for found in ranking.differences],
-        unknown=[
-            _Unknown(condition=condition, runs=[names[row] for row in rows])
-            for condition, rows in ranking.unknown.items()
-        ],
+def _find_pair(
+    condition: str,
+    files: Sequence[Path],
+    jobs: int | None,
+    topics: options.ReadingOptions,
+    kind: str,
+) -> tuple[tuple[tuple[Path, Path], list[str]] | None, int]:
+    """Return the first recording that meets a condition and the one before it, described."""
+    paths = sorted(options.list_files(files), key=lambda path: split_numbers(str(path)))
+    errors: list[TurtlelogError] = []
+    needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
+    found = tl.compare.summarise_files(
+        paths,
+        only=partial(_take_needed, needed),
+        topics=topics.build_choice(),
+        jobs=count_jobs(jobs, paths),
     )
+    summaries = [*watch_summaries(found, len(paths), errors)]
+    code = console.print_errors(errors)
+    met, notes = tl.compare.select_runs(summaries, condition, source="--first")
+    for note in notes:
+        console.print_note(note)
+    row = summaries.index(met[0]) if met else 0
+    if row:
+        first, second = Path(summaries[row - 1].file), Path(summaries[row].file)
+        told = [f"{second.name} is the first that meets {condition}, after {first.name}."]
+        read = {one.file for one in summaries}
+        unread = [one.name for one in paths if str(one) < str(second) and str(one) not in read]
+        if unread:
+            count = describe_count(len(unread), "earlier recording")
+            names = join_words(unread[:_MOST_NAMED])
+            told.append(f"{count} cannot be read and may meet it, too: {names}.")
+        return ((first, second), told), code
+    if kind == "json":
+        bad = summaries[0].file if met else None
+        console.print_json(WhyAnswer(first=None, second=bad, condition=condition, explanation=None))
+    elif summaries:
+        name, readable = Path(summaries[0].file).name, " that can be read" if errors else ""
+        text = f"None of {len(summaries)} recordings{readable} meets {condition}."
+        if met:
+            text = f"{name} meets {condition}, and no recording{readable} comes before it."
+        elif len(summaries) == 1:
+            text = f"{name} does not meet {condition}."
+        console.print_text(console.fill_lines([text]))
+    return None, code
+
+
+_MOST_NAMED: Final = 3
+"""Largest number of unreadable recordings that a sentence names; stderr has a line for each."""
+
+
+def _take_needed(needed: tuple[str, ...], _: "tl.Run") -> tuple[str, ...]:
+    return needed
+
+
+def format_why(
+    found: "tl.explain.ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
+) -> str:
+    """Return the causes of a difference: the answer, a line for each change, and its conditions."""
+    head, *rest = found.sentences
+    rows = []
+    for one in found.contributions:
+        size, undone = tl.explain.format_change(found, one), ""
+        if one.undone is not None:
+            undone = f"without: {tl.explain.format_magnitude(found, one.undone)}"
+        settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
+        rows.append((one.name, size, settings, undone))
+    table = ["", *console.align_rows(rows), ""] if rows else []
+    following = f"turtlelog compare --reference {' '.join(map(console.quote_file, files))}"
+    ends = console.fill_lines([*rest, f"Signal by signal: {following}"])
+    return "\n".join([console.fill_lines([head, *lead]), *table, ends])
+
+
+def _list_settings(one: "tl.explain.Change") -> Iterator[str]:
+    """Yield the settings of a change. Settings with equal pairs of values share an entry."""
+    pairs: dict[tuple[str, str], list[str]] = {}
+    for key, before, after in zip(one.keys, one.first, one.second, strict=True):
+        if before == after:  # the same seed in both runs
+            continue
+        pairs.setdefault((_show(before), _show(after)), []).append(key)
+    for number, ((before, after), keys) in enumerate(pairs.items()):
+        if number == _MOST_SETTINGS:
+            yield f"{sum(map(len, [*pairs.values()][number:]))} more"
+            return
+        yield f"{', '.join(keys)} {before} -> {after}"
+
+
+def _show(value: Any) -> str:
+    if value is None:
+        return "none"
+    return f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
+
+
+def tabulate_why(found: "tl.explain.ExplainedDifference") -> "tl.compare.Table":
+    """Return a row for each change."""
+    unit = f" [{found.unit}]" if found.unit else ""
+    heads = ("change", f"contribution{unit}", f"s.e.{unit}", f"undone{unit}", "settings")
+    rows = []
+    for one in found.contributions:
+        settings = "; ".join(_list_settings(one))
+        rows.append((one.name, one.contribution, one.standard_error, one.undone, settings))
+    return console.build_table(found.sentences[0], heads, rows, found.sentences[1:])

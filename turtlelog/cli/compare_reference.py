@@ -1,80 +1,74 @@
 """`turtlelog compare` against a reference: runs against a run, robots against a scenario."""
 
-from collections.abc import Iterable, Sequence
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.compare_answer import format_reference, format_robots, list_errors
-from turtlelog.cli.options import ReadingOptions, read_runs, watch_files
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    copy_fields,
-    print_error,
-    print_json,
-    print_note,
-    print_run_notes,
-    print_tables,
-    print_text,
+from turtlelog.cli import console
+from turtlelog.cli.compare_across import (
+    MetricBeside,
+    list_cell_reasons,
+    narrow_columns,
+    take_metric,
 )
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_pictures
+from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
+from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.compare.difference import compare_measured
+from turtlelog.display import format_number, format_short, join_words
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from turtlelog import Metric, Run, Scenario
     from turtlelog.cli.compare import ReferenceOptions
-    from turtlelog.compare import (
-        NoiseLevel,
-        PathDeviation,
-        RobotComparison,
-        RunComparison,
-        RunSummary,
-        Table,
-    )
-    from turtlelog.log import ReadChoice
-    from turtlelog.run import Clock
+    from turtlelog.compare import PathDeviation, RobotComparison, RunSummary
+
+
+_LONGEST: Final = 24
+"""Longest name of a recorded robot [characters]; a robot with a longer name is called by its
+file."""
+
+_MOST_RUNS: Final = 1
+"""Largest number of runs whose signals are shown with a reference by default."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Compared:
+class Compared:
     """Comparison of one run with the reference."""
 
-    summary: "RunSummary"
-    comparison: "RunComparison"
-    path_error: "PathDeviation"
+    summary: "tl.compare.RunSummary"
+    comparison: "tl.compare.RunComparison"
+    path_error: "tl.compare.PathDeviation"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Comparer:
     """A comparer of runs with a reference, one after another, in this process or another."""
 
-    reference: "Run"
+    reference: "tl.Run"
     alignment: str
-    choice: "ReadChoice"
+    choice: "tl.log.ReadChoice"
 
     @cached_property
-    def _metrics(self) -> "Mapping[str, Metric]":
+    def _metrics(self) -> "Mapping[str, tl.Metric]":
         return tl.measure_run(self.reference)
 
-    def __call__(self, path: Path) -> _Compared:
+    def __call__(self, path: Path) -> Compared:
         return self.compare(path, tl.log.read_as_chosen(path, self.choice))
 
-    def compare(self, path: Path, run: "Run") -> _Compared:
+    def compare(self, path: Path, run: "tl.Run") -> Compared:
         """Return the comparison of a run that has been read."""
         usual = [
             name for one in (run, self.reference) for name in tl.compare.list_usual_of_run(one)
         ]
         metrics = _measure_known(run, usual)
         error = tl.compare.measure_path_error(self.reference, run, alignment=self.alignment)
-        return _Compared(
+        return Compared(
             summary=tl.summarise_run(run, file=str(path), metrics=metrics),
             comparison=compare_measured(
                 self.reference, self._metrics, run, alignment=self.alignment
@@ -85,7 +79,7 @@ class _Comparer:
 
 def compare_with_reference(
     paths: Sequence[Path],
-    held: "Sequence[Run] | None",
+    held: "Sequence[tl.Run] | None",
     against: "ReferenceOptions",
     topics: ReadingOptions | None,
     *,
@@ -104,44 +98,42 @@ def compare_with_reference(
     comparer = _Comparer(reference=reference, alignment=alignment, choice=choice)
     others = paths[1:]
     if held is None:
-        print_run_notes(paths[0], reference.notes)
-        found: Iterable[_Compared] = map_in_processes(comparer, others, jobs)
+        console.print_run_notes(paths[0], reference.notes)
+        found: Iterable[Compared] = map_in_processes(comparer, others, jobs)
     else:
         found = map(comparer.compare, others, held[1:])
-    compared: list[_Compared] = []
+    compared: list[Compared] = []
     for one in watch_files(found, len(others)):
         compared.append(one)
         if held is None:
-            print_run_notes(one.summary.file, one.summary.notes)
+            console.print_run_notes(one.summary.file, one.summary.notes)
     if kind == "json":
         runs = [_build_run(*pair) for pair in zip(paths[1:], compared, strict=True)]
-        print_json(_ReferenceAnswer(reference=str(paths[0]), alignment=alignment, runs=runs))
+        console.print_json(
+            _ReferenceAnswer(reference=str(paths[0]), alignment=alignment, runs=runs)
+        )
     else:
-        first = _summarise_reference(reference, paths[0], [one.summary for one in compared])
+        usual = [*tl.compare.list_usual_of_run(reference)]
+        summaries = [one.summary for one in compared]
+        unlike = [one for one in summaries if one.is_lawless != reference.is_lawless]
+        usual += tl.compare.list_usual_of_run(unlike[-1]) if unlike else ()
+        first = tl.summarise_run(
+            reference, file=str(paths[0]), metrics=_measure_known(reference, usual)
+        )
         if kind != "txt":
-            print_tables(_tabulate(first, compared, kind), kind)
+            console.print_tables(_tabulate(first, compared, kind), kind)
             return
-        told = [(one.summary, one.comparison, one.path_error) for one in compared]
-        print_text(format_reference(first, told, shows_signals=against.details))
+        console.print_text(_format_reference(first, compared, shows_signals=against.details))
 
 
-def _summarise_reference(
-    reference: "Run", path: Path, others: "Sequence[RunSummary]"
-) -> "RunSummary":
-    """Return the summary of the reference, also for runs without a known law."""
-    usual = list(tl.compare.list_usual_of_run(reference))
-    unlike = [found for found in others if found.is_lawless != reference.is_lawless]
-    if unlike:
-        usual += tl.compare.list_usual_of_run(unlike[-1])
-    return tl.summarise_run(reference, file=str(path), metrics=_measure_known(reference, usual))
-
-
-def _measure_known(run: "Run", names: Sequence[str]) -> "Mapping[str, Metric]":
+def _measure_known(run: "tl.Run", names: Sequence[str]) -> "Mapping[str, tl.Metric]":
     known = tl.measure.list_metrics(run.declaration)
     return tl.measure_run(run, only=[name for name in names if name in known])
 
 
-def _tabulate(first: "RunSummary", compared: "Sequence[_Compared]", kind: str) -> "list[Table]":
+def _tabulate(
+    first: "tl.compare.RunSummary", compared: "Sequence[Compared]", kind: str
+) -> "list[tl.compare.Table]":
     summaries = [first, *(one.summary for one in compared)]
     comparisons = [one.comparison for one in compared]
     reference, *names = tl.compare.name_runs(summaries)
@@ -149,29 +141,71 @@ def _tabulate(first: "RunSummary", compared: "Sequence[_Compared]", kind: str) -
     if kind == "csv":
         return [differences]
     errors = {name: one.path_error for name, one in zip(names, compared, strict=True)}
-    told = tuple(list_errors(errors, reference))
+    told = tuple(_list_errors(errors, reference))
     return [tl.tabulate_runs(summaries), replace(differences, notes=(*differences.notes, *told))]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MetricBeside:
-    """A metric of a run.
+def _format_reference(
+    first: "RunSummary",
+    found: "Sequence[Compared]",
+    *,
+    shows_signals: bool,
+) -> str:
+    """Return the distances of runs from a reference's path, then metrics and signals."""
+    summaries, changes = tl.compare.shorten_names([first, *(one.summary for one in found)])
+    reference, *names = tl.compare.name_runs(summaries)
+    errors = dict(zip(names, (one.path_error for one in found), strict=True))
+    ranking = tl.compare.judge_runs(summaries)
+    across, _ = narrow_columns(tl.tabulate_runs(summaries, ranking=ranking, differing=0), summaries)
+    told = [f"{ranking.describe().capitalize()}."] if ranking.differences else []
+    reasons = list_cell_reasons(across, summaries)
+    across = replace(across, notes=(*reasons, *changes, *told))
+    comparisons = [one.comparison for one in found]
+    signals = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
+    parts = [console.fit_body(across)]
+    if shows_signals or len(found) <= _MOST_RUNS:
+        parts.append(f"\n{signals.title}\n" + console.fit_body(replace(signals, notes=())))
+    else:
+        parts.append("\nThe largest difference of every signal: --details")
+    return "\n".join(
+        [
+            console.fill_lines(_list_errors(errors, reference)),
+            *parts,
+            "",
+            console.fill_lines(signals.notes),
+            "Verdicts with tolerances: turtlelog check --init " + console.quote_file(first.file),
+        ]
+    )
 
-    Attributes:
-        id: Id of the metric.
-        value: Value in `unit`; None if `status` is not `ok`.
-        unit: Unit of both values.
-        status: Whether the metric has a value.
-        reference: Value of the reference; None if the reference has no value.
-        better: `lower`, `higher`, or None if neither is better.
-    """
 
-    id: str
-    value: float | None
-    unit: str
-    status: str
-    reference: float | None
-    better: str | None
+def _show(value_m: float) -> str:
+    return format_number(round(value_m, 9), "m")  # smaller values are rounding
+
+
+def _list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Iterator[str]:
+    """Yield the run furthest from the reference's path, then the distance of each run."""
+    name, worst = max(errors.items(), key=lambda one: one[1].largest_m)
+    at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
+    is_on = round(worst.largest_m, 9) == 0.0
+    if len(errors) == 1:
+        yield (
+            f"{name} stays on the path of {reference}, within 1e-9 m."
+            if is_on
+            else f"{name} departs from the path of {reference} {at}."
+        )
+    else:
+        head = f"{len(errors)} runs beside {reference}"
+        yield (
+            f"{head}: all stay on its path, within 1e-9 m."
+            if is_on
+            else f"{head}: {name} departs most from its path, {at}."
+        )
+    for name, error in errors.items():
+        if not round(error.largest_apart_m, 9):
+            continue
+        path = f"up to {_show(error.largest_m)} from the path, RMS {_show(error.rms_m)}; "
+        apart = f"at equal times up to {_show(error.largest_apart_m)} apart"
+        yield f"{name}: {path if len(errors) > 1 else ''}{apart}, RMS {_show(error.rms_apart_m)}."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,7 +232,7 @@ class _HeldRun:
     notes: tuple[str, ...]
     signals: list[_HeldSignal]
     metrics: list[_HeldMetric]
-    path_error: "PathDeviation"
+    path_error: "tl.compare.PathDeviation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,7 +244,7 @@ class _ReferenceAnswer:
     runs: list[_HeldRun]
 
 
-def _build_run(path: Path, compared: _Compared) -> _HeldRun:
+def _build_run(path: Path, compared: Compared) -> _HeldRun:
     found = compared.comparison
     return _HeldRun(
         file=str(path),
@@ -218,7 +252,7 @@ def _build_run(path: Path, compared: _Compared) -> _HeldRun:
         overlap_s=found.overlap_s,
         overlap_from_s=found.overlap_from_s,
         notes=found.notes,
-        signals=[copy_fields(_HeldSignal, one) for one in found.signals],
+        signals=[console.copy_fields(_HeldSignal, one) for one in found.signals],
         metrics=[
             _HeldMetric(
                 **take_metric(one.metric, one.reference.value),
@@ -228,19 +262,6 @@ def _build_run(path: Path, compared: _Compared) -> _HeldRun:
         ],
         path_error=compared.path_error,
     )
-
-
-def take_metric(metric: "Metric", reference: float | None = None) -> dict[str, Any]:
-    """Return the fields of `MetricBeside`."""
-    kind = tl.measure.find_metric_kind(metric.id)
-    return {
-        "id": metric.id,
-        "value": metric.value,
-        "unit": metric.unit,
-        "status": metric.status.value,
-        "reference": reference,
-        "better": None if kind is None else kind.better,
-    }
 
 
 def list_scenario_files(files: Sequence[Path]) -> list[Path]:
@@ -257,10 +278,25 @@ def compare_with_robot(
     kind: str,
 ) -> int:
     """Print the distances of recorded robots from the robot of a scenario among the files."""
-    bags, scenario_file = _part(files)
+    scenarios = list_scenario_files(files)
+    if len(scenarios) > 1:
+        named = ", ".join(map(str, scenarios))
+        raise UsageError(f"name one scenario to compare bags with, not {named}")
+    (scenario_file,) = scenarios
+    bags = [file for file in files if file not in scenarios]
+    if not bags:
+        raise UsageError(
+            f"compare {scenario_file} needs a bag or a recording beside the scenario; two"
+            " scenarios are compared by their runs, which turtlelog run records"
+        )
     require_pictures(plot, rrd, files, drawn=bags, of="bag")
-    scenario = _load(scenario_file)
-    found: list[tuple[Path, RobotComparison]] = []
+    scenario = tl.scenario.read_scenario(scenario_file)
+    if scenario.plant.kind != "lagged":
+        raise UsageError(
+            f'{scenario_file}: must be the scenario of a robot, plant.kind = "lagged", not'
+            f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
+        )
+    found: list[tuple[Path, tl.compare.RobotComparison]] = []
     is_fine = True
     for bag in bags:
         try:
@@ -268,49 +304,68 @@ def compare_with_robot(
             with show_progress(f"simulating {run.name}"):
                 found.append((bag, tl.compare.compare_robot(run, scenario)))
         except TurtlelogError as err:
-            print_error(str(err))
+            console.print_error(str(err))
             is_fine = False
     if found:
         _print(found, scenario_file, kind)
         _draw(found[0][1], plot, rrd)
-    return EXIT_FINE if is_fine else EXIT_BAD_INPUT
+    return console.EXIT_FINE if is_fine else console.EXIT_BAD_INPUT
 
 
-def _part(files: Sequence[Path]) -> tuple[list[Path], Path]:
-    scenarios = list_scenario_files(files)
-    if len(scenarios) > 1:
-        named = ", ".join(map(str, scenarios))
-        raise UsageError(f"name one scenario to compare bags with, not {named}")
-    bags = [file for file in files if file not in scenarios]
-    if not bags:
-        raise UsageError(
-            f"compare {scenarios[0]} needs a bag or a recording beside the scenario; two"
-            " scenarios are compared by their runs, which turtlelog run records"
-        )
-    return bags, scenarios[0]
-
-
-def _load(file: Path) -> "Scenario":
-    scenario = tl.scenario.read_scenario(file)
-    if scenario.plant.kind != "lagged":
-        raise UsageError(
-            f'{file}: must be the scenario of a robot, plant.kind = "lagged", not'
-            f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
-        )
-    return scenario
-
-
-def _print(found: "Sequence[tuple[Path, RobotComparison]]", scenario: Path, kind: str) -> None:
+def _print(
+    found: "Sequence[tuple[Path, tl.compare.RobotComparison]]", scenario: Path, kind: str
+) -> None:
     if kind == "json":
         seeds = found[0][1].seeds
         runs = [_build_robot(file, one) for file, one in found]
-        print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
+        console.print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
         return
     robots = [one for _, one in found]
     if kind == "txt":
-        print_text(format_robots(robots, [str(file) for file, _ in found], str(scenario)))
+        console.print_text(_format_robots(robots, [str(file) for file, _ in found], str(scenario)))
     else:
-        print_tables([tl.compare.tabulate_robots(robots)], kind)
+        console.print_tables([tl.compare.tabulate_robots(robots)], kind)
+
+
+def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scenario: str) -> str:
+    """Return the distances of recorded robots from a simulated one, their meaning, and a table."""
+    found = [
+        one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.label_file(file))
+        for one, file in zip(found, files, strict=True)
+    ]
+    table = tl.compare.tabulate_robots(found)
+    heads = []
+    for one in found:
+        said = []
+        for band in (band for band in one.bands if band.quantity == "position"):
+            simulated = band.simulated_median
+            beside = "" if simulated is None else f" (simulated {format_short(simulated, 'm')})"
+            said.append(f"{format_short(band.median, 'm')}{beside} after {band.horizon_s:g} s")
+        head = f"{one.name} beside the scenario {one.scenario}"
+        heads.append(f"{head}: median position error {join_words(said)}.")
+    if len(found) > 1:
+        heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
+    # The sentences contain the number of errors outside of the band.
+    ranks = [0 if column.title in {"above", "below"} else None for column in table.columns]
+    seeds = found[0].seeds
+    means = (
+        f"Each motion is simulated with {seeds} seeds." if seeds else "The scenario has no noise."
+    )
+    return "\n".join(
+        [
+            console.fill_lines([*heads, *table.notes], indent=2),
+            console.fit_body(
+                replace(tl.compare.narrow_table(table, console.find_width(), ranks), notes=())
+            ),
+            "",
+            console.fill_lines(
+                [
+                    f"The simulated robot is driven with the recorded commands. {means}",
+                    f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
+                ]
+            ),
+        ]
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,8 +396,8 @@ class _RobotRun:
     signals: tuple[()] = ()
     metrics: tuple[()] = ()
     errors: list[_BandAnswer]
-    noise: "tuple[NoiseLevel, ...]"
-    clock: "Clock | None"
+    noise: "tuple[tl.compare.NoiseLevel, ...]"
+    clock: "tl.run.Clock | None"
     notes: tuple[str, ...]
 
 
@@ -356,14 +411,14 @@ class _RobotAnswer:
     runs: list[_RobotRun]
 
 
-def _build_robot(file: Path, found: "RobotComparison") -> _RobotRun:
+def _build_robot(file: Path, found: "tl.compare.RobotComparison") -> _RobotRun:
     time_ns = found.recorded.time_ns
     return _RobotRun(
         file=str(file),
         name=found.name,
         overlap_s=int(time_ns[-1] - time_ns[0]) / 1e9,
         errors=[
-            copy_fields(
+            console.copy_fields(
                 _BandAnswer,
                 band,
                 unit="m" if band.quantity == "position" else "rad",
@@ -377,10 +432,10 @@ def _build_robot(file: Path, found: "RobotComparison") -> _RobotRun:
     )
 
 
-def _draw(found: "RobotComparison", plot: Path | None, rrd: Path | None) -> None:
+def _draw(found: "tl.compare.RobotComparison", plot: Path | None, rrd: Path | None) -> None:
     if plot is not None:
         tl.draw.write_prediction_figure(found, plot)
-        print_note(f"wrote {plot}")
+        console.print_note(f"wrote {plot}")
     if rrd is not None:
         tl.draw.write_prediction_rrd(found, rrd)
-        print_note(f"wrote {rrd}")
+        console.print_note(f"wrote {rrd}")

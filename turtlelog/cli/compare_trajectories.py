@@ -11,28 +11,15 @@ import numpy as np
 from cyclopts import Group, Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Place, ReadingOptions
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    fill_lines,
-    find_width,
-    fit_table,
-    print_error,
-    print_json,
-    print_note,
-    print_tables,
-    print_text,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_pictures
+from turtlelog.cli import console
+from turtlelog.cli.options import Place, ReadingOptions, require_pictures
+from turtlelog.cli.work import show_progress
 from turtlelog.display import LATEST_S, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import ErrorStatistics, Table, TrajectoryComparison, TrajectorySettings
-    from turtlelog.log import ReadChoice
     from turtlelog.run import Trajectory
 
 
@@ -161,20 +148,20 @@ def compare_with_trajectory(
                 estimate = _read(file, choice, options)
                 found.append((file, tl.compare.compare_trajectories(true, estimate, settings)))
         except TurtlelogError as err:
-            print_error(str(err))
+            console.print_error(str(err))
     if found:
         _print(found, reference, options, kind)
         if plot is not None:
             tl.draw.write_trajectory_figure(found[0][1], plot)
-            print_note(f"wrote {plot}")
-    return EXIT_FINE if len(found) == len(files) else EXIT_BAD_INPUT
+            console.print_note(f"wrote {plot}")
+    return console.EXIT_FINE if len(found) == len(files) else console.EXIT_BAD_INPUT
 
 
-def _read(file: Path, choice: "ReadChoice", options: TrajectoryOptions) -> "Trajectory":
+def _read(file: Path, choice: "tl.log.ReadChoice", options: TrajectoryOptions) -> "Trajectory":
     """Return the trajectory in a file, named as typed, and print the chosen topics."""
     found = tl.log.read_trajectory(file, choice, times=options.times)
     if "chosen" in found.notes:
-        print_note(f"{file}: {found.notes['chosen']}")
+        console.print_note(f"{file}: {found.notes['chosen']}")
     return replace(found, name=str(file))
 
 
@@ -186,23 +173,33 @@ def _print(
 ) -> None:
     if kind == "json":
         runs = [_build_answer(file, one) for file, one in found]
-        print_json(TrajectoriesAnswer(reference=str(reference), runs=runs))
+        console.print_json(TrajectoriesAnswer(reference=str(reference), runs=runs))
         return
     table = tl.compare.tabulate_trajectories([one for _, one in found])
     if kind != "txt":
-        print_tables([table], kind)
+        console.print_tables([table], kind)
         return
     heads = [line for _, one in found for line in _describe(one)]
-    told = [line for _, one in found for line in _describe_basis(one, options)]
+    how = "the nearest in time"
+    if options.associate == "linear":
+        how = "interpolated linearly between the nearest"
+    told = []
+    for _, one in found:
+        count, (ours, theirs) = len(one.estimate), one.poses
+        what = "x, y and heading" if one.space == "plane" else "positions and rotations in space"
+        told.append(
+            f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
+            f" {one.reference_name} {theirs}."
+        )
     file = shlex.quote(str(found[0][0]))
     hint = f"turtlelog compare {file} --reference {shlex.quote(str(reference))} --ate --plot FILE"
-    print_text(
+    console.print_text(
         "\n".join(
             [
-                fill_lines(heads, indent=2),
+                console.fill_lines(heads, indent=2),
                 "",
-                fit_table(_shorten(table, find_width())),
-                fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
+                console.fit_table(_shorten(table, console.find_width())),
+                console.fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
             ]
         )
     )
@@ -261,7 +258,10 @@ _TINY: Final = 1e-9
 
 
 def _describe_alignment(one: "TrajectoryComparison") -> str:
-    turn_rad = _find_turn(one)
+    rotation = one.alignment.rotation
+    skew = rotation - rotation.T
+    sine = float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
+    turn_rad = math.atan2(sine, float(np.trace(rotation)) - 1.0)
     moved_m = float(np.linalg.norm(one.alignment.translation_m))
     scaled = f", scales it by {one.alignment.scale:.5g}" if one.align.startswith("sim") else ""
     turned, moved = (
@@ -269,29 +269,6 @@ def _describe_alignment(one: "TrajectoryComparison") -> str:
         for value, unit in ((turn_rad, "rad"), (moved_m, "m"))
     )
     return f"turns the estimate by {turned} about the origin{scaled} and moves it by {moved}"
-
-
-def _find_turn(one: "TrajectoryComparison") -> float:
-    """Return the angle of the alignment's rotation [rad]."""
-    rotation = one.alignment.rotation
-    skew = rotation - rotation.T
-    sine = float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
-    return math.atan2(sine, float(np.trace(rotation)) - 1.0)
-
-
-def _describe_basis(one: "TrajectoryComparison", options: TrajectoryOptions) -> list[str]:
-    """Return text on the compared poses."""
-    count, (ours, theirs) = len(one.estimate), one.poses
-    what = "x, y and heading" if one.space == "plane" else "positions and rotations in space"
-    how = (
-        "interpolated linearly between the nearest"
-        if options.associate == "linear"
-        else "the nearest in time"
-    )
-    return [
-        f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
-        f" {one.reference_name} {theirs}."
-    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,48 +3,21 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import Annotated, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs, require_there
-from turtlelog.cli.output import (
-    copy_fields,
-    fill_lines,
-    list_written,
-    print_json,
-    print_note,
-    print_text,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
+from turtlelog.cli import console, options
+from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, UsageError, find_near
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.log import RecoveryReport
-    from turtlelog.log.engine.walk import Loss
-
 
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
 _TRAJECTORIES: Final = (".tum", ".txt")
 _NO_FOLDERS: Final = (
-    *(
-        ".arrow",
-        ".bag",
-        ".db3",
-        ".feather",
-        ".gz",
-        ".h5",
-        ".hdf5",
-        ".json",
-        ".png",
-        ".rrd",
-        ".toml",
-    ),
-    *(".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
+    *(".arrow", ".bag", ".db3", ".feather", ".gz", ".h5", ".hdf5", ".json", ".png", ".rrd"),
+    *(".toml", ".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
 )
 """Suffixes that folders never have. A user who types such a suffix means another file."""
 
@@ -96,13 +69,13 @@ class ConvertAnswer:
 
 
 def convert(
-    file: File,
+    file: options.File,
     /,
     *,
-    output: Annotated[list[Place], Parameter(name=("--output", "-o"), metavar="OUT")],
+    output: Annotated[list[options.Place], Parameter(name=("--output", "-o"), metavar="OUT")],
     tables: TableOptions | None = None,
-    topics: ReadingOptions | None = None,
-    json: Json = False,
+    topics: options.ReadingOptions | None = None,
+    json: options.Json = False,
 ) -> None:
     """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2 folder.
 
@@ -130,21 +103,24 @@ def convert(
         output: File or folder to write. Can be repeated.
         json: Print one JSON object instead of lines.
     """
-    require_there([file])
+    options.require_there([file])
     tables = tables or TableOptions()
     if tables.recover:
         _recover_file(file, output, json=json)
         return
-    kinds = {path: _choose_kind(path, tables) for path in output}
+    kinds = {path: _FILES.get(path.suffix.lower()) or tables.to or "rosbag2" for path in output}
     _require_targets(output, kinds, file, tables)
-    run = _read(file, tables, topics)
+    if tables.sort:
+        run = tl.log.import_log(file, sort=True)
+    else:
+        (run,) = options.read_runs([file], topics)
     written: list[str] = []
     try:
         for out, kind in kinds.items():
             written += map(str, _write(run, out, kind, tables))
     except LogError:
         for path in written:  # the files that exist, although another one failed
-            print_note(f"wrote {path}")
+            console.print_note(f"wrote {path}")
         raise
     from turtlelog.log.recording.run_writer import list_unshared
 
@@ -171,7 +147,7 @@ def convert(
     if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
         notes += list_unshared(run)
     if json:
-        print_json(
+        console.print_json(
             ConvertAnswer(
                 file=str(file),
                 name=run.name,
@@ -187,11 +163,11 @@ def convert(
         for path, kind in kinds.items()
     ]
     absent = [f"absent in {file}: {', '.join(run.absent)}"] if run.absent else []
-    ends = fill_lines([*absent, *notes])
-    print_text("\n".join([fill_lines(lines), *list_written(written), ends]))
+    ends = console.fill_lines([*absent, *notes])
+    console.print_text("\n".join([console.fill_lines(lines), *console.list_written(written), ends]))
 
 
-def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> str:
+def _describe_held(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> str:
     """Return the contents of an output: the rows of each kind."""
     nouns = ("poses", "commands", "samples", "events")
     counts = {noun: len(getattr(run, noun)) for noun in nouns}
@@ -200,10 +176,6 @@ def _describe_held(run: "Run", path: Path, kind: str, tables: TableOptions) -> s
     held = counts if chosen is None else {chosen: counts[chosen]}
     told = [describe_count(count, noun[:-1]) for noun, count in held.items() if count]
     return join_words(told) or "no rows"
-
-
-def _choose_kind(path: Path, tables: TableOptions) -> str:
-    return _FILES.get(path.suffix.lower()) or tables.to or "rosbag2"
 
 
 def _is_file(path: Path, tables: TableOptions) -> bool:
@@ -216,9 +188,8 @@ def _require_targets(
     """Refuse invalid targets before the first output is written."""
     if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
         raise UsageError(
-            f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or"
-            " write a folder"
-            " with --to csv or parquet"
+            f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or write a"
+            " folder with --to csv or parquet"
         )
     if tables.to == "tum":
         for path in outputs:
@@ -229,10 +200,10 @@ def _require_targets(
         raise UsageError(f"--to: leave it out, the name {outputs[0]} says it")
     for path in outputs:
         if _is_file(path, tables):
-            require_new_target(path, [file], suffix=path.suffix.lower())
+            options.require_new_target(path, [file], suffix=path.suffix.lower())
         else:
             _require_folder(path)
-    require_apart(outputs)
+    options.require_apart(outputs)
 
 
 def _require_folder(path: Path) -> None:
@@ -241,17 +212,10 @@ def _require_folder(path: Path) -> None:
         raise UsageError(
             f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
         )
-    require_new_folder(path)
+    options.require_new_folder(path)
 
 
-def _read(file: Path, tables: TableOptions, topics: ReadingOptions | None) -> "Run":
-    if tables.sort:
-        return tl.log.import_log(file, sort=True)
-    (run,) = read_runs([file], topics)
-    return run
-
-
-def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
+def _write(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
     """Write one output and read it back."""
     from turtlelog.log.exported_tables import require_read_back, require_same_poses
 
@@ -277,7 +241,7 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
     return written
 
 
-def _flatten_run(run: "Run") -> "Run":
+def _flatten_run(run: "tl.Run") -> "tl.Run":
     """Return a run without heights and tilts, which recordings cannot store."""
     poses = run.poses
     if poses.height_m is None and poses.tilt_rad is None:
@@ -311,7 +275,7 @@ class RecoverAnswer:
     missing: Mapping[str, int] | None
     from_s: float
     to_s: float
-    lost: "tuple[Loss, ...]"
+    lost: "tuple[tl.log.Loss, ...]"
     output: str
 
 
@@ -321,18 +285,18 @@ def _recover_file(file: Path, outputs: Sequence[Path], *, json: bool) -> None:
         raise UsageError(f"--recover writes one output, not {len(outputs)}")
     (output,) = outputs
     if file.is_dir() and output.suffix.lower() != ".mcap":
-        require_new_folder(output)
+        options.require_new_folder(output)
     else:
-        require_new_target(output, [file], suffix=".mcap")
+        options.require_new_target(output, [file], suffix=".mcap")
     with show_progress("recovering"):
         report = tl.recover_recording(file, output)
     if json:
-        print_json(copy_fields(RecoverAnswer, report, output=str(output)))
+        console.print_json(console.copy_fields(RecoverAnswer, report, output=str(output)))
         return
-    print_text(fill_lines(_format(report, output), indent=2))
+    console.print_text(console.fill_lines(_format(report, output), indent=2))
 
 
-def _format(report: "RecoveryReport", output: Path) -> list[str]:
+def _format(report: "tl.log.RecoveryReport", output: Path) -> list[str]:
     count = sum(report.recovered.values())
     span = f"from {report.from_s:.3f} s to {report.to_s:.3f} s"
     source = Path(report.file).name
@@ -358,7 +322,7 @@ def _format(report: "RecoveryReport", output: Path) -> list[str]:
     return lines
 
 
-def _describe_loss(report: "RecoveryReport") -> str:
+def _describe_loss(report: "tl.log.RecoveryReport") -> str:
     """Return the size of the loss, as a clause."""
     if report.complete:
         return "nothing was lost: the file is complete and undamaged"

@@ -2,28 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console
 from turtlelog.cli.options import Place
-from turtlelog.cli.output import (
-    fill_lines,
-    find_command_name,
-    find_width,
-    print_note,
-    print_text,
-    write_text,
-)
 from turtlelog.display import format_short
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from turtlelog import Run
 
 
 def demo(
@@ -43,49 +31,40 @@ def demo(
         raise UsageError(f"{output}: cannot be a folder: {err.strerror}") from err
     runs = [_record(name, output) for name in tl.scenario.PAPER_RUNS]
     tl.write_comparison_rrd(runs, output / "comparison.rrd")
-    print_note(f"wrote {output / 'comparison.rrd'}")
+    console.print_note(f"wrote {output / 'comparison.rrd'}")
     table1 = tl.compare.tabulate_table1(runs, beside_paper=True)
     for kind in tl.draw.TABLE_FORMATS:
-        write_text(output / f"table1.{kind}", tl.draw.format_table(table1, kind))
-    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
-    print_note("")
+        console.write_text(output / f"table1.{kind}", tl.draw.format_table(table1, kind))
+    console.print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
+    console.print_note("")
     tables = [
-        tl.draw.format_table(replace(table, notes=()), width=find_width())
-        + fill_lines([*table.notes, ""])
+        tl.draw.format_table(replace(table, notes=()), width=console.find_width())
+        + console.fill_lines([*table.notes, ""])
         for table in (table1, tl.compare.tabulate_whole_runs(runs))
     ]
-    answer = fill_lines([_write_answer(runs, output)])
-    print_text("\n".join([f"{answer}\n", *tables, _tell_next(output)]))
-
-
-def _write_answer(runs: "Sequence[Run]", folder: Path) -> str:
-    """Return the distances from the goal of the nearest and the furthest run."""
     name = "final.position_error"
     errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
     near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
-    return (
-        f"{folder}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
+    answer = (
+        f"{output}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
         f" {far} {format_short(errors[far], 'm')}."
     )
+    command = console.find_command_name()
+    following = (
+        f"See the four runs:   {command} view {output / 'comparison.rrd'}\n"
+        f"See one of them:     {command} view {output / 'kp10.rrd'}\n"
+        f"Why does it miss?    {command} explain {output / 'kp10.mcap'}\n"
+        f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
+    )
+    console.print_text("\n".join([f"{console.fill_lines([answer])}\n", *tables, following]))
 
 
-def _record(name: str, folder: Path) -> "Run":
+def _record(name: str, folder: Path) -> "tl.Run":
     """Simulate, record, read back and show a preset. Only the file's contents are measured."""
     stem = name.removeprefix("paper-")
     recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
     tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)
     run = tl.read_recording(recording)
     tl.write_run_rrd(run, rrd)
-    print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
+    console.print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
     return run
-
-
-def _tell_next(folder: Path) -> str:
-    command = find_command_name()
-    comparison, run, recording = (folder / n for n in ("comparison.rrd", "kp10.rrd", "kp10.mcap"))
-    return (
-        f"See the four runs:   {command} view {comparison}\n"
-        f"See one of them:     {command} view {run}\n"
-        f"Why does it miss?    {command} explain {recording}\n"
-        f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
-    )

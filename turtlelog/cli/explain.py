@@ -1,45 +1,28 @@
 """`turtlelog explain`: causes of a run's metric."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import options
+from turtlelog.cli.console import copy_fields, print_json, print_note, print_text, write_text
 from turtlelog.cli.explain_answer import (
-    build_explain_answer,
+    NEEDS,
+    describe_causes,
     format_explain_answer,
     format_explain_details,
+    format_motion,
 )
 from turtlelog.cli.list_names import complete_causes, complete_metrics
-from turtlelog.cli.motion_answer import build_motion, format_motion
-from turtlelog.cli.options import (
-    File,
-    Jobs,
-    Json,
-    Place,
-    ReadingOptions,
-    name_as_typed,
-    read_runs,
-    require_jobs,
-    require_there,
-    split_names,
-)
-from turtlelog.cli.output import print_json, print_note, print_text, write_text
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
+from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.errors import ExplainError
 
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.explain import (
-        Attribution,
-        Identification,
-        Luck,
-    )
-
-_NOTHING: Final = "no scenario fits this log"
 _GIVEN: Final = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
 _DETAILS: Final = "Every cause, setting and its evidence: --details"
 
@@ -59,21 +42,21 @@ class ExplainOptions:
     """
 
     details: bool = False
-    scenario: Place | None = None
-    rrd: Place | None = None
+    scenario: options.Place | None = None
+    rrd: options.Place | None = None
     trust_law: bool = False
     jobs: Jobs = None
 
 
 def explain(
-    file: File,
+    file: options.File,
     /,
     *,
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
     causes: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_causes)] = None,
-    options: ExplainOptions | None = None,
-    topics: ReadingOptions | None = None,
-    json: Json = False,
+    chosen: ExplainOptions | None = None,
+    topics: options.ReadingOptions | None = None,
+    json: options.Json = False,
 ) -> None:
     """Explain a metric of a run: which effect of the implementation contributes how much.
 
@@ -109,23 +92,20 @@ def explain(
             the metric most.
         json: Print one JSON object.
     """
-    require_there([file])
-    options = options or ExplainOptions()
-    require_new_target(options.scenario, [file], suffix=".toml")
-    require_new_target(options.rrd, [file], suffix=".rrd")
-    # Imported here: the command line loads no package before a command needs it.
-    from turtlelog.explain import require_trust
-
-    names = None if causes is None else split_names(causes, "--causes")
-    (run,) = read_runs([file], topics)
+    options.require_there([file])
+    chosen = chosen or ExplainOptions()
+    options.require_new_target(chosen.scenario, [file], suffix=".toml")
+    options.require_new_target(chosen.rrd, [file], suffix=".rrd")
+    names = None if causes is None else options.split_names(causes, "--causes")
+    (run,) = options.read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
-    with name_as_typed(file, run):
+    with options.name_as_typed(file, run):
         tl.explain.require_causes(run, metric, names)
-        require_trust(run, trust_law=options.trust_law)
-        found = tl.identify_run(run, trust_law=options.trust_law)
-    if options.scenario is not None:
-        write_text(options.scenario, tl.format_scenario(found.build_scenario()))
-        print_note(f"wrote {options.scenario}")
+        tl.explain.require_trust(run, trust_law=chosen.trust_law)
+        found = tl.identify_run(run, trust_law=chosen.trust_law)
+    if chosen.scenario is not None:
+        write_text(chosen.scenario, tl.format_scenario(found.build_scenario()))
+        print_note(f"wrote {chosen.scenario}")
     attribution = None
     if found.scenario is not None:
         with show_progress("simulated", 100.0, "%") as progress:
@@ -134,16 +114,26 @@ def explain(
                 metric=metric,
                 causes=names,
                 identified=found,
-                trust_law=options.trust_law,
-                work=tl.explain.Work(jobs=require_jobs(options.jobs), report=progress.count),
+                trust_law=chosen.trust_law,
+                work=tl.explain.Work(jobs=require_jobs(chosen.jobs), report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
-    answer = build_explain_answer(
-        file,
-        tl.measure_run(run, only=[metric])[metric],
-        found,
-        attribution,
-        None if motion is None else build_motion(file, run, motion),
+    again = found.resimulation
+    error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
+    answer = ExplainAnswer(
+        file=str(file),
+        name=found.name,
+        metric=tl.measure_run(run, only=[metric])[metric].to_dict(),
+        identified=tuple(
+            copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
+            for key, one in found.findings.items()
+        ),
+        resimulation=None if again is None else asdict(again) | error,
+        tried=found.tried,
+        attribution=attribution,
+        in_words={} if attribution is None else dict(describe_causes(found, attribution)),
+        notes=found.notes,
+        motion=None if motion is None else build_motion(file, run, motion),
     )
     if json:
         print_json(answer)
@@ -153,34 +143,226 @@ def explain(
         print_text(format_explain_answer(answer, found))
         if attribution is not None and run.declaration.list_gains():
             print_text(_GIVEN)
-        print_text(f"\n{format_explain_details(answer, found)}" if options.details else _DETAILS)
-    if options.rrd is not None:
-        _draw(run, found, attribution, options.rrd, require_jobs(options.jobs))
+        print_text(f"\n{format_explain_details(answer, found)}" if chosen.details else _DETAILS)
+    if chosen.rrd is not None:
+        _draw(run, found, attribution, chosen.rrd, require_jobs(chosen.jobs))
 
 
 def _draw(
-    run: "Run",
-    found: "Identification",
-    attribution: "Attribution | None",
+    run: "tl.Run",
+    found: "tl.explain.Identification",
+    attribution: "tl.explain.Attribution | None",
     path: Path,
     jobs: int | None,
 ) -> None:
     if attribution is None:
-        raise ExplainError(f"{path}: there is nothing to draw, because {_NOTHING}")
+        raise ExplainError(f"{path}: there is nothing to draw, because no scenario fits this log")
     with show_progress("simulating without", 100.0, "%") as progress:
         without = tl.explain.simulate_what_ifs(found, attribution, report=progress.count)
-    luck = _measure_luck(run, found, attribution, jobs)
+    luck = None
+    with show_progress("simulated", 100.0, "%") as progress, suppress(ExplainError):
+        # Without values from other starts, as the text explains.
+        work = tl.explain.Work(jobs=jobs, report=progress.count)
+        luck = tl.explain.measure_luck(run, identified=found, found=attribution, work=work)
     tl.draw.write_explanation_rrd(run, attribution, without, path, luck=luck)
     print_note(f"wrote {path}")
 
 
-def _measure_luck(
-    run: "Run", found: "Identification", attribution: "Attribution", jobs: int | None
-) -> "Luck | None":
-    """Return the values from other starts; None without such values, as the text explains."""
-    with show_progress("simulated", 100.0, "%") as progress:
-        work = tl.explain.Work(jobs=jobs, report=progress.count)
-        try:
-            return tl.explain.measure_luck(run, identified=found, found=attribution, work=work)
-        except ExplainError:
-            return None
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateAnswer:
+    """Rate of rows, the range of the central 90 % of the periods, and the longest silence."""
+
+    rows: int
+    period_s: float | None = None
+    low_s: float | None = None
+    high_s: float | None = None
+    longest_silence_s: float | None = None
+    silence_at_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueAnswer:
+    """A value of a signal with its time."""
+
+    signal: str
+    unit: str
+    value: float
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeapAnswer:
+    """A jump of the poses [m, rad]."""
+
+    at_s: float
+    moved: float
+    aside: float
+    turned: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SilenceAnswer:
+    """A gap in the poses."""
+
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TicksAnswer:
+    """Number of commands that act after a number of ticks."""
+
+    ticks: int
+    commands: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DelaysAnswer:
+    """Delays with which commands act."""
+
+    ticks: list[TicksAnswer]
+    low_s: float
+    median_s: float
+    high_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionAnswer:
+    """Facts about poses and commands without samples. Times count as in a replay.
+
+    Attributes:
+        kind: Kind of the recorded robot.
+        run_duration_s: Duration of the run [s].
+        poses: Rate of the poses.
+        commands: Rate of the commands.
+        largest_commands: Largest command of each axis.
+        outliers: Values that do not belong to the motion.
+        jumps: Jumps of the poses.
+        gaps: Gaps in the poses.
+        command_delays: Delays with which commands act; None if unknown.
+        replay: The commands driven through the plant; None without a model.
+        needs: Data that an explanation would need.
+    """
+
+    kind: str
+    run_duration_s: float
+    poses: RateAnswer
+    commands: RateAnswer
+    largest_commands: list[ValueAnswer]
+    outliers: list[ValueAnswer]
+    jumps: list[LeapAnswer]
+    gaps: list[SilenceAnswer]
+    command_delays: DelaysAnswer | None
+    replay: PlantReplayAnswer | None
+    needs: str
+
+
+def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> MotionAnswer:
+    """Return the facts as an answer."""
+
+    def build_rate(rows: int, periods: "tl.explain.Periods | None") -> RateAnswer:
+        if periods is None:
+            return RateAnswer(rows=rows)
+        return RateAnswer(
+            rows=rows,
+            period_s=periods.usual_ns / 1e9,
+            low_s=periods.low_ns / 1e9,
+            high_s=periods.high_ns / 1e9,
+            longest_silence_s=periods.longest_ns / 1e9,
+            silence_at_s=tell_time(run, periods.longest_at_ns),
+        )
+
+    delays, replay = found.delays, found.replay
+    largest, outliers = (
+        [
+            ValueAnswer(
+                signal=one.signal, unit=one.unit, value=one.value, at_s=tell_time(run, one.time_ns)
+            )
+            for one in values
+        ]
+        for values in (found.largest, found.outliers)
+    )
+    return MotionAnswer(
+        kind=found.kind,
+        run_duration_s=run.duration_s,
+        poses=build_rate(len(run.poses), found.poses),
+        commands=build_rate(len(run.commands), found.commands),
+        largest_commands=largest,
+        outliers=outliers,
+        jumps=[
+            LeapAnswer(
+                at_s=tell_time(run, jump.time_ns),
+                moved=jump.moved_m,
+                aside=jump.aside_m,
+                turned=jump.turned_rad,
+            )
+            for jump in found.jumps
+        ],
+        gaps=[
+            SilenceAnswer(start_s=tell_time(run, gap.start_ns), end_s=tell_time(run, gap.end_ns))
+            for gap in found.gaps
+        ],
+        command_delays=None
+        if delays is None
+        else DelaysAnswer(
+            ticks=[TicksAnswer(ticks=ticks, commands=n) for ticks, n in delays.counts.items()],
+            low_s=delays.low_ns / 1e9,
+            median_s=delays.median_ns / 1e9,
+            high_s=delays.high_ns / 1e9,
+        ),
+        replay=None if replay is None else build_plant(file, run, replay),
+        needs=NEEDS,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FindingAnswer:
+    """A setting of the run.
+
+    Attributes:
+        key: Key of the setting, as in a scenario.
+        value: Identified value; None if it is not identified.
+        certainty: Confidence in the value.
+        evidence: Evidence of the value, or the reason why it is not identified.
+        interval: Bounds of the value, if known.
+        candidates: All values that fit, if several do.
+        assumed: Value that the re-simulation uses if the setting is not identified and has no
+            visible effect.
+    """
+
+    key: str
+    value: Any
+    certainty: str
+    evidence: str
+    interval: tuple[float, float] | None
+    candidates: tuple[Any, ...]
+    assumed: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplainAnswer:
+    """The settings and causes identified from a run.
+
+    Attributes:
+        file: Name of the file as given.
+        name: Name of the run.
+        metric: Explained metric, with the value of the log.
+        identified: The settings of the run, each with its confidence and evidence.
+        resimulation: Comparison of the re-simulated scenario with the log; None without one.
+        tried: Values that were tried, by key of the loop's settings.
+        attribution: The value divided among its causes; None if no scenario reproduces the log.
+        in_words: Action of each contributing cause in this run, in words.
+        notes: Further notes, in sentences.
+        motion: Facts about poses and commands without samples; None with samples.
+    """
+
+    file: str
+    name: str
+    metric: Mapping[str, Any]
+    identified: tuple[FindingAnswer, ...]
+    resimulation: Mapping[str, Any] | None
+    tried: Mapping[str, tuple[Any, ...]]
+    attribution: "tl.explain.Attribution | None"
+    in_words: Mapping[str, str]
+    notes: tuple[str, ...]
+    motion: MotionAnswer | None

@@ -1,21 +1,21 @@
-"""The answer of `turtlelog explain` as data and as text."""
+"""Text of `turtlelog explain`: causes, settings with evidence, and facts about motion."""
 
 import textwrap
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.motion_answer import MotionAnswer
-from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
-from turtlelog.cli.replay_answer import build_pose_error
+from turtlelog.cli.console import build_table, fill_lines, fit_table
+from turtlelog.cli.replay_answer import judge_rounding, list_breaks, tell_time
+from turtlelog.display import describe_count, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import Metric
-    from turtlelog.explain import Attribution, Finding, Identification
+    from turtlelog.cli.explain import ExplainAnswer
+    from turtlelog.explain import Attribution, Finding, Identification, MotionFacts, Periods
 
 
 _ROWS: Final = (
@@ -57,94 +57,12 @@ _MEANING_WIDTH: Final = 30
 """Width of the last columns of tables [characters]; other columns need the rest of a line."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FindingAnswer:
-    """A setting of the run.
-
-    Attributes:
-        key: Key of the setting, as in a scenario.
-        value: Identified value; None if it is not identified.
-        certainty: Confidence in the value.
-        evidence: Evidence of the value, or the reason why it is not identified.
-        interval: Bounds of the value, if known.
-        candidates: All values that fit, if several do.
-        assumed: Value that the re-simulation uses if the setting is not identified and has no
-            visible effect.
-    """
-
-    key: str
-    value: Any
-    certainty: str
-    evidence: str
-    interval: tuple[float, float] | None
-    candidates: tuple[Any, ...]
-    assumed: Any
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExplainAnswer:
-    """The settings and causes identified from a run.
-
-    Attributes:
-        file: Name of the file as given.
-        name: Name of the run.
-        metric: Explained metric, with the value of the log.
-        identified: The settings of the run, each with its confidence and evidence.
-        resimulation: Comparison of the re-simulated scenario with the log; None without one.
-        tried: Values that were tried, by key of the loop's settings.
-        attribution: The value divided among its causes; None if no scenario reproduces the log.
-        in_words: Action of each contributing cause in this run, in words.
-        notes: Further notes, in sentences.
-        motion: Facts about poses and commands without samples; None with samples.
-    """
-
-    file: str
-    name: str
-    metric: Mapping[str, Any]
-    identified: tuple[FindingAnswer, ...]
-    resimulation: Mapping[str, Any] | None
-    tried: Mapping[str, tuple[Any, ...]]
-    attribution: "Attribution | None"
-    in_words: Mapping[str, str]
-    notes: tuple[str, ...]
-    motion: MotionAnswer | None
-
-
-def build_explain_answer(
-    file: Path,
-    metric: "Metric",
-    found: "Identification",
-    attribution: "Attribution | None",
-    motion: MotionAnswer | None,
-) -> ExplainAnswer:
-    """Return the answer as data."""
-    again = found.resimulation
-    error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
-    return ExplainAnswer(
-        file=str(file),
-        name=found.name,
-        metric=metric.to_dict(),
-        identified=tuple(
-            copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
-            for key, one in found.findings.items()
-        ),
-        resimulation=None if again is None else asdict(again) | error,
-        tried=found.tried,
-        attribution=attribution,
-        in_words={} if attribution is None else dict(_describe_causes(found, attribution)),
-        notes=found.notes,
-        motion=motion,
-    )
-
-
-def _describe_causes(
+def describe_causes(
     found: "Identification", attribution: "Attribution"
 ) -> Iterator[tuple[str, str]]:
     """Yield each contributing cause with its settings in this run, or words for them."""
-    from turtlelog.scenario import flatten_scenario
-
     scenario = found.build_scenario()
-    values = flatten_scenario(scenario)
+    values = tl.scenario.flatten_scenario(scenario)
     table = tl.explain.find_causes(scenario)
     for one in attribution.contributions:
         neutral = table[one.cause].neutral
@@ -153,47 +71,43 @@ def _describe_causes(
             for key in neutral
             if values.get(key, neutral[key]) != neutral[key]
         ]
-        text, describe = ", ".join(settings), _WORDS.get((*neutral,))
-        yield one.cause, text if describe is None else describe(found, text)
+        yield one.cause, _describe_settings(found, (*neutral,)) or ", ".join(settings)
 
 
-def _describe_queue(found: "Identification", settings: str) -> str:
-    """Return text on the dead times that include the queue."""
-    parts: list[str] = []
-    for key, finding in found.findings.items():
-        if key.startswith(_DEAD_TIME) and finding.value is not None:
-            loop = tl.explain.describe_loop_name(found.law, key.removeprefix(_DEAD_TIME))
-            parts.append(f"{finding.value}{'' if parts else ' ticks'} {loop}")
-    if not parts:
-        return settings
-    return f"commands wait: dead time {', '.join(parts)}"
-
-
-def _describe_pause(found: "Identification", settings: str) -> str:
+def _describe_settings(found: "Identification", keys: tuple[str, ...]) -> str:
+    """Return words for the settings that remove a cause; empty if there are none for this run."""
+    if keys == ("loop.queue_policy", "loop.start_backlog"):
+        parts: list[str] = []
+        for key, finding in found.findings.items():
+            if key.startswith(_DEAD_TIME) and finding.value is not None:
+                loop = tl.explain.describe_loop_name(found.law, key.removeprefix(_DEAD_TIME))
+                parts.append(f"{finding.value}{'' if parts else ' ticks'} {loop}")
+        return f"commands wait: dead time {', '.join(parts)}" if parts else ""
     seconds = getattr(found.findings.get("pause.seconds"), "value", None)
-    if not found.tells_law or seconds is None:
-        return settings
-    return f"the controller is silent for {seconds:.4g} s after the rotation"
+    if keys == ("law.pause_ticks",) and found.tells_law and seconds is not None:
+        return f"the controller is silent for {seconds:.4g} s after the rotation"
+    if keys == ("law.wrap_error",) and found.tells_law:
+        return "the heading error is not wrapped to half a turn"
+    return ""
 
 
-def _describe_wrap(found: "Identification", settings: str) -> str:
-    return "the heading error is not wrapped to half a turn" if found.tells_law else settings
-
-
-_WORDS: Final = {
-    ("loop.queue_policy", "loop.start_backlog"): _describe_queue,
-    ("law.pause_ticks",): _describe_pause,
-    ("law.wrap_error",): _describe_wrap,
-}
-"""Functions that describe a cause, by the settings that remove it."""
-
-
-def format_explain_answer(answer: ExplainAnswer, found: "Identification") -> str:
+def format_explain_answer(answer: "ExplainAnswer", found: "Identification") -> str:
     """Return the value, its causes, what they depend on, and the confidence."""
     name = escape_controls(Path(answer.file).name)
     attribution = answer.attribution
     if attribution is None:
-        return _fill([f"{name}: {_write_unknown(answer.metric)}", *_write_known(answer, found)])
+        metric = answer.metric
+        text = f"has no value: {metric['reason']}"
+        if metric["value"] is not None:
+            size = f"{metric['value']:.4g} {metric['unit']}".removesuffix(" 1")
+            text = f"is {size}; its causes are unknown"
+        known = [
+            f"{name.strip()} {_format_value(finding.value, unit)}"
+            for name, key, unit in _list_rows(found)
+            if (finding := found.findings.get(key)) is not None and finding.value is not None
+        ]
+        facts = [f"The log shows: {', '.join(known)}."] if known else []
+        return _fill([f"{name}: {metric['id']} {text}", *map(_capitalise, answer.notes), *facts])
     named = tl.explain.choose_named(attribution)
     lines = [f"{name}: {tl.explain.write_headline(attribution)}"]
     if named:
@@ -212,25 +126,6 @@ def _fill(lines: list[str]) -> str:
     return "\n".join(line if line.startswith("  ") else fill_lines([line]) for line in lines)
 
 
-def _write_unknown(metric: Mapping[str, Any]) -> str:
-    if metric["value"] is None:
-        return f"{metric['id']} has no value: {metric['reason']}"
-    size = f"{metric['value']:.4g} {metric['unit']}".removesuffix(" 1")
-    return f"{metric['id']} is {size}; its causes are unknown"
-
-
-def _write_known(answer: ExplainAnswer, found: "Identification") -> Iterator[str]:
-    """Yield the reason why no scenario can be simulated, and the facts in the log."""
-    yield from map(_capitalise, answer.notes)
-    known = [
-        f"{name.strip()} {_format_value(finding.value, unit)}"
-        for name, key, unit in _list_rows(found)
-        if (finding := found.findings.get(key)) is not None and finding.value is not None
-    ]
-    if known:
-        yield f"The log shows: {', '.join(known)}."
-
-
 def _write_confidence(found: "Identification", attribution: "Attribution") -> str:
     """Return how well the simulated scenario reproduces the log."""
     again = found.resimulation
@@ -239,25 +134,17 @@ def _write_confidence(found: "Identification", attribution: "Attribution") -> st
     rows = f"all {again.samples} samples"
     if found.is_recorded:
         return f"Confidence: as recorded. The recorded scenario reproduces {rows}."
-    if not again.is_exact:
-        return f"Confidence: {_judge_settings(found)}. {_write_differences(found)}"
-    label = "Confidence: exact. " if attribution.acting and not attribution.doubts else ""
-    return f"{label}The re-simulation reproduces {rows} bit for bit."
-
-
-def _judge_settings(found: "Identification") -> str:
-    """Return the confidence in loop settings that do not reproduce every sample."""
-    from turtlelog.explain import Certainty
-
+    if again.is_exact:
+        label = "Confidence: exact. " if attribution.acting and not attribution.doubts else ""
+        return f"{label}The re-simulation reproduces {rows} bit for bit."
+    # Loop settings that do not reproduce every sample.
     settings = [one for key, one in found.findings.items() if key in found.tried]
-    is_known = all(one.certainty is not Certainty.UNKNOWN for one in settings)
-    return "fitted" if settings and is_known else "unknown in part"
+    is_known = all(one.certainty is not tl.explain.Certainty.UNKNOWN for one in settings)
+    confidence = "fitted" if settings and is_known else "unknown in part"
+    return f"Confidence: {confidence}. {_write_differences(again)}"
 
 
-def _write_differences(found: "Identification") -> str:
-    again = found.resimulation
-    if again is None:
-        return "Nothing was simulated again."
+def _write_differences(again: "tl.explain.Resimulation") -> str:
     error = again.max_abs_error
     return (
         f"Largest differences of the re-simulation, in {again.samples} samples: x {error.x_m:.3g}"
@@ -266,7 +153,7 @@ def _write_differences(found: "Identification") -> str:
     )
 
 
-def format_explain_details(answer: ExplainAnswer, found: "Identification") -> str:
+def format_explain_details(answer: "ExplainAnswer", found: "Identification") -> str:
     """Return every cause, the identified settings with evidence, and the tried values."""
     parts = [] if answer.attribution is None else [format_causes(answer.attribution)]
     parts += [format_identification(found), _format_resimulation(found)]
@@ -313,22 +200,17 @@ def format_causes(found: "Attribution") -> str:
         if found.contributions and found.seeds is not None and found.seeds.varies:
             row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
             rows.insert(sum(one.contribution is not None for one in parts), row)
-    lines = (line for row in rows for line in _break_row(row))
+    lines: list[tuple[Any, ...]] = []
+    for *cells, meaning in rows:  # the last cell continues on further lines
+        first, *rest = textwrap.wrap(str(meaning), _MEANING_WIDTH, break_on_hyphens=False)
+        lines += [(*cells, first), *((*[""] * len(cells), line) for line in rest)]
     return fit_table(build_table(f"Causes of {found.metric}", heads, lines))
-
-
-def _break_row(row: list[Any]) -> list[tuple[Any, ...]]:
-    """Return a row whose last cell continues on further lines."""
-    first, *rest = textwrap.wrap(row[-1], _MEANING_WIDTH, break_on_hyphens=False)
-    return [(*row[:-1], first), *(("",) * (len(row) - 1) + (line,) for line in rest)]
 
 
 def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
     """Return the rows, with one row for each loop's dead time, and none for an unknown law."""
-    from turtlelog.explain import describe_loop_name
-
     keys = [key for key in found.findings if key.startswith(_DEAD_TIME)]
-    names = [describe_loop_name(found.law, key.removeprefix(_DEAD_TIME)) for key in keys]
+    names = [tl.explain.describe_loop_name(found.law, key.removeprefix(_DEAD_TIME)) for key in keys]
     rows = [(f"dead time {name}", key, "ticks") for name, key in zip(names, keys, strict=True)]
     after = [key for _, key, _ in _ROWS].index("lost_commands")
     rows = [*_ROWS[:after], *rows, *_ROWS[after:]]
@@ -358,31 +240,114 @@ def _format_value(value: Any, unit: str, digits: int = 6) -> str:
 
 
 def _format_resimulation(found: "Identification") -> str:
-    if found.resimulation is not None:
-        return _fill([_write_differences(found), _format_tried(found)])
+    """Return the differences of the re-simulation, and the loop settings that were tried."""
+    again, tried = found.resimulation, []
+    for name, key, unit in _ROWS:
+        values = found.tried.get(key, ())
+        if len(values) < 2:
+            continue
+        text = ", ".join(map(str, values))
+        if len(values) > 2 and [*values] == [*range(values[0], values[0] + len(values))]:
+            text = f"{values[0]} to {values[-1]}"
+        tried.append(f"{name} {text} {unit}".rstrip())
+    settings = "; ".join(tried) or "one, the clock and the dead times leave no other"
     if not found.tried:
+        settings = "those recorded, and no others"
+    if again is None and not found.tried:
         return "Nothing was simulated again."
-    return _fill([_DRIVEN, _format_tried(found)])
-
-
-def _format_tried(found: "Identification") -> str:
-    """Return text on the loop settings that were tried."""
-    if not found.tried:
-        return "Settings tried: those recorded, and no others."
-    parts = [
-        f"{name} {_format_range(found.tried[key], unit)}"
-        for name, key, unit in _ROWS
-        if len(found.tried.get(key, ())) > 1
-    ]
-    only = "one, the clock and the dead times leave no other"
-    return f"Settings tried: {'; '.join(parts) or only}."
-
-
-def _format_range(values: tuple[Any, ...], unit: str) -> str:
-    if len(values) > 2 and [*values] == [*range(values[0], values[0] + len(values))]:
-        return f"{values[0]} to {values[-1]} {unit}".rstrip()
-    return f"{', '.join(map(str, values))} {unit}".rstrip()
+    head = _DRIVEN if again is None else _write_differences(again)
+    return _fill([head, f"Settings tried: {settings}."])
 
 
 def _capitalise(note: str) -> str:
     return f"{note[:1].upper()}{note[1:].removesuffix('.')}."
+
+
+NEEDS: Final = (
+    "An explanation needs the samples of the controller (turtlelog_msgs/msg/ControlSample): the"
+    " pose that it read, and the command that it gave."
+)
+
+
+_SILENCE: Final = 1.5
+"""Silence, in usual periods, from which a silence is shown; one period may vary by half."""
+
+
+def format_motion(file: Path, run: "tl.Run", found: "MotionFacts") -> str:
+    """Return that no cause is known, and the facts as sentences."""
+    topics = [run.notes.get(f"{kind}_topic", "") for kind in ("pose", "command")]
+    where = join_words([escape_controls(topic) for topic in topics if topic])
+    kind = "Turtlesim" if found.kind == "turtlesim" else "A robot, not turtlesim"
+    if found.kind == "robot" and run.poses.speed_m_s is not None and not run.parameters:
+        kind = "A robot that publishes poses as turtlesim does, not turtlesim"
+    largest = [
+        f"{one.signal.replace('_', ' ')} {one.value:.4g} {one.unit}"
+        f" at {round(tell_time(run, one.time_ns), 3) + 0.0:.3f} s"
+        for one in found.largest
+    ]
+    outliers = tl.measure.describe_outliers(run) if found.outliers else {}
+    breaks = {} if found.replay is not None else tl.measure.describe_breaks(run)
+    sentences = [
+        f"{escape_controls(file.name)}: not explained, because there are no samples of a"
+        " controller.",
+        f"{kind}, run.duration {run.duration_s:.3f} s{f', of {where}' if where else ''}.",
+        _tell_rate(run, "pose", len(run.poses), found.poses),
+        _tell_rate(run, "command", len(run.commands), found.commands),
+        *([f"Largest commands: {', '.join(largest)}."] if largest else []),
+        *(f"The {signal.replace('_', ' ')} has {text}." for signal, text in outliers.items()),
+        *(f"{text[0].upper()}{text[1:]}." for text in breaks.values()),
+        *_tell_plant(run, found),
+    ]
+    if found.replay is not None:
+        sentences += [f"At {line}." for line in list_breaks(run, found.replay)]
+    return fill_lines([*sentences, "", NEEDS])
+
+
+def _tell_rate(run: "tl.Run", noun: str, rows: int, periods: "Periods | None") -> str:
+    if periods is None:
+        return f"{describe_count(rows, noun)}." if rows else f"No {noun}s."
+    usual, low, high = (
+        f"{period_ns / 1e6:.4g}"
+        for period_ns in (periods.usual_ns, periods.low_ns, periods.high_ns)
+    )
+    text = f"{describe_count(rows, noun)}, usually one every {usual} ms"
+    if low != high:
+        text += f"; nine of ten within {low} to {high} ms"
+    if periods.longest_ns > _SILENCE * periods.usual_ns:
+        at_s = tell_time(run, periods.longest_at_ns)
+        text += f"; the longest silence {periods.longest_ns / 1e9:.4g} s, from {at_s:.3f} s"
+    return f"{text}."
+
+
+def _tell_plant(run: "tl.Run", found: "MotionFacts") -> list[str]:
+    replay, delays = found.replay, found.delays
+    if found.refused:
+        return [f"Turtlesim's plant was not driven. {found.refused}."]
+    if replay is None or not len(run.commands):
+        return []
+    use, error = replay.commands, replay.max_abs_error
+    off = f"x {error.x_m:.3g} m, y {error.y_m:.3g} m, heading {degrees(error.heading_rad):.3g} deg"
+    sentences = [
+        f"Its commands through turtlesim's plant: {use.taken} taken, {use.unseen} that no pose"
+        f" shows; it stopped by itself {use.stops} times. Largest differences {off}.",
+        " ".join(judge_rounding(replay)),
+    ]
+    if use.unexplained_ticks:
+        count = describe_count(use.unexplained_ticks, "tick")
+        sentences.append(f"No recorded command explains the velocity of {count}.")
+    if delays is not None:
+        counts = [
+            f"{count} in the next tick"
+            if ticks == 0
+            else f"{count} {describe_count(ticks, 'tick')} later"
+            for ticks, count in delays.counts.items()
+        ]
+        low, median, high = (
+            f"{value / 1e6:.4g}" for value in (delays.low_ns, delays.median_ns, delays.high_ns)
+        )
+        total = describe_count(sum(delays.counts.values()), "command")
+        sentences.append(
+            f"Dead time of the {total} that a pose shows: {join_words(counts)}. The pose comes"
+            f" {low} to {high} ms after the command, usually {median} ms, by the recording's clock."
+        )
+    return sentences

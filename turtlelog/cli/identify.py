@@ -1,30 +1,18 @@
-"""`turtlelog identify`: a robot's gain, dead time and time constant."""
+"""`turtlelog identify`: a robot's gain, dead time and time constant, with their reliability."""
 
-from collections.abc import Sequence
+import math
+import shlex
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.identify_answer import format_robot
-from turtlelog.cli.options import Files, Json, Place, TopicOptions, read_runs, require_there
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    copy_fields,
-    print_json,
-    print_note,
-    print_text,
-    write_text,
-)
-from turtlelog.cli.targets import require_new_target, require_pictures
-
-if TYPE_CHECKING:
-    from turtlelog import RobotModel
-    from turtlelog.identify import AxisModel, RobotScenario, TickDelays
-    from turtlelog.run import Clock
+from turtlelog.cli import console, options
+from turtlelog.display import describe_count, join_words
+from turtlelog.escapes import escape_controls
 
 
 @Parameter(name="*")
@@ -39,19 +27,19 @@ class WrittenOptions:
             `theory` recommends gains for.
     """
 
-    plot: Place | None = None
-    rrd: Place | None = None
-    scenario: Place | None = None
+    plot: options.Place | None = None
+    rrd: options.Place | None = None
+    scenario: options.Place | None = None
 
 
 def identify(
-    files: Files,
+    files: options.Files,
     /,
     *,
     written: WrittenOptions | None = None,
     details: bool = False,
-    topics: TopicOptions | None = None,
-    json: Json = False,
+    topics: options.TopicOptions | None = None,
+    json: options.Json = False,
 ) -> int:
     """Identify how a robot follows its commands: gain, dead time, time constant of each axis.
 
@@ -88,28 +76,28 @@ def identify(
     """
     written = written or WrittenOptions()
     plot, rrd, scenario = written.plot, written.rrd, written.scenario
-    require_pictures(plot, rrd, files, drawn=files, of="file")
-    require_new_target(scenario, files, suffix=".toml")
-    require_there(files)
-    runs = read_runs(files, topics)
+    options.require_pictures(plot, rrd, files, drawn=files, of="file")
+    options.require_new_target(scenario, files, suffix=".toml")
+    options.require_there(files)
+    runs = options.read_runs(files, topics)
     model = tl.identify_robot(runs)
     robot = None if scenario is None else tl.identify.build_robot_scenario(model, runs)
     if json:
-        print_json(build_identify_answer(files, model, scenario, robot))
+        console.print_json(build_identify_answer(files, model, scenario, robot))
     else:
-        print_text(
+        console.print_text(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
         )
     if scenario is not None and robot is not None:
-        write_text(scenario, robot.text)
-        print_note(f"wrote {scenario}")
+        console.write_text(scenario, robot.text)
+        console.print_note(f"wrote {scenario}")
     if plot is not None:
         tl.draw.write_robot_figure(model, runs[0], plot)
-        print_note(f"wrote {plot}")
+        console.print_note(f"wrote {plot}")
     if rrd is not None:
         tl.draw.write_robot_rrd(model, runs[0], rrd)
-        print_note(f"wrote {rrd}")
-    return EXIT_FINE if any(axis.is_known for axis in model.axes) else EXIT_FAILED
+        console.print_note(f"wrote {rrd}")
+    return console.EXIT_FINE if any(axis.is_known for axis in model.axes) else console.EXIT_FAILED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,9 +169,9 @@ class IdentifyAnswer:
     """A robot's dynamics."""
 
     files: list[str]
-    clock: "Clock | None"
+    clock: "tl.run.Clock | None"
     axes: list[AxisAnswer]
-    tick_delays: "TickDelays | None"
+    tick_delays: "tl.identify.TickDelays | None"
     events: list[EventAnswer]
     notes: tuple[str, ...]
     scenario: ScenarioAnswer | None
@@ -191,9 +179,9 @@ class IdentifyAnswer:
 
 def build_identify_answer(
     files: Sequence[Path],
-    model: "RobotModel",
+    model: "tl.RobotModel",
     scenario: Path | None = None,
-    robot: "RobotScenario | None" = None,
+    robot: "tl.identify.RobotScenario | None" = None,
 ) -> IdentifyAnswer:
     """Return the answer as data."""
     written = None
@@ -204,7 +192,7 @@ def build_identify_answer(
         clock=model.clock,
         axes=[_build_axis(axis) for axis in model.axes],
         tick_delays=model.tick_delays,
-        events=[copy_fields(EventAnswer, event) for event in model.events],
+        events=[console.copy_fields(EventAnswer, event) for event in model.events],
         notes=model.notes,
         scenario=written,
     )
@@ -214,14 +202,293 @@ _MAY_BE_EMPTY: Final = ("reason", "advice", "limit_acts", "bound_acts", "correla
 """Texts of an axis that are null in the answer if they are empty."""
 
 
-def _build_axis(axis: "AxisModel") -> AxisAnswer:
-    from turtlelog.identify import Estimate
-
+def _build_axis(axis: "tl.identify.AxisModel") -> AxisAnswer:
     texts = {name: getattr(axis, name) or None for name in _MAY_BE_EMPTY}
     found = {one.name: getattr(axis, one.name) for one in fields(axis)}
     intervals = {
-        name: copy_fields(Interval, value)
+        name: console.copy_fields(Interval, value)
         for name, value in found.items()
-        if isinstance(value, Estimate)
+        if isinstance(value, tl.identify.Estimate)
     }
-    return copy_fields(AxisAnswer, axis, **texts, **intervals)
+    return console.copy_fields(AxisAnswer, axis, **texts, **intervals)
+
+
+_DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}
+_NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
+"""Parameters of Nav2's MPPI controller for the delay of each axis [s]."""
+
+_MOST_EVENTS: Final = 5
+_RARE: Final = 0.01
+"""Share of the steps above which outliers are not single faults, for example jumps."""
+
+_CURVE: Final = 0.5
+"""Whiteness below which the residual is a curve: neighbouring values share half of their error."""
+
+_LITTLE: Final = 0.5
+"""Explained share below which commands do not cause most changes of the motion."""
+
+_AS_COMMANDED: Final = 1e-3
+"""Largest deviation of a gain from 1 that is not mentioned [1]."""
+
+_NEAR: Final = 0.05
+"""Deviation of a gain from 1 below which percentages need decimals [1]."""
+
+
+def format_robot(
+    model: "tl.RobotModel",
+    files: Sequence[Path],
+    *,
+    robot: "tl.identify.RobotScenario | None" = None,
+    scenario: Path | None = None,
+    shows_details: bool = False,
+) -> str:
+    """Return the robot's delay, its values, and their reliability."""
+    known = [axis for axis in model.axes if axis.is_known]
+    who = f"{len(files)} runs of one robot"
+    if len(files) == 1:
+        who = tl.compare.label_file(files[0])
+    parts = [console.fill_lines(tl.identify.write_robot_headline(model.axes, who))]
+    if known:
+        brackets = model.brackets
+        if any(axis.doubts for axis in known):
+            brackets += ", wider for the doubts below"
+        heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
+        table = console.build_table("", heads, map(tl.identify.list_model_values, known))
+        told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
+        parts += [f"{console.fit_body(table)}\n{console.fill_lines([' '.join(told)])}\n"]
+        parts += [console.fill_lines([f"The robot {join_words([*map(describe_gain, known)])}."])]
+    trust = [*_list_trust(model), *_list_axes(model, shows_details=shows_details)]
+    parts += [console.fill_lines(trust, indent=2)] if trust else []
+    parts += _list_nav2(known)
+    if robot is not None:
+        source = f"Comments in {scenario} give the source of each number."
+        notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
+        parts += [
+            "",
+            f"The scenario {scenario}:\n{notes}" if shows_details else console.fill_lines([source]),
+        ]
+    return "\n".join([*parts, "", *_list_next(model, files, scenario, shows_details=shows_details)])
+
+
+def describe_gain(axis: "tl.identify.AxisModel") -> str:
+    """Return the steady-state response of an axis, with the digits that its interval allows.
+
+    An axis with a bound follows its commands up to that rate.
+    """
+    gain, does = axis.gain, _DOES[axis.axis]
+    bound = "" if axis.bound is None else f" up to {axis.bound.value:.3g} {axis.bound.unit}"
+    if gain is None:
+        return does.format("an unknown") + bound
+    off = max(abs(gain.low - 1.0), abs(gain.high - 1.0))
+    if gain.low <= 1.0 <= gain.high or off < _AS_COMMANDED:
+        within = "" if off < _AS_COMMANDED else f" to within {100.0 * off:.2g} %"
+        return f"{does.format('the commanded')}{within}{bound}"
+    percent = f"{100.0 * gain.value:.{1 if off < _NEAR else 0}f} %"
+    return does.format(f"{percent} of the commanded") + bound
+
+
+def _list_trust(model: "tl.RobotModel") -> Iterator[str]:
+    """Yield sentences on the reliability of the values, and on further facts of the motion."""
+    for axis in model.axes:
+        yield from _describe_axis(axis)
+    if model.tick_delays is not None:
+        delays = model.tick_delays
+        count = describe_count(delays.shown, "command")
+        yield (
+            f"From {count} to the pose that shows each: least {1e3 * delays.least_s:.1f} ms, median"
+            f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
+        )
+    doubts = [doubt for axis in model.axes for doubt in axis.doubts]
+    yield from (f"Doubt: {note}" if note in doubts else note for note in model.notes)
+    yield from _list_events(model)
+    clock = model.clock
+    if clock is None or not any(axis.is_known for axis in model.axes):
+        return
+    if clock.used == "log":
+        yield "Poses are timed by the recorder's clock: the delays include their transport."
+    else:
+        yield (
+            "Poses are timed by their stamps: the delays include the transport of the fastest"
+            " message, which is unknown."
+        )
+
+
+def _describe_axis(axis: "tl.identify.AxisModel") -> Iterator[str]:
+    if not axis.is_known or axis.explained is None:
+        return
+    name = tl.identify.NAMES[axis.axis].capitalize()
+    yield from _describe_fit(axis, axis.explained)
+    yield from _describe_second_order(axis)
+    yield from _describe_acceleration(axis)
+    if axis.bound_beside is not None:
+        yield from _describe_wheels(axis, axis.bound_beside)
+    elif axis.bound is not None:
+        yield f"{name} settles at {_show_limit(axis.bound)} at most: larger commands do no more."
+    if axis.deadband is not None:
+        yield f"{name}: commands below {_show_limit(axis.deadband)} move nothing."
+    if axis.friction is not None:
+        yield f"{name}: friction takes {_show_limit(axis.friction)} off each command."
+    if axis.reverse_gain is not None:
+        gain = tl.identify.format_gain(axis.reverse_gain)
+        yield f"{name}: commands below 0 have a gain of {gain}."
+
+
+def _describe_fit(axis: "tl.identify.AxisModel", explained: float) -> Iterator[str]:
+    """Yield how much of the motion the model explains, and whether it separates its delays."""
+    name = tl.identify.NAMES[axis.axis].capitalize()
+    little = curve = ""
+    if explained < _LITTLE:
+        little = " Most changes of the motion do not follow from the commands."
+    if axis.whiteness is not None and axis.whiteness < _CURVE:
+        curve = " The rest is a curve, not noise: the model lacks something."
+    yield (
+        f"{name}: the model explains {100.0 * explained:.0f} % of the variance of"
+        f" {axis.steps} steps between poses.{little}{curve}"
+    )
+    # Dead time and time constant may each be 0, although their sum may not.
+    parts, total = (axis.dead_time_s, axis.lag_s), axis.total_delay_s
+    is_open = all(part is not None and part.low <= 0.0 for part in parts)
+    if is_open and total is not None and total.low > 0.0:
+        yield (
+            f"{name}: the log does not separate dead time from time constant, it shows their sum."
+        )
+
+
+def _describe_acceleration(axis: "tl.identify.AxisModel") -> Iterator[str]:
+    """Yield the limits of how fast the rate changes, in sentences."""
+    name = tl.identify.NAMES[axis.axis].capitalize()
+    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    if axis.rate_limit is not None:
+        places = {"before_lag": "before the lag", "within_lag": "within its velocity loop"}
+        where = places.get(axis.limit_acts, "alone")
+        yield f"{name} changes by at most {_show_limit(axis.rate_limit)}, {where}."
+    if axis.jerk_time_s is not None:
+        time_s = _show_limit(axis.jerk_time_s)
+        yield f"{name}: its jerk is limited, so the acceleration reaches its limit within {time_s}."
+    if axis.rate_limit_beside is not None:
+        yield (
+            f"The wheels limit the acceleration of both axes together: a {other} that changes by"
+            f" {_show_limit(axis.rate_limit_beside)} reaches this limit alone."
+        )
+
+
+def _describe_wheels(
+    axis: "tl.identify.AxisModel", beside: "tl.identify.Estimate"
+) -> Iterator[str]:
+    """Yield the limit of the wheels, which both axes share, in sentences."""
+    name = tl.identify.NAMES[axis.axis]
+    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    ways = {
+        "scaled": "a command beyond is reduced on both axes alike",
+        "clipped": "a command beyond is clipped at each wheel",
+        "yielding": f"a command beyond reduces the {name} only",
+    }
+    if axis.bound is None:
+        yield (
+            f"A commanded {other} above {_show_limit(beside)} reduces the {name}, in proportion:"
+            " the wheels limit both axes together."
+        )
+        return
+    yield (
+        f"The wheels limit both axes together: the {name} settles at {_show_limit(axis.bound)} at"
+        f" most without a {other}."
+    )
+    yield (
+        f"A commanded {other} of {_show_limit(beside)} alone reaches this limit, and"
+        f" {ways[axis.bound_acts]}."
+    )
+
+
+def _show_limit(found: "tl.identify.Estimate") -> str:
+    return f"{found.value:.3g} {found.unit} ({found.low:.3g} to {found.high:.3g})"
+
+
+def _describe_second_order(axis: "tl.identify.AxisModel") -> Iterator[str]:
+    """Yield text on a second order: two time constants, or an oscillation if that is certain."""
+    product, lag, name = axis.lag_product_s2, axis.lag_s, tl.identify.NAMES[axis.axis].capitalize()
+    if product is None or lag is None:
+        return
+    equal = 0.25 * lag.value**2
+    if product.low > equal:
+        damping = math.sqrt(equal / product.value)
+        yield f"{name} is of second order and oscillates: its damping ratio is {damping:.2f}."
+    elif product.high > equal:
+        half_ms = 500.0 * lag.value
+        yield f"{name} is of second order, with two time constants of about {half_ms:.0f} ms."
+    else:
+        yield (
+            f"{name} is of second order: the time constant is the sum of two, whose product is"
+            f" {product.value:.3g} s^2 ({product.low:.3g} to {product.high:.3g})."
+        )
+
+
+def _list_axes(model: "tl.RobotModel", *, shows_details: bool) -> Iterator[str]:
+    """Yield why axes are not identified, with test drives; then second estimates of delays."""
+    for axis in model.axes:
+        if not axis.is_known:
+            end = "" if axis.reason.endswith("?") else "."
+            name = tl.identify.NAMES[axis.axis].capitalize()
+            yield f"{name}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
+    for axis in model.axes if shows_details else ():
+        name, delay = tl.identify.NAMES[axis.axis].capitalize(), axis.correlation_delay_s
+        if not axis.is_known or axis.explained is None:
+            continue
+        if delay is None:
+            yield f"{name}: {axis.correlation_reason}."
+        else:  # where commands and motion correlate best
+            low, high = (f"{1e3 * end:.0f}" for end in (delay.low, delay.high))
+            yield f"{name}: commands and motion correlate best at a delay of {low} to {high} ms."
+
+
+def _list_events(model: "tl.RobotModel") -> list[str]:
+    """Return the outliers one by one; many of one axis are in one sentence."""
+    said, often = [], []
+    for axis in model.axes:
+        found = [event for event in model.events if event.axis == axis.axis]
+        if len(found) > _RARE * axis.steps:
+            often.append(axis.axis)
+            worst = max(found, key=lambda event: abs(event.size))
+            name = tl.identify.NAMES[axis.axis].capitalize()
+            said.append(
+                f"{name}: {len(found)} of {axis.steps} steps are off by"
+                f" far more than is usual and do not count; the largest: {worst.text}."
+            )
+    rare = [event for event in model.events if event.axis not in often]
+    said += [f"Outlier: {event.text}." for event in rare[:_MOST_EVENTS]]
+    if len(rare) > _MOST_EVENTS:
+        said.append(f"And {describe_count(len(rare) - _MOST_EVENTS, 'outlier')} more, in --json.")
+    return said
+
+
+def _list_nav2(known: "Sequence[tl.identify.AxisModel]") -> list[str]:
+    """Return parameters for Nav2, whose model is a pure delay that includes the time constant."""
+    lines = [
+        f"  {_NAV2[axis.axis]}: {axis.advised_delay_s:.3f}"
+        for axis in known
+        if axis.advised_delay_s is not None
+    ]
+    head = "For Nav2's MPPI controller, dead time and time constant as one delay [s]:"
+    if any(axis.doubts for axis in known):
+        head = head.replace("[s]:", "[s],\nthe upper end of its interval where there is a doubt:")
+    return ["", head, *lines] if lines else []
+
+
+def _list_next(
+    model: "tl.RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
+) -> Iterator[str]:
+    """Yield the next commands to type."""
+    words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
+    if scenario is not None:
+        target = console.quote_file(scenario)
+        yield f"Next: turtlelog theory {target}"
+        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
+    elif model.tick_delays is not None:
+        # `explain` takes one recording.
+        yield f"Why? {console.name_explain(files[0], console.read_law(files[0]))}"
+    elif any(axis.is_known for axis in model.axes) and all(
+        axis.is_known or axis.is_idle for axis in model.axes
+    ):  # a scenario needs every commanded axis
+        yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
+    if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):
+        more = "" if scenario is None else ", and the source of each number"
+        yield f"A second opinion on the delays{more}: --details"

@@ -7,41 +7,19 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console
 from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
-from turtlelog.cli.options import (
-    Files,
-    Jobs,
-    Json,
-    TopicOptions,
-    count_jobs,
-    list_files,
-    require_files,
-    watch_files,
-)
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    build_table,
-    copy_fields,
-    fill_lines,
-    fit_table,
-    name_explain,
-    print_error,
-    print_json,
-    print_text,
-)
+from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
+from turtlelog.cli.work import Jobs, count_jobs, watch_files
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
 from turtlelog.escapes import escape_controls
 from turtlelog.processes import map_in_processes
-
-if TYPE_CHECKING:
-    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 _FILE_S: Final = 2e-3
 """Time to open a file and describe its contents, in addition to the time for its bytes [s]."""
@@ -135,7 +113,7 @@ class InfoAnswer:
     run_duration_s: float | None
     scenario: Mapping[str, Any] | None
     parameters: Mapping[str, Any]
-    topics: "tuple[TopicInfo, ...]"
+    topics: "tuple[tl.log.TopicInfo, ...]"
     simulated_by: Mapping[str, str]
     absent: tuple[str, ...]
     missing: tuple[str, ...]
@@ -150,7 +128,7 @@ def info(
     files: Files,
     /,
     *,
-    options: InfoOptions | None = None,
+    asked: InfoOptions | None = None,
     reading: TopicOptions | None = None,
     jobs: Jobs = None,
     json: Json = False,
@@ -172,51 +150,48 @@ def info(
         jobs: Number of processes. Default: one per core if that is faster.
         json: Print one JSON list instead of text.
     """
-    options = options or InfoOptions()
+    asked = asked or InfoOptions()
     require_files(files)
     files = list_files(files)
     describe = partial(
-        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=options.clock
+        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=asked.clock
     )
     count = count_jobs(
-        jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=options.clock)
+        jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=asked.clock)
     )
     read = list(watch_files(map_in_processes(describe, files, count), len(files)))
     errors = [one for one in read if isinstance(one, TurtlelogError)]
     found = [one for one in read if not isinstance(one, TurtlelogError)]
-    for err in errors:
-        print_error(str(err))
+    code = console.print_errors(errors)
     if json:
-        print_json(found)
+        console.print_json(found)
     elif found:
-        print_text(_format(found, options))
-    return EXIT_BAD_INPUT if errors else EXIT_FINE
+        console.print_text(_format(found, asked))
+    return code
 
 
-def _format(found: "list[InfoAnswer]", options: InfoOptions) -> str:
-    if len(found) > _MOST_IN_FULL and not (options.topics or options.parameters):
+def _format(found: "list[InfoAnswer]", asked: InfoOptions) -> str:
+    if len(found) > _MOST_IN_FULL and not (asked.topics or asked.parameters):
         return _format_answers(found)
-    shown = partial(
-        _format_answer,
-        topics=options.topics,
-        parameters=options.parameters,
-        is_alone=len(found) == 1,
-    )
-    return "\n\n".join(map(shown, found))
+    is_alone = len(found) == 1
+    return "\n\n".join(_format_answer(one, asked, is_alone=is_alone) for one in found)
 
 
-def _read(path: Path, *, choice: "ReadChoice", is_asked: bool) -> "InfoAnswer | TurtlelogError":
+def _read(
+    path: Path, *, choice: "tl.log.ReadChoice", is_asked: bool
+) -> "InfoAnswer | TurtlelogError":
     """Return the contents of a file, or its error."""
     try:
         recording = tl.log.read_file_info(path, choice)
-        return _build_answer(path, recording, summarise(path, recording, choice, is_asked=is_asked))
+        summary = summarise(path, recording, choice, is_asked=is_asked)
+        robots = (
+            ()
+            if recording.format_version is not None
+            else tl.log.ros2.find_robots(recording.topics)
+        )
     except TurtlelogError as err:
         return release_frames(err)
-
-
-def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> InfoAnswer:
-    """Return the answer as data."""
-    return copy_fields(
+    return console.copy_fields(
         InfoAnswer,
         recording,
         file=str(path),
@@ -228,53 +203,52 @@ def _build_answer(path: Path, recording: "RecordingInfo", summary: Summary) -> I
         clock=summary.clock,
         notes={**recording.notes, **summary.notes},
         run=summary.run,
-        robots=() if recording.format_version is not None else _list_robots(recording),
+        robots=tuple(
+            RobotTopics(
+                name=robot.name,
+                poses=None if robot.poses is None else robot.poses.topic,
+                commands=None if robot.commands is None else robot.commands.topic,
+            )
+            for robot in robots
+        ),
     )
 
 
-def _list_robots(recording: "RecordingInfo") -> tuple[RobotTopics, ...]:
-    return tuple(
-        RobotTopics(
-            name=robot.name,
-            poses=None if robot.poses is None else robot.poses.topic,
-            commands=None if robot.commands is None else robot.commands.topic,
-        )
-        for robot in tl.log.ros2.find_robots(recording.topics)
-    )
-
-
-def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...]:
+def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[str, ...]:
     """Return the absent fields. Topics of commands are known only if the run was read."""
     run = summary.run
     more = [] if run is None or run.has_poses else ["poses"]
     more += [] if run is None or run.has_commands else ["commands"]
     if summary.run is None and recording.format_version is None:
-        more += _list_missing_types(recording)
+        held = {topic.type for topic in recording.topics if topic.count}
+        kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
+        more += [name for name, types in kinds.items() if not held.intersection(types)]
     return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
-def _list_missing_types(recording: "RecordingInfo") -> list[str]:
-    """Return whether no message has a type of poses, and whether none has one of commands."""
-    held = {topic.type for topic in recording.topics if topic.count}
-    kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
-    return [name for name, types in kinds.items() if not held.intersection(types)]
-
-
-def _format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alone: bool) -> str:
+def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) -> str:
     """Return the kind of a file, its contents, missing data, and, for one file, next commands."""
-    name = _name_file(answer)
-    notes = [(key.replace("_", " "), _tell_note(text)) for key, text in answer.notes.items()]
+    topics, parameters = asked.topics, asked.parameters
+    name, notes = _name_file(answer), []
+    for key, text in answer.notes.items():
+        count = len(text.splitlines())  # a law's source has several
+        told = text if count <= 1 else f"{count} lines: --json has them"
+        notes.append((key.replace("_", " "), told))
     rows = [*_list_rows(answer), *(note for note in notes if note[0] != "clock")]
     rows += [*_list_lacks(answer, topics=topics), *(note for note in notes if note[0] == "clock")]
     rows += _describe_durations(answer)
     width = max((len(key) for key, _ in rows), default=0)
     lines = [_fill(f"{name}: ", _write_head(answer))]
-    lines += _list_possible(answer) if is_alone else []
+    if is_alone and answer.complete and answer.format_version is None and answer.run is not None:
+        can = ["metrics", "check", "compare", "view", "plot"]
+        can[1:1] = ["identify"] if answer.run.has_commands else []
+        can[1:1] = ["explain"] if answer.run.has_samples else []
+        lines.append(f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}")
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         rows_of_topics = ((topic.topic, topic.type, topic.count) for topic in answer.topics)
-        table = build_table("topics", ("topic", "type", "messages"), rows_of_topics)
-        lines += ["", fit_table(table)]
+        table = console.build_table("topics", ("topic", "type", "messages"), rows_of_topics)
+        lines += ["", console.fit_table(table)]
     if topics and answer.not_understood:
         texts = (escape_controls(f"  {text}") for text in answer.not_understood)
         lines += ["", "not readable", *texts]
@@ -284,7 +258,7 @@ def _format_answer(answer: InfoAnswer, *, topics: bool, parameters: bool, is_alo
         lines += [escape_controls(f"  {key} = {_shorten(value)}") for key, value in pairs]
     if parameters and answer.simulated_by:
         software = tl.run.describe_software(answer.simulated_by)
-        lines += ["", fill_lines([f"simulated by {escape_controls(software)}"])]
+        lines += ["", console.fill_lines([f"simulated by {escape_controls(software)}"])]
     if is_alone:
         lines += [*_list_next(answer, topics=topics, parameters=parameters)]
     return "\n".join(lines)
@@ -297,10 +271,10 @@ def _format_answers(answers: Sequence[InfoAnswer]) -> str:
     broken = sum(not answer.complete for answer in answers)
     state = f"; {broken} not complete" if broken else ""
     rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
-    table = build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
+    table = console.build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
     head = f"{len(answers)} files: {join_words(counts)}{state}."
     more = "Each in full: turtlelog info FILE, or all of them with --json."
-    return "\n\n".join((fill_lines([head]), fit_table(table).strip("\n"), more))
+    return "\n\n".join((console.fill_lines([head]), console.fit_table(table).strip("\n"), more))
 
 
 def _name_file(answer: InfoAnswer) -> str:
@@ -319,16 +293,15 @@ def _name_kind(answer: InfoAnswer) -> str:
 def _tell_state(answer: InfoAnswer) -> str:
     """Return how the run of a file ended, or the fault of the file."""
     if not answer.complete:
-        return (
-            "truncated: nothing left" if answer.summary.endswith(NOTHING_LEFT) else "not complete"
-        )
+        is_empty = answer.summary.endswith(NOTHING_LEFT)
+        return "truncated: nothing left" if is_empty else "not complete"
     reason = (answer.stop_reason or "").replace("_", " ")
     ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
     return ending or reason
 
 
 def _fill(head: str, text: str) -> str:
-    return fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
+    return console.fill_lines([f"{head}{text}"], indent=len(head) if head.startswith(" ") else 0)
 
 
 def _write_head(answer: InfoAnswer) -> str:
@@ -355,30 +328,18 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if run is not None:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
         yield from ((key, text) for key, text in rows.items() if text)
-    yield from _describe_robots(answer)
+    sizes = {topic.topic: topic.count for topic in answer.topics}
+    for robot in answer.robots[:_MOST_ENTRIES]:
+        parts = [
+            f"{what} {topic}, {describe_count(sizes[topic], 'message')}"
+            for what, topic in {"poses": robot.poses, "commands": robot.commands}.items()
+            if topic is not None
+        ]
+        yield f"robot {robot.name}", "; ".join(parts)
     if not answer.summary.endswith(NOTHING_LEFT):
         reason = (answer.stop_reason or "").replace("_", " ")
         told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
         yield from [("ended", told)] if told else []
-
-
-def _describe_robots(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the first robots of a bag, with their topics."""
-    counts = {topic.topic: topic.count for topic in answer.topics}
-    for robot in answer.robots[:_MOST_ENTRIES]:
-        held = {"poses": robot.poses, "commands": robot.commands}
-        parts = [
-            f"{what} {topic}, {describe_count(counts[topic], 'message')}"
-            for what, topic in held.items()
-            if topic is not None
-        ]
-        yield f"robot {robot.name}", "; ".join(parts)
-
-
-def _tell_note(text: str) -> str:
-    """Return a note, or the number of its lines if it has several, as a law's source has."""
-    lines = len(text.splitlines())
-    return text if lines <= 1 else f"{lines} lines: --json has them"
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
@@ -439,30 +400,16 @@ def _write_gains(known: Mapping[str, Any]) -> str:
     return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
 
 
-def _list_possible(answer: InfoAnswer) -> list[str]:
-    """Return the commands that can use a third-party file, in a line."""
-    if not answer.complete or answer.format_version is not None or answer.run is None:
-        return []
-    can = ["metrics", "check", "compare", "view", "plot"]
-    can[1:1] = ["identify"] if answer.run.has_commands else []
-    can[1:1] = ["explain"] if answer.run.has_samples else []
-    return [f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}"]
-
-
 def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
     """Yield the commands that can use a file, and the options that show more of it."""
     file = shlex.quote(answer.file)
     if not answer.complete:
         has_rows = any(topic.count for topic in answer.topics)
-        fix = (
-            f"turtlelog convert --recover {file} -o OUT"
-            if has_rows
-            else "copy the file again from its source"
-        )
-        yield f"Fix: {fix}"
+        recover = f"turtlelog convert --recover {file} -o OUT"
+        yield f"Fix: {recover if has_rows else 'copy the file again from its source'}"
     elif answer.format_version is not None:
         yield f"Next: turtlelog metrics {file}"
-        yield f"      {name_explain(answer.file, answer.parameters.get('law.kind'))}"
+        yield f"      {console.name_explain(answer.file, answer.parameters.get('law.kind'))}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from turtlelog import Run
-    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 LARGEST_BYTES: Final = 64 * 2**20
 """Largest bag whose poses are read by default [bytes]; MCAP or SQLite of this size takes less than
@@ -124,7 +122,7 @@ class Summary:
 
 
 def summarise(
-    path: Path, info: "RecordingInfo", choice: "ReadChoice", *, is_asked: bool = False
+    path: Path, info: "tl.log.RecordingInfo", choice: "tl.log.ReadChoice", *, is_asked: bool = False
 ) -> Summary:
     """Return the description of a file; of a bag, from poses and commands unless it is large."""
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
@@ -159,7 +157,7 @@ def count_read(path: Path, *, is_asked: bool) -> int:
     return size if is_asked or size <= LARGEST_BYTES else 0
 
 
-def _summarise_own(info: "RecordingInfo", lost: str) -> str:
+def _summarise_own(info: "tl.log.RecordingInfo", lost: str) -> str:
     if lost:
         return f"a recording of turtlelog's, {lost}"
     law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
@@ -175,7 +173,7 @@ def _summarise_own(info: "RecordingInfo", lost: str) -> str:
     return f"a recording of turtlelog's{state}{origin}: {', '.join(filter(None, parts)) or 'empty'}"
 
 
-def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | None:
+def _find_ending(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) -> str | None:
     """Return how a turtlelog recording's run ended at its goal, unless the file is large."""
     if not info.complete or (not is_asked and _find_large(path, info)):
         return None
@@ -186,12 +184,12 @@ def _find_ending(path: Path, info: "RecordingInfo", *, is_asked: bool) -> str | 
     return _describe_ending(run)
 
 
-def _describe_ending(run: "Run") -> str | None:
+def _describe_ending(run: "tl.Run") -> str | None:
     end = find_goal_end(run)
     return None if end is None else end.describe()
 
 
-def _find_large(path: Path, info: "RecordingInfo") -> str:
+def _find_large(path: Path, info: "tl.log.RecordingInfo") -> str:
     """Return why a file is too large to be read by default; empty if it is small enough."""
     if not info.topics:
         return ""  # tables and logs are always read completely
@@ -210,7 +208,7 @@ def _find_large(path: Path, info: "RecordingInfo") -> str:
     return "" if others else f"{transforms:,} messages of transforms"
 
 
-def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
+def _summarise_topics(info: "tl.log.RecordingInfo", reason: str) -> str:
     """Return a description from the topics alone, and why poses could not be read."""
     try:
         tl.log.ros2.select_robot(info.topics, None)
@@ -238,7 +236,7 @@ def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
     return "; ".join(filter(None, [*parts, reason]))
 
 
-def _is_undecided(info: "RecordingInfo", pose_topic: str) -> bool:
+def _is_undecided(info: "tl.log.RecordingInfo", pose_topic: str) -> bool:
     """Return whether the topic of the commands is ambiguous."""
     try:
         tl.log.ros2.choose_command_topic(info.topics, None, pose_topic=pose_topic)
@@ -265,54 +263,41 @@ _SENSORS: Final[Mapping[str, str]] = {
 """Descriptions of topics without poses of a robot, by their types."""
 
 
-def _summarise_others(info: "RecordingInfo") -> str:
+def _summarise_others(info: "tl.log.RecordingInfo") -> str:
     """Return the contents of a file without poses."""
     present = sorted((topic for topic in info.topics if topic.count), key=lambda one: -one.count)
     if not present:
         return "no poses, nothing to measure: there are no messages"
     shown = present[:_SHOWN_TOPICS]
+    names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in shown]
     if any(topic.type in _SENSORS for topic in shown):
-        names = [_describe_other(topic) for topic in shown]
+        kinds = (_SENSORS.get(topic.type, "messages") for topic in shown)
+        names = [f"{kind} on {name}" for kind, name in zip(kinds, names, strict=True)]
     else:
-        names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in shown]
         names[0] = f"messages on {names[0]}"
     more = len(present) - len(names)
     others = [f"{more} more"] if more > 0 else []
     return f"no poses, nothing to measure: {join_words([*names, *others])}"
 
 
-def _describe_other(topic: "TopicInfo") -> str:
-    what = _SENSORS.get(topic.type, "messages")
-    return f"{what} on {topic.topic} ({topic.type or 'no type'})"
-
-
-def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
+def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
     try:
         tl.log.ros2.choose_pose_topic(info.topics, None)
     except tl.log.ros2.NoPosesError as err:
         if not err.is_unread and not _is_undecided(info, ""):
-            return (_NEEDED, *_list_options(info))
+            needed = "nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf"
+            held = {topic.type for topic in info.topics if topic.count}
+            # Options that derive poses and commands from other messages.
+            wheels = [tl.log.ros2.NEEDS_WHEELS] if tl.log.JOINTS in held else []
+            is_car = not held.isdisjoint(tl.log.ros2.ACKERMANN_TYPES)
+            base = [tl.log.ros2.NEEDS_WHEELBASE] if is_car else []
+            return (f"to be measured it needs {needed}", *wheels, *base)
     except LogError:
         pass  # there are several
     return ()
 
 
-def _list_options(info: "RecordingInfo") -> "Iterator[str]":
-    """Yield the options that derive poses and commands from other messages."""
-    bags = tl.log.ros2
-    held = {topic.type for topic in info.topics if topic.count}
-    if tl.log.JOINTS in held:
-        yield bags.NEEDS_WHEELS
-    if held & {*bags.ACKERMANN_TYPES}:
-        yield bags.NEEDS_WHEELBASE
-
-
-_NEEDED: Final = (
-    "to be measured it needs nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf"
-)
-
-
-def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
+def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
     # The reasons why a goal and a path in the file are not used.
     notes |= {
@@ -344,7 +329,7 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     )
 
 
-def _describe_rows(run: "Run", note: str, time_ns: "NDArray[Any]") -> str:
+def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
     """Return topic, rate and number of rows; empty without rows."""
     if not len(time_ns):
         return ""
@@ -353,7 +338,7 @@ def _describe_rows(run: "Run", note: str, time_ns: "NDArray[Any]") -> str:
     return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
 
 
-def _describe_kind(run: "Run") -> str:
+def _describe_kind(run: "tl.Run") -> str:
     """Return the source of poses, or the kind of a file without topics."""
     if not len(run.poses):
         return "commands without poses"
@@ -361,7 +346,9 @@ def _describe_kind(run: "Run") -> str:
     if not _name_topic(run, "pose_topic"):
         return "a log of a controller" if len(run.samples) else "poses in a table"
     if not pose_type.startswith("turtlesim"):
-        return "an IMU, which turns in one place" if _is_imu(run) else "a robot"
+        is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
+        has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
+        return "an IMU, which turns in one place" if is_named and not has_moved else "a robot"
     is_turtlesim = tl.replay.moves_as_turtlesim(run)
     return "turtlesim" if is_turtlesim else f"a robot that publishes {pose_type}"
 
@@ -369,13 +356,7 @@ def _describe_kind(run: "Run") -> str:
 _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")
 
 
-def _is_imu(run: "Run") -> bool:
-    """Return whether the poses are an IMU's by name, without motion and without commands."""
-    is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
-    return is_named and not len(run.commands) and not (run.poses.xy_m != run.poses.xy_m[0]).any()
-
-
-def _describe_run(run: "Run") -> str:
+def _describe_run(run: "tl.Run") -> str:
     if not len(run.poses):
         return f"no poses, {_describe_commands(run)}"
     pose_topic, kind = _name_topic(run, "pose_topic"), _describe_kind(run)
@@ -397,14 +378,14 @@ def _on(topic: str) -> str:
     return f" on {topic}" if topic else ""
 
 
-def _describe_commands(run: "Run") -> str:
+def _describe_commands(run: "tl.Run") -> str:
     topic, rate = _name_topic(run, "command_topic"), _describe_rate(run.commands.time_ns)
     if rate:
         return f"commands{_on(topic)} {rate}"
     return f"{describe_count(len(run.commands), 'command')}{_on(topic)}"
 
 
-def _name_topic(run: "Run", note: str) -> str:
+def _name_topic(run: "tl.Run", note: str) -> str:
     """Return a topic, with the frames of transforms; empty if unknown."""
     name, _, rest = run.notes.get(note, "").partition(" (")
     frames = rest.partition("): ")[2]
@@ -431,7 +412,7 @@ def _format_hz(rate: float) -> str:
     return f"{float(f'{rate:.3g}'):g} Hz"
 
 
-def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
+def _list_missing(run: "tl.Run", info: "tl.log.RecordingInfo") -> "Iterator[str]":
     """Yield the missing data of a bag. Commands cannot be added to a table without commands."""
     if len(run.samples):
         return

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import turtlelog as tl
-from turtlelog.cli.output import fill_lines, find_width, print_json, print_text
+from turtlelog.cli.console import fill_lines, find_width, print_json, print_text
 
 if TYPE_CHECKING:
     from cyclopts.completion import CompletionContext
@@ -116,11 +116,6 @@ def _list_signals() -> Entries:
         {"name": name, "unit": kind.unit, "row per": kind.source, "meaning": kind.meaning}
         for name, kind in tl.SIGNALS.items()
     ]
-    return rows + list(_list_states())
-
-
-def _list_states() -> Iterator[dict[str, Any]]:
-    """Yield the states of the built-in laws with their declared units."""
     from turtlelog.laws import LAWS, Goal
 
     for law in LAWS.values():
@@ -129,7 +124,8 @@ def _list_states() -> Iterator[dict[str, Any]]:
         declaration = law.declare(law.Parameters(), Goal(0.0, 0.0, 0.0), None)
         for name in declaration.states:
             unit, meaning = declaration.state_units.get(name, ""), f"State of the law {law.name}."
-            yield {"name": name, "unit": unit, "row per": "sample", "meaning": meaning}
+            rows.append({"name": name, "unit": unit, "row per": "sample", "meaning": meaning})
+    return rows
 
 
 def _list_presets() -> Entries:
@@ -146,23 +142,18 @@ def _list_presets() -> Entries:
 def _list_laws() -> Entries:
     from turtlelog.laws import LAWS
 
-    return [
-        {"name": name, "parameters": [*law.Parameters.__dataclass_fields__], "meaning": law.meaning}
-        for name, law in LAWS.items()
-    ]
+    return [_describe_part(name, law.Parameters, law.meaning) for name, law in LAWS.items()]
 
 
 def _list_plants() -> Entries:
     from turtlelog.plants import PLANTS
 
-    return [
-        {
-            "name": name,
-            "parameters": [one.name for one in dataclasses.fields(part.Keys)],
-            "meaning": part.meaning,
-        }
-        for name, part in PLANTS.items()
-    ]
+    return [_describe_part(name, part.Keys, part.meaning) for name, part in PLANTS.items()]
+
+
+def _describe_part(name: str, keys: Any, meaning: str) -> dict[str, Any]:
+    parameters = [one.name for one in dataclasses.fields(keys)]
+    return {"name": name, "parameters": parameters, "meaning": meaning}
 
 
 def _list_causes() -> Entries:

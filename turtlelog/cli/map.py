@@ -1,38 +1,92 @@
-"""`turtlelog plot TABLE`: maps, curves and sensitivities of a sweep."""
+"""`turtlelog plot TABLE`: maps, curves and sensitivities of a sweep; page formats of figures."""
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.output import (
-    copy_fields,
-    fill_lines,
-    find_command_name,
-    list_written,
-    print_json,
-    print_note,
-    print_text,
-)
-from turtlelog.cli.picture_options import PageOptions
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import PICTURES, require_new_target
+from turtlelog.cli import console
+from turtlelog.cli.options import PICTURES, require_new_target
+from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.cli.plot import Kind, ViewOptions
-    from turtlelog.sweep import (
-        Border,
-        LoopLimits,
-        Sensitivities,
-        Sensitivity,
-        SweptAxis,
-        SweptMetric,
-        SweptView,
-    )
+    from turtlelog.cli.plot import ViewOptions
+    from turtlelog.sweep import Border, LoopLimits, Sensitivity, SweptAxis, SweptMetric, SweptView
+
+
+TIMELESS: Final = frozenset(
+    {
+        *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
+        *("gains", "luck", "strips"),
+    }
+)
+"""Figures that a time window cannot cut: they have no time axis, and no driven path."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageOptions:
+    """Page format of figures, and the shown part of the runs.
+
+    Attributes:
+        kind: column is one of two columns of a paper, page the whole width, slide 16:9 with large
+            lettering. Figures with panels side by side always take the page. Default: column, and
+            page for the table of a sweep.
+        text_width: Width of the paper's text [mm], 120 to 1000; slides ignore it. Default: 181.
+        dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
+            1920 by 1080 pixels.
+        from_s: Begin time axes here, from the first sample [s].
+        to_s: End time axes here [s].
+        marks: Mark rise, settling time with its band, peak and overshoot, dead time and pause on
+            the curves that loops control, and cut single panels to the phase.
+    """
+
+    kind: Annotated[Literal["column", "page", "slide"] | None, Parameter(name="--for")] = None
+    text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
+    dpi: int | None = None
+    from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
+    to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
+    marks: Annotated[bool, Parameter(negative=())] = False
+
+    def build_page(
+        self,
+        formats: Sequence[str],
+        names: Sequence[str] | None,
+        *,
+        usual: Literal["column", "page"] = "column",
+    ) -> "tl.draw.Page":
+        """Return the size, resolution and time range of the figures.
+
+        Raises:
+            UsageError: If an option has no effect: no format has a resolution, a slide has no text,
+                or no figure has a time axis.
+            ShowError: If a value is out of range.
+        """
+        if self.text_width is not None and self.kind == "slide":
+            raise UsageError("--text-width: needs --for column or page, not slide")
+        for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
+            if bound_s is not None and not math.isfinite(bound_s):
+                raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
+            if bound_s is not None and names and TIMELESS.issuperset(names):
+                found = ", ".join(names)
+                raise UsageError(f"{option}: needs a figure over time, not {found}")
+        if self.dpi is not None and "png" not in formats:
+            raise UsageError(f"--dpi: is for png files, not {', '.join(formats)}")
+        return tl.draw.Page(
+            kind=self.kind or usual,
+            **({} if self.text_width is None else {"text_width_mm": self.text_width}),
+            dpi=self.dpi,
+            from_s=self.from_s,
+            to_s=self.to_s,
+            has_marks=self.marks,
+        )
 
 
 def draw_table(
@@ -58,8 +112,27 @@ def draw_table(
     if output is not None:
         with show_progress("drawing"):
             words = [*view.list_words(), *(["--metric", ",".join(patterns)] if patterns else [])]
-            _write(shown, limits, output, kind, where, words)
-    _answer(shown, limits, output, kind, json=json)
+            if output.suffix.lower() == ".html":
+                command = shlex.join(["turtlelog", "plot", str(table), *words, "-o", str(output)])
+                tl.draw.write_map_report(shown, limits, output, command=command)
+            else:
+                page = where.build_page([output.suffix[1:].lower()], None, usual="page")
+                tl.draw.write_map_figure(shown, limits, output, kind=kind, page=page)
+    told = build_map_answer(shown, limits, output)
+    for note in told.notes:
+        console.print_note(f"plot: {note}")
+    if json:
+        console.print_json(told)
+        return
+    lines = list_map_lines(shown, limits, told)
+    if kind == "tornado":
+        lines = [lines[0], *list_sensitivity_lines(shown)]
+    lines = [
+        line if " run --from " in line else console.fill_lines([line], indent=2) for line in lines
+    ]
+    console.print_text(
+        "\n".join([*lines, *console.list_written([] if output is None else [output])])
+    )
 
 
 def _require_output(output: Path | None, table: Path, kind: str, where: PageOptions) -> None:
@@ -73,46 +146,14 @@ def _require_output(output: Path | None, table: Path, kind: str, where: PageOpti
     if output is None:
         return
     if suffix not in {*PICTURES, ".html"}:
-        expected = "a name that ends in .pdf, .png, .svg or .html"
-        raise UsageError(f"--output {output}: must be {expected}")
+        raise UsageError(
+            f"--output {output}: must be a name that ends in .pdf, .png, .svg or .html"
+        )
     if suffix == ".html" and kind != "map":
         raise UsageError(
             f"--kind {kind}: {output} is no figure; end its name in .pdf, .png or .svg"
         )
     require_new_target(output, [table], suffix=suffix)
-
-
-def _write(
-    view: "SweptView",
-    limits: "list[LoopLimits]",
-    output: Path,
-    kind: "Kind",
-    where: PageOptions,
-    words: Sequence[str],
-) -> None:
-    suffix = output.suffix.lower()
-    if suffix == ".html":
-        command = ["turtlelog", "plot", str(view.results.path), *words, "-o", str(output)]
-        tl.draw.write_map_report(view, limits, output, command=shlex.join(command))
-    else:
-        page = where.build_page([suffix[1:]], None, usual="page")
-        tl.draw.write_map_figure(view, limits, output, kind=kind, page=page)
-
-
-def _answer(
-    view: "SweptView", limits: "list[LoopLimits]", output: Path | None, kind: str, *, json: bool
-) -> None:
-    told = build_map_answer(view, limits, output)
-    for note in told.notes:
-        print_note(f"plot: {note}")
-    if json:
-        print_json(told)
-        return
-    lines = list_map_lines(view, limits, told)
-    if kind == "tornado":
-        lines = [lines[0], *list_sensitivity_lines(view)]
-    lines = [line if " run --from " in line else fill_lines([line], indent=2) for line in lines]
-    print_text("\n".join([*lines, *list_written([] if output is None else [output])]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,27 +290,30 @@ def build_map_answer(
         failed=results.failed,
         shown=len(view.rows),
         axes=[
-            copy_fields(SweptAxisAnswer, axis, keys=[*axis.keys], values=[*map(list, axis.values)])
+            console.copy_fields(
+                SweptAxisAnswer, axis, keys=[*axis.keys], values=[*map(list, axis.values)]
+            )
             for axis in view.axes
         ],
         held=_name_values(view.held),
         seeds=view.seeds,
         metrics=[_describe_metric(view, metric, limits) for metric in results.metrics],
-        theory=[_describe_limits(view, one) for one in limits],
+        theory=[
+            LimitsAnswer(
+                loop=one.loop,
+                gain=list(one.gain.keys),
+                columns=[
+                    LimitsAt(
+                        at=_find_values(_find_other(view, one), place),
+                        limits=tl.sweep.describe_limits(limit),
+                    )
+                    for place, limit in enumerate(one.columns)
+                ],
+            )
+            for one in limits
+        ],
         notes=notes,
         output=None if output is None else str(output),
-    )
-
-
-def _describe_limits(view: "SweptView", limits: "LoopLimits") -> LimitsAnswer:
-    other = _find_other(view, limits)
-    return LimitsAnswer(
-        loop=limits.loop,
-        gain=list(limits.gain.keys),
-        columns=[
-            LimitsAt(at=_find_values(other, place), limits=tl.sweep.describe_limits(limit))
-            for place, limit in enumerate(limits.columns)
-        ],
     )
 
 
@@ -289,6 +333,7 @@ def _describe_metric(
     for row in view.rows[~np.isfinite(metric.values[view.rows])].tolist():
         reason = str(metric.reasons[row])
         reasons[reason] = reasons.get(reason, 0) + 1
+    found = tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
     return MetricOfTable(
         id=metric.name,
         unit=metric.unit,
@@ -298,30 +343,24 @@ def _describe_metric(
         no_value=reasons,
         best=_describe_best(view, metric),
         borders=_describe_borders(view, metric, limits),
-        sensitivities=_describe_sensitivities(
-            tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
+        sensitivities=SensitivityAnswer(
+            held=found.held or None,
+            value=found.center,
+            chance=found.chance,
+            explained=found.explained,
+            keys=[
+                console.copy_fields(
+                    KeySensitivity,
+                    one,
+                    keys=list(one.axis.keys),
+                    at_least=_find_values(one.axis, one.least_place),
+                    at_most=_find_values(one.axis, one.most_place),
+                    range_elsewhere=one.others and list(one.others),
+                )
+                for one in found.keys
+            ],
+            notes=list(found.notes),
         ),
-    )
-
-
-def _describe_sensitivities(found: "Sensitivities") -> SensitivityAnswer:
-    return SensitivityAnswer(
-        held=found.held or None,
-        value=found.center,
-        chance=found.chance,
-        explained=found.explained,
-        keys=[
-            copy_fields(
-                KeySensitivity,
-                one,
-                keys=list(one.axis.keys),
-                at_least=_find_values(one.axis, one.least_place),
-                at_most=_find_values(one.axis, one.most_place),
-                range_elsewhere=one.others and list(one.others),
-            )
-            for one in found.keys
-        ],
-        notes=list(found.notes),
     )
 
 
@@ -393,7 +432,7 @@ def _describe_borders(
         return None
     other = _find_other(view, own)
     return [
-        copy_fields(
+        console.copy_fields(
             BorderAnswer,
             border,
             at=_find_values(other, border.place),
@@ -425,7 +464,7 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     ids = [one.id for one in told.metrics]
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
     lines.insert(0, f"{results.path}: {lines.pop(first + 1)}")
-    command, path = find_command_name(), shlex.quote(str(results.path))
+    command, path = console.find_command_name(), shlex.quote(str(results.path))
     for row, names in best.items():
         again = f"{command} run --from {path} --row {row}"
         lines.append(f"best {join_words(names)}: {again}")

@@ -4,46 +4,24 @@ from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
-from turtlelog.cli.options import (
-    Files,
-    MetricsAsked,
-    Place,
-    ReadingOptions,
-    Whole,
-    require_files,
-    watch_summaries,
-)
-from turtlelog.cli.output import (
-    EXIT_BAD_INPUT,
-    EXIT_FINE,
-    FormatOptions,
-    describe_metrics,
-    print_csv,
-    print_error,
-    print_json,
-    print_json_list,
-    print_lines,
-)
-from turtlelog.cli.targets import FolderOptions, build_table_answer, summarise_table, tabulate
+from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
-
-if TYPE_CHECKING:
-    from turtlelog import Declaration, MeasureSettings
-    from turtlelog.compare import RunSummary
-    from turtlelog.sweep import TabulatedFiles
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasureOptions(MetricsAsked):
+class MeasureOptions(options.MetricsAsked):
     """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
@@ -63,11 +41,11 @@ class MeasureOptions(MetricsAsked):
     band: Annotated[float | None, Parameter(metavar="SHARE")] = None
     initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
-    reference_path: Place | None = None
+    reference_path: options.Place | None = None
     goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
     dead_time: Whole | None = None
 
-    def build_settings(self) -> "MeasureSettings":
+    def build_settings(self) -> "tl.MeasureSettings":
         """Return the options as settings."""
         path = self.reference_path
         asked: dict[str, Any] = {
@@ -117,27 +95,47 @@ class MeasuredFile:
     metrics: list[dict[str, Any]]
 
 
-def _build_answer(summary: "RunSummary") -> MeasuredFile:
-    """Return the JSON answer for one file."""
-    end = summary.goal_end
-    return MeasuredFile(
-        file=summary.file,
-        name=summary.name,
-        ending=None if end is None else end.describe(),
-        jumps=summary.notes.get("jumps"),
-        metrics=describe_metrics(summary.metrics),
-    )
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderOptions(WorkOptions):
+    """Options for many recordings.
+
+    Attributes:
+        output: Write a row for every file to this .parquet table, and print a summary alone. Files
+            that have not changed since the table was written are not read again.
+    """
+
+    output: options.Output = None
+
+    def find(self, paths: Sequence[Path]) -> "list[tl.sweep.FoundRecording]":
+        """Return the given recordings, and those below given folders."""
+        return options.find_files(self.name_files(paths), self.output)
+
+    def list_files(self, paths: Sequence[Path]) -> list[Path]:
+        """Return the files that are given, or those below folders."""
+        return options.list_files(self.name_files(paths))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableAnswer:
+    """Result of a table of recordings: numbers of read, unchanged and unreadable files."""
+
+    output: str
+    files: int
+    read: int
+    unchanged: int
+    failed: int
 
 
 def metrics(
-    files: Files,
+    files: options.Files,
     /,
     *,
     measuring: MeasureOptions | None = None,
     all_: Annotated[bool, Parameter(name="--all")] = False,
     folders: FolderOptions | None = None,
-    formats: FormatOptions | None = None,
-    topics: ReadingOptions | None = None,
+    formats: console.FormatOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> int:
     """Measure recordings: where each run ends, and how its loops respond.
 
@@ -158,10 +156,10 @@ def metrics(
             (.json, .csv).
         all_: Show every metric, not only the essential ones.
     """
-    require_files(files)
+    options.require_files(files)
     measuring = measuring or MeasureOptions()
-    choice = replace((topics or ReadingOptions()).build_choice(), allow_no_poses=True)
-    kind = (formats or FormatOptions()).choose()
+    choice = replace((topics or options.ReadingOptions()).build_choice(), allow_no_poses=True)
+    kind = (formats or console.FormatOptions()).choose()
     patterns = measuring.list_patterns()
     folders = folders or FolderOptions()
     if folders.output is not None:
@@ -169,6 +167,8 @@ def metrics(
             raise UsageError("--output: takes --json, no other format")
         plan = tl.sweep.plan_metric_table(measuring.build_settings(), only=patterns, topics=choice)
         found = folders.find(files)
+        inputs = [Path(one.path) for one in found]
+        options.require_new_target(folders.output, inputs, suffix=".parquet")
         return _tell(tabulate(found, folders.output, plan, work=folders), kind)
     files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
@@ -186,9 +186,20 @@ def metrics(
         )
         summaries = watch_summaries(summarised, len(files), errors)
         if kind == "json":
-            print_json_list(map(_build_answer, summaries))
+            console.print_json_list(
+                MeasuredFile(
+                    file=one.file,
+                    name=one.name,
+                    ending=None if one.goal_end is None else one.goal_end.describe(),
+                    jumps=one.notes.get("jumps"),
+                    metrics=[metric.to_dict() for metric in one.metrics.values()],
+                )
+                for one in summaries
+            )
         elif kind == "csv":
-            _print_rows(summaries, patterns)
+            rows = _CsvRows(summaries)
+            _refuse_patterns(None if rows.units else patterns, rows.declarations)
+            rows.print()
         else:
             held = list(summaries)
             if not any(found.metrics for found in held):
@@ -198,43 +209,34 @@ def metrics(
                 print_essential(held, kind)
             else:
                 print_chosen(held, kind)
-    for err in errors:
-        print_error(str(err))
-    return EXIT_BAD_INPUT if errors else EXIT_FINE
+    return console.print_errors(errors)
 
 
-def _tell(done: "TabulatedFiles", kind: str) -> int:
+def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
     """Print the result of a table, and the first unreadable files."""
     if kind == "json":
-        print_json(build_table_answer(done))
+        unchanged = done.files - done.read
+        console.print_json(
+            console.copy_fields(TableAnswer, done, output=str(done.output), unchanged=unchanged)
+        )
     else:
-        print_lines([summarise_table(done)])
+        console.print_lines([summarise_table(done)])
     for label, reason in done.errors:
-        print_error(f"{label}: {reason}")
+        console.print_error(f"{label}: {reason}")
     more = done.failed - len(done.errors)
     if more:
-        print_error(f"{more} more cannot be read: see the column error of {done.output}")
-    return EXIT_BAD_INPUT if done.failed else EXIT_FINE
+        console.print_error(f"{more} more cannot be read: see the column error of {done.output}")
+    return console.EXIT_BAD_INPUT if done.failed else console.EXIT_FINE
 
 
 def _refuse_patterns(
-    patterns: Sequence[str] | None, declarations: "Collection[Declaration]"
+    patterns: Sequence[str] | None, declarations: "Collection[tl.Declaration]"
 ) -> None:
     """Refuse patterns that match no metric of any run."""
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)
     raise UsageError(tl.measure.describe_no_metric(patterns[0], known))
-
-
-def _print_rows(summaries: "Iterable[RunSummary]", patterns: Sequence[str] | None) -> None:
-    """Print CSV with a row per run, in the given order. Cells of missing loops are empty."""
-    rows = _CsvRows()
-    for summary in summaries:
-        rows.add(summary)
-    if not rows.units:
-        _refuse_patterns(patterns, rows.declarations)
-    rows.print()
 
 
 class _CsvRow(NamedTuple):
@@ -248,16 +250,18 @@ class _CsvRow(NamedTuple):
 
 
 class _CsvRows:
-    """The data of CSV rows, some kB per run. The columns are known only after the last run."""
+    """CSV rows in the given order, some kB per run; the columns are known after the last run."""
 
-    def __init__(self) -> None:
-        self.declarations: dict[Declaration, None] = {}
+    def __init__(self, summaries: "Iterable[tl.compare.RunSummary]") -> None:
+        """Store the values of runs one by one."""
+        self.declarations: dict[tl.Declaration, None] = {}
         self._rows: list[_CsvRow] = []
         self._ids: dict[tuple[str, ...], tuple[str, ...]] = {}
         self.units: dict[str, dict[str, bool]] = {}
+        for summary in summaries:
+            self._add(summary)
 
-    def add(self, summary: "RunSummary") -> None:
-        """Store the values of a run, and the reasons for missing values."""
+    def _add(self, summary: "tl.compare.RunSummary") -> None:
         found = summary.metrics
         ids = self._ids.setdefault(tuple(found), tuple(found))
         values = array("d", [0.0 if one.value is None else one.value for one in found.values()])
@@ -276,7 +280,9 @@ class _CsvRows:
         """Print the rows below the names of the columns."""
         chosen = tl.compare.order_ids(self.units)
         heads = [f"{name} [{' or '.join(self._list_units(name))}]" for name in chosen]
-        print_csv(["file", "run", *heads], (self._list_cells(row, chosen) for row in self._rows))
+        console.print_csv(
+            ["file", "run", *heads], (self._list_cells(row, chosen) for row in self._rows)
+        )
 
     def _list_units(self, name: str) -> list[str]:
         """Return the units of metrics with values; without values, the first unit."""

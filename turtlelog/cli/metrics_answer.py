@@ -1,25 +1,13 @@
 """Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import turtlelog as tl
-from turtlelog.cli.output import (
-    build_table,
-    fill_lines,
-    find_width,
-    name_explain,
-    print_tables,
-    print_text,
-    quote_file,
-)
+from turtlelog.cli import console
 from turtlelog.display import describe_count, describe_range, format_short, join_words
-
-if TYPE_CHECKING:
-    from turtlelog import Declaration, Metric, Run
-    from turtlelog.compare import Cell, RunSummary, Table
 
 _MOST_COLUMNS: Final = 6
 """Largest number of runs, or metrics, side by side; more runs become rows."""
@@ -61,7 +49,7 @@ _WORDS: Final = {
 }
 
 
-def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
+def list_needed(run: "tl.Run", *, has_path: bool) -> tuple[str, ...]:
     """Return the ids of the metrics in the short answer for a run."""
     essential = tl.measure.list_essential_metrics(run)
     path = ["run.cross_track_max"] if has_path else []
@@ -69,23 +57,23 @@ def list_needed(run: "Run", *, has_path: bool) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=16)
-def _list_of_words(declaration: "Declaration") -> tuple[str, ...]:
+def _list_of_words(declaration: "tl.Declaration") -> tuple[str, ...]:
     """Return the metrics of the sentences of an answer, for one law."""
     known = tl.measure.list_metrics(declaration)
     return tuple(name for name in known if name.rpartition(".")[2] in _OF_WORDS)
 
 
-def print_essential(summaries: "Sequence[RunSummary]", kind: str) -> None:
+def print_essential(summaries: "Sequence[tl.compare.RunSummary]", kind: str) -> None:
     """Print the essential metrics: sentences for one run, a row per run for several."""
     if kind != "txt":
         print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
     elif len(summaries) == 1:
-        print_text(format_run(summaries[0], tl.compare.label_file(summaries[0].file)))
+        console.print_text(format_run(summaries[0], tl.compare.label_file(summaries[0].file)))
     elif summaries:
-        print_text(_format_runs(summaries))
+        console.print_text(_format_runs(summaries))
 
 
-def _drop_words(summary: "RunSummary") -> "RunSummary":
+def _drop_words(summary: "tl.compare.RunSummary") -> "tl.compare.RunSummary":
     metrics = {
         name: found
         for name, found in summary.metrics.items()
@@ -95,7 +83,7 @@ def _drop_words(summary: "RunSummary") -> "RunSummary":
 
 
 def print_chosen(
-    summaries: "Sequence[RunSummary]", kind: str, *, is_essential: bool = False
+    summaries: "Sequence[tl.compare.RunSummary]", kind: str, *, is_essential: bool = False
 ) -> None:
     """Print the metrics of runs as a table by id; as text, the answer comes first."""
     if not summaries:
@@ -124,18 +112,12 @@ def print_chosen(
         table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
     table = replace(table, notes=(*table.notes, *notes, *_list_jumps(summaries, chosen)))
     if kind != "txt":
-        print_tables([table], kind)
+        console.print_tables([table], kind)
         return
-    print_text(f"{_describe_chosen(summaries, chosen)}\n{_format(table)}")
+    console.print_text(f"{_describe_chosen(summaries, chosen)}\n{console.fit_body(table)}")
 
 
-def _format(table: "Table") -> str:
-    """Return a table without its title, which is printed above."""
-    text = tl.draw.format_table(replace(table, title=""), width=find_width())
-    return "\n" + text.strip("\n")
-
-
-def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> str:
+def _describe_chosen(summaries: "Sequence[tl.compare.RunSummary]", chosen: Sequence[str]) -> str:
     """Return the values of a few metrics; for more metrics, the end of the run or their number."""
     who = (
         tl.compare.label_file(summaries[0].file)
@@ -144,15 +126,15 @@ def _describe_chosen(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -
     )
     if len(chosen) <= _MOST_SAID:
         said = [f"{name} {_describe_range(summaries, name)}" for name in chosen]
-        return fill_lines([f"{who}: {', '.join(said)}."])
+        return console.fill_lines([f"{who}: {', '.join(said)}."])
     count = describe_count(len(chosen), "metric")
     if len(summaries) == 1:
         if {"final.position_error", "run.duration"} <= {*chosen}:
-            return fill_lines([f"{who}: {tl.compare.describe_end(summaries[0])}."])
+            return console.fill_lines([f"{who}: {tl.compare.describe_end(summaries[0])}."])
         known = sum(_find_value(summaries[0], name) is not None for name in chosen)
         return f"{who}: {count}, {known} with a value."
     first = next((name for name in _FIRST if name in chosen), chosen[0])
-    return fill_lines([f"{who}, {count}: {first} {_describe_range(summaries, first)}."])
+    return console.fill_lines([f"{who}, {count}: {first} {_describe_range(summaries, first)}."])
 
 
 _FIRST: Final = ("final.position_error", "run.duration")
@@ -160,7 +142,7 @@ _FIRST: Final = ("final.position_error", "run.duration")
 used."""
 
 
-def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
+def _describe_range(summaries: "Sequence[tl.compare.RunSummary]", name: str) -> str:
     """Return the value of one run; for several, the smallest and largest values with their runs."""
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
@@ -173,12 +155,12 @@ def _describe_range(summaries: "Sequence[RunSummary]", name: str) -> str:
     return f"{text.removesuffix(' (all)')} ({lacking} without a value)" if lacking else text
 
 
-def _find_value(summary: "RunSummary", name: str) -> float | None:
+def _find_value(summary: "tl.compare.RunSummary", name: str) -> float | None:
     metric = summary.metrics.get(name)
     return None if metric is None else metric.value
 
 
-def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
+def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
     """Return the end of a run, remarks, and its loops side by side.
 
     The summary needs the metrics of `list_needed`; its file is empty if there is none.
@@ -186,36 +168,36 @@ def format_run(summary: "RunSummary", who: str, *, facts: Sequence[str] = ()) ->
     essential = _drop_words(summary).metrics
     head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]
     loops = [loop.name for loop in summary.declaration.loops]
-    shown = [loop for loop in loops if _has_value(summary, loop)]
-    remarks = [*_list_remarks(summary, shown), *_list_missing(summary, loops, shown)]
+    known = {name for name, one in summary.metrics.items() if one.value is not None}
+    shown = [loop for loop in loops if any(f"{loop}.{word}" in known for word in _ORDER)]
+    remarks = _list_remarks(summary, loops, shown)
     count = len(tl.measure.list_metrics(summary.declaration))
     if shown:
         table, said = _tabulate_loops(summary, shown), _describe_rest(summary)
     else:
         said = []
-        table = _tabulate_rest(summary, essential)
+        names = tl.compare.drop_absent([summary], [*filter(_is_of_run, essential)])
+        found = {name: essential[name] for name in names}
+        # Without samples, there are commands.
+        words = {name: _name_metric(name) for name in names}
+        if summary.is_lawless:
+            words = {name: text.replace("sample", "command") for name, text in words.items()}
+        rows = ((words[name], _show(metric)) for name, metric in found.items())
+        table = console.build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
     jumps = _list_jumps([summary], summary.metrics)
     notes = [*said, *jumps, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
     return "\n".join(
         [
-            fill_lines([*head, *remarks, *_list_why(summary)]),
-            _format(table),
+            console.fill_lines([*head, *remarks, *_list_why(summary)]),
+            console.fit_body(table),
             "",
-            *([fill_lines(notes, indent=2)] if notes else []),
+            *([console.fill_lines(notes, indent=2)] if notes else []),
             *_list_next(summary, count),
         ]
     )
 
 
-def _has_value(summary: "RunSummary", loop: str) -> bool:
-    return any(
-        one.value is not None
-        for name, one in summary.metrics.items()
-        if name.startswith(f"{loop}.") and name.rpartition(".")[2] in _ORDER
-    )
-
-
-def _list_place(summary: "RunSummary") -> Iterator[str]:
+def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
     """Yield the place of a missed end, and the final heading error."""
     end = summary.goal_end
     if end is not None and end.verdict == "missed" and (place := end.describe_place()):
@@ -225,39 +207,31 @@ def _list_place(summary: "RunSummary") -> Iterator[str]:
         yield f"Final heading error: {_show(heading)}."
 
 
-def _list_why(summary: "RunSummary") -> Iterator[str]:
+def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
     """Yield the command that explains why a run missed its goal."""
     if summary.goal_end is not None and summary.goal_end.verdict == "missed":
         if summary.file:
-            yield f"Why? {name_explain(summary.file, summary.law)}"
+            yield f"Why? {console.name_explain(summary.file, summary.law)}"
         else:
-            command = name_explain("FILE.mcap", summary.law)
+            command = console.name_explain("FILE.mcap", summary.law)
             yield f"Why? Record the run with -o FILE.mcap, then: {command}"
 
 
-def _list_remarks(summary: "RunSummary", loops: Sequence[str]) -> Iterator[str]:
-    """Yield remarks on loops that oscillate or do not settle."""
-    restless = [loop for loop in loops if _find_value(summary, f"{loop}.stable") == 0.0]
+def _list_remarks(
+    summary: "tl.compare.RunSummary", loops: Sequence[str], shown: Sequence[str]
+) -> Iterator[str]:
+    """Yield which loops oscillate, do not settle, or have no values at all."""
+    restless = [loop for loop in shown if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
-    for loop in loops:
+    for loop in shown:
         metric = summary.metrics.get(f"{loop}.settling_time")
         if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:
             yield f"{loop} does not settle: {metric.reason}."
-
-
-def _list_missing(
-    summary: "RunSummary", loops: Sequence[str], shown: Sequence[str]
-) -> Iterator[str]:
-    """Yield the reasons why loops have no values at all."""
-    for loop in loops:
-        if loop in shown:
-            continue
-        reasons = [
-            one.reason for name, one in summary.metrics.items() if name.startswith(f"{loop}.")
-        ]
-        if reasons:
-            yield f"{loop} has no values: {reasons[0]}."
+    for loop in (loop for loop in loops if loop not in shown):
+        of_loop = [one for name, one in summary.metrics.items() if name.startswith(f"{loop}.")]
+        if of_loop:
+            yield f"{loop} has no values: {of_loop[0].reason}."
 
 
 def _name_metric(name: str) -> str:
@@ -265,7 +239,7 @@ def _name_metric(name: str) -> str:
     return _WORDS.get(word, word.replace("_", " "))
 
 
-def _show(metric: "Metric | None") -> str:
+def _show(metric: "tl.Metric | None") -> str:
     if metric is None:
         return "-"
     if metric.value is None:
@@ -275,7 +249,7 @@ def _show(metric: "Metric | None") -> str:
     return format_short(metric.value, metric.unit)
 
 
-def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
+def _tabulate_loops(summary: "tl.compare.RunSummary", loops: Sequence[str]) -> "tl.compare.Table":
     found = {word: [summary.metrics.get(f"{loop}.{word}") for loop in loops] for word in _ORDER}
     rows = {
         word: metrics
@@ -285,10 +259,10 @@ def _tabulate_loops(summary: "RunSummary", loops: Sequence[str]) -> "Table":
     }
     cells = ((_name_metric(word), *map(_show, metrics)) for word, metrics in rows.items())
     shown = {one.id: one for metrics in rows.values() for one in metrics if one is not None}
-    return build_table("", ("", *loops), cells, tl.compare.list_reasons([shown]))
+    return console.build_table("", ("", *loops), cells, tl.compare.list_reasons([shown]))
 
 
-def _describe_rest(summary: "RunSummary") -> list[str]:
+def _describe_rest(summary: "tl.compare.RunSummary") -> list[str]:
     """Return sentences on a run that extend the first line."""
     names = (_PATH, "run.cross_track_max", "run.speed_effort", "run.turn_rate_effort")
     said = [
@@ -302,35 +276,21 @@ def _describe_rest(summary: "RunSummary") -> list[str]:
     return [f"{', '.join(said).capitalize()}."] if said else []
 
 
-def _tabulate_rest(summary: "RunSummary", metrics: "Mapping[str, Metric]") -> "Table":
-    """Return the metrics of a run without loops, one per row."""
-    names = tl.compare.drop_absent([summary], [name for name in metrics if _is_of_run(name)])
-    found = {name: metrics[name] for name in names}
-    rows = ((_name_row(summary, name), _show(metric)) for name, metric in found.items())
-    return build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
-
-
-def _name_row(summary: "RunSummary", name: str) -> str:
-    """Return a metric as text. Without samples, the text says `command` instead of `sample`."""
-    words = _name_metric(name)
-    return words.replace("sample", "command") if summary.is_lawless else words
-
-
 def _is_of_run(name: str) -> bool:
     return name.partition(".")[0] in {"final", "run"}
 
 
-def _list_next(summary: "RunSummary", count: int) -> list[str]:
+def _list_next(summary: "tl.compare.RunSummary", count: int) -> list[str]:
     """Return the next commands to type."""
     is_told = any(_list_why(summary))
     if not summary.file:
         return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
-    file = quote_file(summary.file)
+    file = console.quote_file(summary.file)
     more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
     if is_told:
         return [more]
     if not summary.is_lawless:
-        return [f"Why? {name_explain(summary.file, summary.law)}", more]
+        return [f"Why? {console.name_explain(summary.file, summary.law)}", more]
     if "poses" in summary.lacks:
         return [f"Where they lead: turtlelog replay {file}", more]
     if "commands" not in summary.lacks:
@@ -338,7 +298,7 @@ def _list_next(summary: "RunSummary", count: int) -> list[str]:
     return [more]
 
 
-def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
+def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
     """Yield the sources of measured rates in bags."""
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in found.lacks for found in lawless)
@@ -349,7 +309,7 @@ def _list_rates(summaries: "Sequence[RunSummary]") -> Iterator[str]:
         yield f"Measured rates are differences of poses{which}."
 
 
-def _list_jumps(summaries: "Sequence[RunSummary]", shown: Collection[str]) -> list[str]:
+def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
     """Return sentences on path lengths that contain jumps of the poses."""
     if _PATH not in shown:
         return []
@@ -361,7 +321,7 @@ def _list_jumps(summaries: "Sequence[RunSummary]", shown: Collection[str]) -> li
     return told if more < 1 else [*told[:_MOST_SAID], f"Path lengths of {more} more contain jumps."]
 
 
-def _format_runs(summaries: "Sequence[RunSummary]") -> str:
+def _format_runs(summaries: "Sequence[tl.compare.RunSummary]") -> str:
     """Return the range of the runs' ends, and a row for each run."""
     summaries, notes = tl.compare.shorten_names(tl.compare.order_by_gain(summaries))
     table, shown = _tabulate_runs(summaries)
@@ -374,8 +334,10 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
     count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     return "\n".join(
         [
-            fill_lines([f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]),
-            _format(table),
+            console.fill_lines(
+                [f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]
+            ),
+            console.fit_body(table),
             "",
             f"Which is best? turtlelog compare      All {count} metrics: --all, or --metric IDS",
         ]
@@ -385,7 +347,9 @@ def _format_runs(summaries: "Sequence[RunSummary]") -> str:
 _OF_ROW: Final = ("settling_time", "overshoot", "rms_error")
 
 
-def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]]":
+def _tabulate_runs(
+    summaries: "Sequence[tl.compare.RunSummary]",
+) -> "tuple[tl.compare.Table, list[str]]":
     """Return a row for each run, with the metrics that fit a line, and the ids of these metrics."""
     chosen = _choose_columns(summaries)
     table = tl.tabulate_runs(summaries, only=chosen)
@@ -393,23 +357,23 @@ def _tabulate_runs(summaries: "Sequence[RunSummary]") -> "tuple[Table, list[str]
     order = sorted(chosen, key=lambda name: _rank(name, summaries))
     titles = [column.title for column in table.columns]
     ranks = [order.index(title) if title in order else None for title in titles]
-    narrow = tl.compare.narrow_table(table, find_width(), ranks)
+    narrow = tl.compare.narrow_table(table, console.find_width(), ranks)
     kept = {column.title for column in narrow.columns}
     return narrow, [name for name in chosen if name in kept]
 
 
-def _round(cell: "Cell") -> "Cell":
+def _round(cell: "tl.compare.Cell") -> "tl.compare.Cell":
     return float(f"{cell:.3g}") if isinstance(cell, float) else cell
 
 
-def _rank(name: str, summaries: "Sequence[RunSummary]") -> tuple[bool, int, bool]:
+def _rank(name: str, summaries: "Sequence[tl.compare.RunSummary]") -> tuple[bool, int, bool]:
     """Return a sort key for choosing metrics: the end first, then metrics of most runs."""
     lacking = sum(_find_value(one, name) is None for one in summaries)
     is_end = name in {"final.position_error", "run.duration"}
     return not is_end, lacking, not name.endswith("time")
 
 
-def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
+def _choose_columns(summaries: "Sequence[tl.compare.RunSummary]") -> tuple[str, ...]:
     """Return the metrics that a row may show: responses of loops, end and duration."""
     names = dict.fromkeys(name for found in summaries for name in found.metrics)
     of_loops = [
@@ -423,7 +387,7 @@ def _choose_columns(summaries: "Sequence[RunSummary]") -> tuple[str, ...]:
     return chosen
 
 
-def _describe_ends(summaries: "Sequence[RunSummary]") -> str:
+def _describe_ends(summaries: "Sequence[tl.compare.RunSummary]") -> str:
     """Return two ranges over the runs: final distances from the goal, and durations."""
     ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"

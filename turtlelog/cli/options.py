@@ -1,42 +1,24 @@
-"""Options for reading and working that several commands share."""
+"""Options that several commands share: files to read, how to read them, and files to write."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import os
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
+from types import MappingProxyType
+from typing import Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter, Token
 
 import turtlelog as tl
-from turtlelog.cli.output import print_run_notes
-from turtlelog.cli.progress import show_progress
-from turtlelog.errors import LogError, TurtlelogError, UsageError
+from turtlelog.cli.console import print_run_notes
+from turtlelog.cli.work import show_progress, watch_files
+from turtlelog.errors import LogError, RemoteError, TurtlelogError, UsageError
 from turtlelog.files.text_files import describe_missing
 from turtlelog.files.urls import RemotePath, make_path, parse_size, set_max_download
+from turtlelog.libraries import load_library
 from turtlelog.log.read_choice import parse_wheelbase, parse_wheels
-from turtlelog.processes import FILE_S, choose_jobs
-
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-    from turtlelog import Run
-    from turtlelog.compare import RunSummary
-    from turtlelog.log import ReadChoice
-    from turtlelog.sweep import FoundRecording
-
-_Found = TypeVar("_Found")
-
-
-def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
-    text = tokens[0].value
-    try:
-        return int(text)
-    except ValueError as err:
-        option = tokens[0].keyword
-        unit = " of ticks" if option == "--dead-time" else ""
-        raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
 
 
 def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
@@ -52,8 +34,6 @@ Output = Annotated[Place | None, Parameter(name=("--output", "-o"))]
 Partial = Annotated[bool, Parameter(name="--partial")]
 Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
 Json = Annotated[bool, Parameter(name="--json")]
-Whole = Annotated[int, Parameter(converter=_read_whole)]
-"""A whole number, because a plain int would truncate 1.5 to 1."""
 
 
 def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
@@ -75,9 +55,6 @@ def choose_step_budget(given_ms: float | None) -> float:
     from turtlelog.simulate.step_budget import STEP_BUDGET_S
 
     return STEP_BUDGET_S if given_ms is None else given_ms / 1e3
-
-
-Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
 
 
 def _read_size(_: Any, tokens: Sequence[Token]) -> int:
@@ -140,7 +117,7 @@ class TopicOptions:
     partial: Partial = False
     max_download: MaxDownload = None
 
-    def build_choice(self) -> "ReadChoice":
+    def build_choice(self) -> "tl.log.ReadChoice":
         """Return the options as a choice.
 
         Raises:
@@ -169,7 +146,7 @@ class ReadingOptions(TopicOptions):
 
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
 
-    def build_choice(self) -> "ReadChoice":
+    def build_choice(self) -> "tl.log.ReadChoice":
         """Return the options as a choice.
 
         Raises:
@@ -245,7 +222,7 @@ def list_files(paths: Sequence[Path], *, without: Path | None = None) -> list[Pa
     return files
 
 
-def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecording]":
+def find_files(paths: Sequence[Path], without: Path | None) -> "list[tl.sweep.FoundRecording]":
     """Return the given recordings and those below folders, except a table to be written."""
     with show_progress("looking for recordings"):
         left_out = [] if without is None else [without]
@@ -254,7 +231,7 @@ def find_files(paths: Sequence[Path], without: Path | None) -> "list[FoundRecord
 
 def read_runs(
     paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
-) -> "list[Run]":
+) -> "list[tl.Run]":
     """Return the runs of recordings, bags, other recorders' files and the paper's logs.
 
     With `allow_no_poses`, bags with commands alone are accepted.
@@ -264,7 +241,7 @@ def read_runs(
 
 def iterate_runs(
     paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
-) -> "Iterator[Run]":
+) -> "Iterator[tl.Run]":
     """Yield runs as `read_runs` returns them, one by one, without keeping them."""
     require_files(paths)
     topics = topics or TopicOptions()
@@ -272,7 +249,7 @@ def iterate_runs(
         yield read_chosen_run(path, topics, allow_no_poses=allow_no_poses)
 
 
-def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "Run":
+def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = False) -> "tl.Run":
     """Return the run in a file, and print the notes on its reading."""
     choice = replace(topics.build_choice(), allow_no_poses=allow_no_poses)
     run = tl.log.read_as_chosen(path, choice)
@@ -281,7 +258,7 @@ def read_chosen_run(path: Path, topics: TopicOptions, *, allow_no_poses: bool = 
 
 
 @contextmanager
-def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
+def name_as_typed(file: Path, run: "tl.Run") -> "Iterator[None]":
     """Replace the name of a run in errors by the file as typed."""
     try:
         yield
@@ -290,97 +267,6 @@ def name_as_typed(file: Path, run: "Run") -> "Iterator[None]":
         if not text.startswith(head):
             raise
         raise type(err)(f"{file}: {text.removeprefix(head)}") from err
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorkOptions:
-    """Options for the processes that do the work.
-
-    Attributes:
-        jobs: Number of processes. Default: one per core if that is faster.
-        scheduler: Use the Dask cluster of this scheduler. The workers must find the files at the
-            same paths. Example: tcp://host:8786.
-    """
-
-    jobs: Jobs = None
-    scheduler: Annotated[str | None, Parameter(metavar="URL")] = None
-
-    @contextmanager
-    def find_place(
-        self, files: Sequence[Path], *, file_s: float = FILE_S
-    ) -> "Iterator[int | Executor]":
-        """Yield a number of processes, or the cluster.
-
-        Raises:
-            UsageError: If both options are given, or the number is invalid.
-            ProcessError: If the cluster cannot be used.
-        """
-        if self.scheduler is None:
-            yield count_jobs(self.jobs, files, file_s=file_s)
-            return
-        if self.jobs is not None:
-            raise UsageError("--jobs: the cluster of --scheduler has its own; leave --jobs out")
-        from turtlelog.sweep.cluster import connect_cluster
-
-        with connect_cluster(self.scheduler) as executor:
-            yield executor
-
-    @contextmanager
-    def find_any_place(self) -> "Iterator[int | Executor | None]":
-        """Yield a number of processes, the cluster, or None without both options.
-
-        For None, the work chooses the number of processes.
-        """
-        if self.scheduler is None and self.jobs is None:
-            yield None
-            return
-        with self.find_place(()) as place:
-            yield place
-
-    def name_files(self, files: Sequence[Path]) -> list[Path]:
-        """Return files with paths for workers, which run in other folders."""
-        return [*files] if self.scheduler is None else [path.absolute() for path in files]
-
-
-def watch_summaries(
-    found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
-) -> "Iterator[RunSummary]":
-    """Yield run summaries, collect the errors, and show the number of finished files."""
-    for summary in watch_files(found, count):
-        if isinstance(summary, TurtlelogError):
-            errors.append(summary)
-        else:
-            print_run_notes(summary.file, summary.notes)
-            yield summary
-
-
-def count_jobs(
-    asked: int | None,
-    files: Sequence[Path],
-    *,
-    file_s: float = FILE_S,
-    count_read: "Callable[[Path], int] | None" = None,
-) -> int:
-    """Return the number of processes for files: the given number, or else from `choose_jobs`."""
-    jobs = require_jobs(asked)
-    return choose_jobs(files, file_s=file_s, count_read=count_read) if jobs is None else jobs
-
-
-def require_jobs(asked: int | None) -> int | None:
-    """Return the given number of processes, or refuse a number below 1."""
-    if asked is not None and asked < 1:
-        raise UsageError(f"--jobs {asked}: must be at least 1")
-    return asked
-
-
-def watch_files(found: "Iterable[_Found]", count: int) -> "Iterator[_Found]":
-    """Yield the result of each file, and show the number of finished ones."""
-    # A single file has no share to show.
-    with show_progress("reading", count if count > 1 else None, "files") as progress:
-        for number, one in enumerate(found, start=1):
-            yield one
-            progress.done = number
 
 
 def split_names(text: str, option: str) -> list[str]:
@@ -419,3 +305,121 @@ def require_files(paths: Sequence[Path]) -> None:
     """Refuse a command without files."""
     if not paths:
         raise UsageError("no recording is given: add FILE...")
+
+
+_LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
+"""Libraries that write files of a suffix, and that a slim installation does not have."""
+
+PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
+"""Suffixes of figures."""
+
+
+def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
+    """Refuse a file that could not be written, is an input, or has another suffix.
+
+    An existing file is accepted, and is replaced when the new file is complete.
+
+    Raises:
+        UsageError: If the file is refused.
+        LibraryError: If the library that writes such files is not installed.
+    """
+    if target is None:
+        return
+    with _name_target(target):
+        if target.suffix.lower() != suffix:
+            raise UsageError(f"the name must end in {suffix}")
+        _require_writable(target, inputs)
+    if suffix in _LIBRARIES:
+        load_library(_LIBRARIES[suffix])
+
+
+def require_pictures(
+    plot: Path | None, rrd: Path | None, inputs: Sequence[Path], *, drawn: Sequence[Path], of: str
+) -> None:
+    """Refuse pictures of a robot that could not be written, or pictures of several files.
+
+    Raises:
+        UsageError: If a picture is refused.
+        LibraryError: If the library that writes it is not installed.
+    """
+    for name, target in (("--plot", plot), ("--rrd", rrd)):
+        if target is not None and len(drawn) > 1:
+            raise UsageError(f"{name}: draws one {of}, not {len(drawn)}")
+    if plot is not None and plot.suffix.lower() not in PICTURES:
+        raise UsageError(f"--plot {plot}: the name must end in .pdf, .png or .svg")
+    require_new_target(plot, inputs, suffix="" if plot is None else plot.suffix.lower())
+    require_new_target(rrd, inputs, suffix=".rrd")
+
+
+def require_new_folder(target: Path) -> None:
+    """Refuse a folder that could not be created, or that contains files."""
+    with _name_target(target):
+        if isinstance(target, RemotePath):
+            raise UsageError("a URL names a file here, not a folder")
+        _require_place(_resolve(target))
+        if target.is_dir():
+            if any(target.iterdir()):
+                raise UsageError("this folder has files; name a new one")
+        elif target.exists() or target.is_symlink():
+            raise UsageError("this is a file; name a new folder")
+
+
+def require_apart(targets: Sequence[Path]) -> None:
+    """Refuse outputs that are equal, or that would be inside each other."""
+    places = [_resolve(target) for target in targets]
+    for number, place in enumerate(places):
+        for other in places[:number]:
+            if place == other or place in other.parents or other in place.parents:
+                raise UsageError(
+                    f"{targets[number]}: another output is written there; name another place"
+                )
+
+
+def _resolve(target: Path) -> Path:
+    """Return the target of a path. Links that form a circle stay unchanged."""
+    return target if isinstance(target, RemotePath) else Path(os.path.realpath(target))
+
+
+def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
+    if isinstance(target, RemotePath):
+        from turtlelog.files.requests import require_writable
+
+        require_writable(target.url)
+        if any(tl.log.split_topic(path)[0] == target for path in inputs):
+            raise UsageError("this is the input; name another file to write")
+        return
+    _require_place(_resolve(target))
+    if not target.exists():
+        return
+    if not target.is_file():
+        kind = "folder" if target.is_dir() else "device"
+        raise UsageError(f"this is a {kind}; name a file to write")
+    if not os.access(target, os.W_OK):
+        raise UsageError("this file is write-protected; name another file to write")
+    for path in inputs:
+        with suppress(OSError):  # the reading of a missing input gives the error
+            if target.samefile(tl.log.split_topic(path)[0]):
+                raise UsageError("this is the input; name another file to write")
+
+
+def _require_place(target: Path) -> None:
+    """Refuse a path that cannot be written, by creating and removing a file there."""
+    folder = target.absolute().parent
+    if not folder.is_dir():
+        raise UsageError("there is no such folder to write to; create it first")
+    probe = folder / f".turtlelog-{os.urandom(6).hex()}.part"
+    # Permissions are not sufficient: the disk may be read-only, or the name too long.
+    probe.touch(exist_ok=False)
+    probe.unlink()
+    with suppress(FileNotFoundError):
+        target.lstat()
+
+
+@contextmanager
+def _name_target(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except (UsageError, RemoteError) as err:
+        raise UsageError(f"{target}: {err}") from err
+    except OSError as err:
+        raise UsageError(f"{target}: cannot be written: {err.strerror or err}") from err

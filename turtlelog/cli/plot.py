@@ -1,46 +1,29 @@
 """`turtlelog plot`: figures and tables for print."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Group, Parameter
 
 import turtlelog as tl
-from turtlelog import draw
-from turtlelog.cli.list_names import complete_figures, complete_keys
-from turtlelog.cli.map import draw_table
-from turtlelog.cli.options import (
-    Jobs,
-    Json,
-    Place,
-    ReadingOptions,
-    list_files,
-    read_runs,
-    require_jobs,
-    require_there,
-    split_names,
-)
-from turtlelog.cli.output import fill_lines, list_written, print_json, print_note, print_text
-from turtlelog.cli.picture_options import (
-    TIMELESS,
-    AskedOptions,
-    MovieOptions,
-    PageOptions,
-    film_runs,
-    require_movie,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import PICTURES, require_new_target
+from turtlelog.cli import options
+from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
+from turtlelog.cli.list_names import complete_figures, complete_keys, complete_metrics
+from turtlelog.cli.map import TIMELESS, PageOptions, draw_table
+from turtlelog.cli.view import MovieOptions, film_runs, require_movie
+from turtlelog.cli.work import Jobs, require_jobs, show_progress
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.errors import ShowError, TurtlelogError, UsageError
 from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.cli.picture_options import Only
-    from turtlelog.draw import Page
+    from turtlelog.draw.figures import FigureKind
+
+    Only = Collection[str] | Mapping[str, FigureKind]
 
 
 Kind = Literal["map", "curves", "tornado"]
@@ -72,13 +55,22 @@ class ViewOptions:
         return words + [word for text in self.at or [] for word in ("--at", text)]
 
 
-def find_sweep_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
+def find_sweep_table(
+    files: Sequence[Path], view: ViewOptions, figures: Mapping[str, object]
+) -> Path | None:
     """Return the table of a sweep among the files; None if there are recordings.
 
+    `figures` are the given options of figures of recordings.
+
     Raises:
-        UsageError: If there are further files, or options of tables without a table.
+        UsageError: If there are further files, or options of tables without a table, or of figures
+            with one.
     """
-    tables = [path for path in files if path.suffix.lower() == ".parquet" and _is_table(path)]
+    tables = []
+    for path in files:
+        with suppress(TurtlelogError):
+            facts = tl.sweep.read_result_facts(path) if path.suffix.lower() == ".parquet" else None
+            tables += [path] if facts is not None and facts.get("kind") == "sweep" else []
     if not tables and view == ViewOptions():
         return None
     if not tables:
@@ -87,22 +79,98 @@ def find_sweep_table(files: Sequence[Path], view: ViewOptions) -> Path | None:
         raise UsageError(f"{what}{need}")
     if len(files) > 1:
         raise UsageError(f"{tables[0]} is the table of a sweep, which is plotted alone")
+    for name, value in figures.items():
+        if value is not None:
+            raise UsageError(f"{name}: leave it out, {tables[0]} is the table of a sweep")
     return tables[0]
 
 
-def _is_table(path: Path) -> bool:
-    try:
-        facts = tl.sweep.read_result_facts(path)
-    except TurtlelogError:
-        return False
-    return facts is not None and facts.get("kind") == "sweep"
+_DRAWABLE: Final = (
+    "a signal in a band (always(abs(cross_track) <= 0.05)) or a metric that is a signal's value at"
+    " a moment (final.position_error <= 0.05)"
+)
+"""Subjects that the figure violation can draw."""
+
+
+_OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedOptions(options.MetricsAsked):
+    """Content of the figures attribution, gains, luck, strips and violation.
+
+    Attributes:
+        metric: Id of the metric that the figures `attribution` and `luck` show (turtlelog list
+            metrics). For the figures `gains` and `strips` and for tables: metrics by id, pattern or
+            name without loop (overshoot), separated by commas. Default: up to four.
+        expect: Formula whose signal the figure violation shows. Example: "always(abs(cross_track)
+            <= 0.05)".
+    """
+
+    metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None
+    expect: Annotated[str | None, Parameter(metavar="FORMULA")] = None
+
+    def require_figures(self, names: Sequence[str]) -> None:
+        """Raise an error if an option belongs to a figure that is not drawn.
+
+        Raises:
+            UsageError: If an option has no figure, or a figure does not have its option.
+        """
+        if self.metric is not None and not {*names} & {*_OF_METRICS}:
+            expected = "--only attribution, gains, luck or strips"
+            raise UsageError(f"--metric: needs {expected}")
+        if self.expect is not None and "violation" not in names:
+            raise UsageError("--expect: needs --only violation")
+        if self.expect is None and "violation" in names:
+            raise UsageError("--only violation: needs --expect FORMULA")
+
+    def bind(self, names: Sequence[str], runs: "Sequence[tl.Run]") -> "Only":
+        """Return figures by name, with the requested content."""
+        if not (runs and {*names} <= {*tl.draw.FIGURES}):
+            return names
+        found = {name: tl.draw.FIGURES[name] for name in names}
+        for name, kind in found.items():
+            content = {} if kind.find_lack(runs) else _read_content(self, name, runs)
+            if content and kind.draw is not None:
+                found[name] = replace(kind, draw=partial(kind.draw, **content))
+        return found
+
+
+def _read_content(asked: AskedOptions, name: str, runs: "Sequence[tl.Run]") -> dict[str, Any]:
+    """Return the requested content of a figure, which may take seconds; empty for the usual one."""
+    match name:
+        case "gains" | "strips":
+            return {"metrics": asked.list_patterns()}
+        case "attribution":
+            from turtlelog.draw.figures.attribution_figure import explain_for_figure
+
+            with show_progress("explaining", 100.0, "%") as progress:
+                found = explain_for_figure(runs, metric=asked.metric, report=progress.count)
+            return {"explained": found}
+        case "luck":
+            from turtlelog.draw.figures.luck_figure import measure_luck_for_figure
+
+            with show_progress("simulated", 100.0, "%") as progress:
+                work = tl.explain.Work(jobs=None, report=progress.count)
+                return {"luck": measure_luck_for_figure(runs, metric=asked.metric, work=work)}
+        case "violation" if len(runs) == 1 and asked.expect is not None:
+            from turtlelog.check.violation import find_judged_signal
+            from turtlelog.cli.check import build_spec
+
+            (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
+            judged = find_judged_signal(runs[0], result)
+            if judged.signal is None:
+                raise ShowError(f"figure violation: needs {_DRAWABLE}: {judged.reason}")
+            return {"violated": judged.signal}
+    return {}
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
-    files: Annotated[list[Place] | None, Parameter(name="FILE")] = None,
+    files: Annotated[list[options.Place] | None, Parameter(name="FILE")] = None,
     /,
     *,
-    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None,
+    output: Annotated[options.Place | None, Parameter(name=("--output", "-o"))] = None,
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     where: PageOptions | None = None,
@@ -110,9 +178,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     view: ViewOptions | None = None,
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
-    topics: ReadingOptions | None = None,
+    topics: options.ReadingOptions | None = None,
     jobs: Jobs = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Plot recordings as the paper's figures and tables, and the table of a sweep as maps.
 
@@ -161,49 +229,47 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         json: Print one JSON object instead of lines.
     """
     jobs = require_jobs(jobs)
-    require_there(files or [])
+    options.require_there(files or [])
     movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
-    table = find_sweep_table(files or [], view)
-    files = list_files(files or [])
+    given = {"--only": only, "--format": formats, "--movie": movie.movie}
+    table = find_sweep_table(files or [], view, given)
+    files = options.list_files(files or [])
     if table is not None:
-        _require_no_figures(table, {"--only": only, "--format": formats, "--movie": movie.movie})
         draw_table(table, output, view, where or PageOptions(), asked.list_patterns(), json=json)
         return
     require_movie(movie, files)
-    _require_clock(movie, timeline)
+    if movie.movie is None and timeline != "sim_time":
+        raise UsageError("--timeline: needs --movie NAME.mp4")
     if output is None:
         runs = _collect_runs(_require_scenes(files, movie), topics)
         film_runs(runs, movie, timeline=timeline)
         _tell(_build_answer(files, runs, {}, [], (), movie), runs, json=json)
         return
-    names = None if only is None else split_names(only, "--only")
-    is_file = output.suffix.lower() in PICTURES
-    if is_file:
-        _require_one(output, names, formats)
-        require_new_target(output, files, suffix=output.suffix.lower())
-    else:
-        _require_folder(output)
+    names = None if only is None else options.split_names(only, "--only")
+    is_file = output.suffix.lower() in options.PICTURES
+    _require_output(output, names, formats, files)
     kinds = (
         [output.suffix[1:].lower()]
         if is_file
-        else split_names("pdf" if formats is None else formats, "--format")
+        else options.split_names("pdf" if formats is None else formats, "--format")
     )
     page = (where or PageOptions()).build_page(kinds, names)
     asked.require_figures(names or [])
     runs = _collect_runs(files, topics)
     kinds_of = None if names is None else asked.bind(names, runs)
-    drawing = _Drawing(runs=runs, only=kinds_of, formats=kinds, page=page, jobs=jobs)
+    settings = {"formats": kinds, "page": page, "jobs": jobs}
     if is_file:
         name = names[0] if names else _choose_overview(runs)
-        figures = {_draw_one(output, replace(drawing, only=kinds_of or [name])): name}
+        _draw_one(output, runs, only=kinds_of or [name], **settings)
+        figures = {output: name}
         tables: list[Path] = []
         left_out: Sequence[str] = ()
     else:
-        drawn, tables = _draw_all(output, drawing)
+        drawn, tables = _draw_all(output, runs, only=kinds_of, **settings)
         figures = {path: path.stem for path in drawn}
-        left_out = draw.list_left_out(runs, names) if runs else ()
+        left_out = tl.draw.list_left_out(runs, names) if runs else ()
     if page.has_marks and (names or is_file):
-        left_out = (*left_out, *draw.list_unmarked(runs, figures.values()))
+        left_out = (*left_out, *tl.draw.list_unmarked(runs, figures.values()))
     for line in left_out:
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
@@ -212,13 +278,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     _tell(answer, runs, json=json)
 
 
-def _require_no_figures(table: Path, given: Mapping[str, object]) -> None:
-    for name, value in given.items():
-        if value is not None:
-            raise UsageError(f"{name}: leave it out, {table} is the table of a sweep")
-
-
-def _tell_whole(names: Iterable[str], page: "Page") -> None:
+def _tell_whole(names: Iterable[str], page: "tl.draw.Page") -> None:
     """Print the names of figures that the page's time window does not cut."""
     whole = [name for name in names if name in TIMELESS]
     if whole and (page.from_s is not None or page.to_s is not None):
@@ -269,7 +329,7 @@ class PlotAnswer:
 
 def _build_answer(
     files: Sequence[Path],
-    runs: "Sequence[Run]",
+    runs: "Sequence[tl.Run]",
     figures: Mapping[Path, str],
     tables: Sequence[Path],
     left_out: Sequence[str],
@@ -293,7 +353,7 @@ def _build_answer(
     )
 
 
-def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
+def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
     """Print how the runs ended, the content of figures, and the written files."""
     if json:
         print_json(answer)
@@ -304,7 +364,7 @@ def _tell(answer: PlotAnswer, runs: "Sequence[Run]", *, json: bool) -> None:
     print_text("\n".join([fill_lines(said), *list_written(written)]))
 
 
-def _describe_shown(answer: PlotAnswer, runs: "Sequence[Run]") -> str:
+def _describe_shown(answer: PlotAnswer, runs: "Sequence[tl.Run]") -> str:
     """Return one sentence on the content of the figures and their runs."""
     names = tl.compare.name_runs(runs)
     whose = join_words(names) if 0 < len(names) <= _MOST_NAMED else describe_count(len(runs), "run")
@@ -323,29 +383,24 @@ _MOST_NAMED: Final = 4
 """Largest number of runs in the first line."""
 
 
-def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list[Run]":
+def _collect_runs(words: Sequence[Path], topics: options.ReadingOptions | None) -> "list[tl.Run]":
     """Return recordings, and runs of scenarios and presets, in their order."""
     scenarios = {
         word
         for word in words
         if str(word) in tl.PRESETS or (word.suffix.lower() == ".toml" and word.is_file())
     }
-    if not scenarios:
-        return _require_alike(read_runs(words, topics, allow_no_poses=True) if words else [])
     runs = []
-    for word in words:
+    if words and not scenarios:
+        runs = options.read_runs(words, topics, allow_no_poses=True)
+    for word in words if scenarios else ():
         if word in scenarios:
             with show_progress("simulating"):
                 runs.append(tl.simulate_run(tl.load_scenario(str(word))))
         else:
-            runs += read_runs([word], topics, allow_no_poses=True)
-    return _require_alike(runs)
-
-
-def _require_alike(runs: "list[Run]") -> "list[Run]":
-    """Refuse runs without poses together with runs with poses, because they have no common axis."""
+            runs += options.read_runs([word], topics, allow_no_poses=True)
     bare = [run.name for run in runs if not len(run.poses)]
-    if 0 < len(bare) < len(runs):
+    if 0 < len(bare) < len(runs):  # there is no common axis
         raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
     return runs
 
@@ -358,61 +413,42 @@ _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 """Default content of a single file: the first figure that has data."""
 
 
-def _require_clock(movie: MovieOptions, timeline: str) -> None:
-    if movie.movie is None and timeline != "sim_time":
-        raise UsageError("--timeline: needs --movie NAME.mp4")
-
-
-def _require_folder(output: Path) -> None:
-    if output.suffix.lower() in _OTHER_PICTURES:
+def _require_output(
+    output: Path, names: list[str] | None, formats: str | None, files: Sequence[Path]
+) -> None:
+    """Refuse a figure or a folder that cannot be written."""
+    suffix = output.suffix.lower()
+    if suffix in options.PICTURES:
+        if names is not None and len(names) != 1:
+            raise UsageError(
+                f"--only: {output} has room for one figure; write several to a folder: -o FOLDER"
+            )
+        if formats is not None:
+            raise UsageError(f"--format: leave it out, the name {output} says it")
+        options.require_new_target(output, files, suffix=suffix)
+    elif suffix in _OTHER_PICTURES:
         raise UsageError(
             f"{output}: figures are written as .pdf, .png or .svg, or to a folder, not as"
             f" {output.suffix}"
         )
-    if isinstance(output, RemotePath):
+    elif isinstance(output, RemotePath):
         raise UsageError(f"{output}: a URL must end in .pdf, .png or .svg; folders are local")
-    if output.exists() and not output.is_dir():
+    elif output.exists() and not output.is_dir():
         raise UsageError(
             f"{output}: is a file; name a folder, or a figure that ends in .pdf, .png or .svg"
         )
 
 
-def _require_one(output: Path, names: list[str] | None, formats: str | None) -> None:
-    if names is not None and len(names) != 1:
-        raise UsageError(
-            f"--only: {output} has room for one figure; write several to a folder: -o FOLDER"
-        )
-    if formats is not None:
-        raise UsageError(f"--format: leave it out, the name {output} says it")
-
-
-def _choose_overview(runs: "Sequence[Run]") -> str:
+def _choose_overview(runs: "Sequence[tl.Run]") -> str:
     found = [name for name in _OVERVIEWS if not tl.draw.FIGURES[name].find_lack(runs)]
     name = [*found, _OVERVIEWS[0]][0]
     print_note(f"plot: the figure {name}; --only chooses another (turtlelog list figures)")
     return name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Drawing:
-    """Settings of the figures to draw. None: the usual figures, the fastest number of jobs."""
-
-    runs: "Sequence[Run]"
-    only: "Only | None"
-    formats: Sequence[str]
-    page: "Page"
-    jobs: int | None
-
-    def add_figures(self, write: Callable[[str, bytes], Path]) -> list[Path]:
-        """Draw the figures, and write each figure in its formats."""
-        from turtlelog.draw.figures.writing import add_figures
-
-        return add_figures(
-            write, self.runs, only=self.only, formats=self.formats, page=self.page, jobs=self.jobs
-        )
-
-
-def _draw_one(output: Path, drawing: _Drawing) -> Path:
+def _draw_one(output: Path, runs: "Sequence[tl.Run]", **settings: Any) -> None:
+    """Draw a figure into a file. The settings are those of `add_figures`."""
+    from turtlelog.draw.figures.writing import add_figures
     from turtlelog.draw.output_files import replace_file
 
     with show_progress("drawing"), replace_file(output) as part:
@@ -421,18 +457,19 @@ def _draw_one(output: Path, drawing: _Drawing) -> Path:
             part.write_bytes(data)
             return output
 
-        drawing.add_figures(write)
-    return output
+        add_figures(write, runs, **settings)
 
 
-def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
+def _draw_all(
+    output: Path, runs: "Sequence[tl.Run]", only: "Only | None", **settings: Any
+) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
-    from turtlelog.draw.figures.writing import add_tables
+    from turtlelog.draw.figures.writing import add_figures, add_tables
     from turtlelog.draw.output_files import replace_together
 
-    names = tl.draw.FIGURES if drawing.only is None else drawing.only
+    most = len(settings["formats"]) * len(tl.draw.FIGURES if only is None else only)
     with (
-        show_progress("drawing", len(drawing.formats) * len(names), "files at most") as progress,
+        show_progress("drawing", most, "files at most") as progress,
         replace_together(output) as write,
     ):
 
@@ -440,7 +477,6 @@ def _draw_all(output: Path, drawing: _Drawing) -> tuple[list[Path], list[Path]]:
             progress.done += 1
             return write(name, data)
 
-        figures = drawing.add_figures(count)
-        is_usual = drawing.only is None and bool(drawing.runs)
-        tables = add_tables(write, drawing.runs) if is_usual else []
+        figures = add_figures(count, runs, only=only, **settings)
+        tables = add_tables(write, runs) if only is None and runs else []
     return figures, tables

@@ -1,46 +1,39 @@
 """`turtlelog replay`: replay of a recording."""
 
+import shlex
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console, options
 from turtlelog.cli.check_answers import build_results, format_results
-from turtlelog.cli.options import (
-    Json,
-    Output,
-    Place,
-    StepBudgetMs,
-    TopicOptions,
-    choose_step_budget,
-    name_as_typed,
-    read_runs,
-    require_there,
-)
-from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
+    CommandReplayAnswer,
+    LawReplayAnswer,
+    LoopReplayAnswer,
+    MetricChange,
+    PoseAnswer,
     ReplayAnswer,
     answer_law_replay,
     build_loop,
-    format_law,
-    format_loop,
-)
-from turtlelog.cli.replay_plant import (
-    CommandReplayAnswer,
     build_plant,
     format_plant,
-    replay_commands_alone,
+    tell_time,
 )
-from turtlelog.cli.scenario_options import ScenarioOptions, change_scenario, name_by_changes
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.scenario import ScenarioOptions, change_scenario, name_by_changes
+from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.errors import UsageError
+from turtlelog.escapes import escape_controls
 from turtlelog.files.urls import make_path
+from turtlelog.run.stop_reasons import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
-    from turtlelog.replay import LawReplay, LoopReplay, PlantReplay
 
 
 _OF_LAW: Final = ("law", "shaping", "limits", "goal")
@@ -74,18 +67,18 @@ class ReplayOptions:
     tolerance: float | None = None
     expect_equal: bool = False
     trust_law: bool = False
-    step_budget_ms: StepBudgetMs = None
+    step_budget_ms: options.StepBudgetMs = None
 
 
 def replay(
-    file: Annotated[Place | None, Parameter(name="FILE")] = None,
+    file: Annotated[options.Place | None, Parameter(name="FILE")] = None,
     /,
     *,
     mode: ReplayOptions | None = None,
     changes: ScenarioOptions | None = None,
-    output: Output = None,
-    topics: TopicOptions | None = None,
-    json: Json = False,
+    output: options.Output = None,
+    topics: options.TopicOptions | None = None,
+    json: options.Json = False,
 ) -> int:
     """Replay a recording and show where the result departs from it.
 
@@ -112,23 +105,29 @@ def replay(
             alone, to this .mcap file.
         json: Print one JSON object instead of tables.
     """
-    require_there([] if file is None else [file])
+    options.require_there([] if file is None else [file])
     mode = mode or ReplayOptions()
     _require_sound(mode, changes, output)
-    file, kind = _settle_file(file, mode)
-    require_new_target(output, [file], suffix=".mcap")
-    (run,) = read_runs([file], topics, allow_no_poses=True)
-    with name_as_typed(file, run):
+    # A word after --law is its KIND. The last word is FILE if there is no other word.
+    words = [*(mode.law or ())]
+    file = make_path(words.pop()) if file is None and words else file
+    if file is None:
+        raise UsageError("replay needs a recording: turtlelog replay FILE")
+    if len(words) > 1:
+        raise UsageError(f"--law: takes one KIND, not {' '.join(words)}")
+    options.require_new_target(output, [file], suffix=".mcap")
+    (run,) = options.read_runs([file], topics, allow_no_poses=True)
+    with options.name_as_typed(file, run):
         if not len(run.poses):
-            _print(*replay_commands_alone(file, run, mode, changes, output), json=json)
-            return EXIT_FINE
+            _print(*_replay_commands(file, run, mode, changes, output), json=json)
+            return console.EXIT_FINE
         if mode.plant:
-            found: LawReplay | LoopReplay | PlantReplay
+            found: tl.replay.LawReplay | tl.replay.LoopReplay | tl.replay.PlantReplay
             found = driven = tl.replay_plant(run)
             answer: ReplayAnswer = build_plant(file, run, driven)
             text = format_plant(file, run, driven)
         else:
-            scenario = _choose_replayed(run, mode, changes, kind)
+            scenario = _choose_replayed(run, mode, changes, *words)
             answer, text, found = _replay(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
@@ -140,94 +139,151 @@ def replay(
         answer = replace(answer, verdict=verdict.value, results=build_results(results))
         text = f"{text}\n\n{format_results(results, files=1)}"
     _print(answer, text, json=json)
-    return EXIT_FAILED if failed else EXIT_FINE
+    return console.EXIT_FAILED if failed else console.EXIT_FINE
 
 
 def _print(answer: ReplayAnswer | CommandReplayAnswer, text: str, *, json: bool) -> None:
     if json:
-        print_json(answer)
+        console.print_json(answer)
     else:
-        print_verdicts(text)
+        console.print_verdicts(text)
 
 
 def _replay(
     file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
-) -> "tuple[ReplayAnswer, str, LawReplay | LoopReplay]":
+) -> "tuple[ReplayAnswer, str, tl.replay.LawReplay | tl.replay.LoopReplay]":
     """Replay a run through a law or in closed loop, and write the run of the closed loop."""
     settings: dict[str, Any] = {
         "tolerance": mode.tolerance or 0.0,
         "trust_law": mode.trust_law,
-        "step_budget_s": choose_step_budget(mode.step_budget_ms),
+        "step_budget_s": options.choose_step_budget(mode.step_budget_ms),
     }
     if mode.law is not None:
         by_law = tl.replay_law(run, scenario, **settings)
-        text = format_law(file, run, by_law, details=mode.details)
-        return answer_law_replay(file, run, by_law), text, by_law
+        of_law = answer_law_replay(file, run, by_law)
+        return of_law, _format_law(run, by_law, of_law, details=mode.details), by_law
     found = tl.replay_loop(run, scenario, **settings)
     if output is not None:
         tl.write_recording(found.run, output)
-        print_note(f"wrote {output}")
-    text = format_loop(file, run, found, details=mode.details)
-    return build_loop(file, run, found, output), text, found
+        console.print_note(f"wrote {output}")
+    answer = build_loop(file, run, found, output)
+    return answer, _format_loop(run, found, answer, details=mode.details), found
 
 
-def _settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:
-    """Return the recording, and the law that replaces the recorded one.
+def _replay_commands(
+    file: Path,
+    run: "Run",
+    mode: ReplayOptions,
+    changes: ScenarioOptions | None,
+    output: Path | None,
+) -> tuple[CommandReplayAnswer, str]:
+    """Drive a plant with the commands of a run without poses, and write the plant's path."""
+    compared = {"--law": mode.law, "--expect-equal": mode.expect_equal or None}
+    for name, value in {**compared, "--tolerance": mode.tolerance}.items():
+        if value is not None:
+            raise UsageError(f"{name}: leave it out, {file} holds commands alone: no poses")
+    scenario = tl.Scenario() if mode.scenario is None else tl.load_scenario(mode.scenario)
+    found = tl.replay.drive_commands(run, change_scenario(scenario, changes))
+    if output is not None:
+        tl.write_recording(found.run, output)
+        console.print_note(f"wrote {output}")
+    x_m, y_m = map(float, found.run.poses.xy_m[-1])
+    answer = CommandReplayAnswer(
+        file=str(file),
+        name=found.name,
+        plant=found.plant,
+        commands=len(run.commands),
+        taken=found.taken,
+        duration_s=(found.run.end_ns - found.run.start_ns) / 1e9,
+        path_length_m=found.path_length_m,
+        end=PoseAnswer(x=x_m, y=y_m, heading=float(found.run.poses.heading_rad[-1])),
+        wall_s=found.wall_s,
+        output=None if output is None else str(output),
+    )
+    return answer, _format_commands(file, found, answer)
 
-    A word after --law is its KIND. The last word is FILE if there is no other word.
-    """
-    words = list(options.law or ())
-    if file is None and words:
-        file = make_path(words.pop())
-    if file is None:
-        raise UsageError("replay needs a recording: turtlelog replay FILE")
-    if len(words) > 1:
-        raise UsageError(f"--law: takes one KIND, not {' '.join(words)}")
-    return file, words[0] if words else None
+
+def _format_commands(
+    file: Path, found: "tl.replay.CommandReplay", answer: CommandReplayAnswer
+) -> str:
+    """Return the path length and the end of the plant, and the limits of this answer."""
+    kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
+    end, name = answer.end, escape_controls(file.name)
+    sentences = [
+        f"{name}: the commands drive {kind} {format_short(found.path_length_m, 'm')} in"
+        f" {answer.duration_s:.3g} s, to x = {end.x:.4g} m, y = {end.y:.4g} m, heading"
+        f" {degrees(end.heading or 0.0):.4g} deg.",
+        f"Commands: {describe_count(answer.commands, 'command')}, {answer.taken} taken.",
+    ]
+    if found.wall_s is not None:
+        sentences.append(
+            f"At {found.wall_s:.3g} s it runs into a wall of turtlesim's world, 11 m wide: from"
+            " there on a robot would drive elsewhere. A robot model has no walls: --scenario"
+            " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
+        )
+    sentences.append("No poses were recorded: nothing tells whether the robot went there.")
+    lines = [console.fill_lines(sentences)]
+    if answer.output is None:
+        lines.append(f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap")
+    else:
+        lines.append(f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png")
+    return "\n".join(lines)
 
 
 def _require_sound(
-    options: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
+    mode: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
 ) -> None:
     """Refuse options that cannot be combined."""
-    by_law = options.law is not None
-    if options.plant and by_law:
+    by_law = mode.law is not None
+    if mode.plant and by_law:
         raise UsageError("--plant and --law: choose one")
-    if (options.plant or by_law) and output is not None:
-        mode = "--plant" if options.plant else "--law"
-        raise UsageError(f"--output: leave out {mode}, which makes no run")
+    if (mode.plant or by_law) and output is not None:
+        given_mode = "--plant" if mode.plant else "--law"
+        raise UsageError(f"--output: leave out {given_mode}, which makes no run")
+    changes = changes or ScenarioOptions()
     given = {
-        "--scenario": options.scenario,
-        "--tolerance": options.tolerance,
-        "--trust-law": options.trust_law or None,
-        "--step-budget-ms": options.step_budget_ms,
-        **_name_changes(changes),
+        "--scenario": mode.scenario,
+        "--tolerance": mode.tolerance,
+        "--trust-law": mode.trust_law or None,
+        "--step-budget-ms": mode.step_budget_ms,
+        "--commands": changes.commands,
+        "--kp": changes.kp,
+        "--goal": changes.goal,
+        "--set": changes.assignments,
     }
     wrong = [name for name, value in given.items() if value is not None]
-    if options.plant and wrong:
+    if mode.plant and wrong:
         raise UsageError(
             f"--plant: leave out {wrong[0]}; the recorded commands are used as they are"
         )
 
 
 def _choose_replayed(
-    run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None
+    run: "Run", mode: ReplayOptions, changes: ScenarioOptions | None, kind: str | None = None
 ) -> "Scenario | None":
     """Return the scenario to replay; None for the unchanged scenario of the recording."""
-    if options.law is not None:
-        _require_keys_of_law(changes)
-    if changes is None and kind is None and options.scenario is None:
+    assigned = {} if changes is None else changes.parse_assignments()
+    for key in assigned if mode.law is not None else ():
+        if key.partition(".")[0] not in _OF_LAW:
+            raise UsageError(
+                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
+                " from the recording"
+            )
+    if changes is None and kind is None and mode.scenario is None:
         return None
-    named = kind or _find_named_law(changes)
-    if named is not None:
-        run = _replace_law(run, named)
-    scenario = _find_base(run, options.scenario)
+    named = kind or assigned.get("law.kind")
+    if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
+        # The recorded law is replaced, and may be impossible to load.
+        kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
+        run = replace(run, parameters=kept)
+    scenario = _find_base(run, mode.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
     # Without a given law, the recording's declaration is used, so that no code runs.
-    declared = run.declaration if named is None and options.scenario is None else None
+    is_recorded = not isinstance(named, str) and mode.scenario is None
+    declared = run.declaration if is_recorded else None
     changed = change_scenario(scenario, changes, declared)
-    said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
+    said = [] if mode.scenario is None else [f"as {Path(mode.scenario).stem}"]
     return name_by_changes(changed, run.name, changes, *said)
 
 
@@ -239,51 +295,183 @@ def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
     if run.scenario_is_complete:
         return base
     base = tl.scenario.resolve_scenario(base)
-    completed = tl.scenario.complete_scenario(run, base)
-    _print_conflicts(completed, base, name_or_path)
-    return completed
-
-
-def _find_named_law(changes: ScenarioOptions | None) -> str | None:
-    """Return the law in --set, so that the recorded law is not checked if --set replaces it."""
-    if changes is None:
-        return None
-    kind = tl.scenario.parse_assignments(changes.assignments or (), source="--set").get("law.kind")
-    return kind if isinstance(kind, str) else None
-
-
-def _replace_law(run: "Run", kind: str) -> "Run":
-    """Return a run without data of its law of another kind, which may be impossible to load."""
-    if run.parameters.get("law.kind") in (None, kind):
-        return run
-    kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
-    return replace(run, parameters=kept)
-
-
-def _print_conflicts(completed: "Scenario", base: "Scenario", name: str) -> None:
-    was = tl.scenario.flatten_scenario(base)
+    completed, was = tl.scenario.complete_scenario(run, base), tl.scenario.flatten_scenario(base)
     kept = [
         f"{key} = {value} ({was.get(key, 'none')})"
         for key, value in tl.scenario.flatten_scenario(completed).items()
         if value != was.get(key)
     ]
     if kept:
-        print_note(f"known from the log itself (in {name}): {', '.join(kept)}")
+        console.print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
+    return completed
 
 
-def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
-    for key in tl.scenario.parse_assignments(
-        (changes and changes.assignments) or (), source="--set"
-    ):
-        if key.partition(".")[0] not in _OF_LAW:
-            raise UsageError(
-                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
-                " from the recording"
-            )
+def _describe_software(run: "Run", changes: "Sequence[tl.run.SoftwareChange]") -> list[str]:
+    """Return whether a run and its replay come from the same software, if the file shows this."""
+    if not run.simulated_by:
+        return []
+    if [one.name for one in changes] == [tl.run.LAW]:
+        return ["The code of the law is not the recorded one."]
+    if changes:
+        return [f"Recorded and replayed by different software: {tl.run.describe_changes(changes)}."]
+    return [f"Recorded and replayed by {tl.run.describe_software(run.simulated_by)}."]
 
 
-def _name_changes(changes: ScenarioOptions | None) -> dict[str, object]:
-    if changes is None:
-        return {}
-    given: dict[str, object] = {"--commands": changes.commands}
-    return given | {"--kp": changes.kp, "--goal": changes.goal, "--set": changes.assignments}
+def _format_law(
+    run: "Run", found: "tl.replay.LawReplay", answer: LawReplayAnswer, *, details: bool
+) -> str:
+    """Return whether a law commands as recorded, and its first difference."""
+    law, first = escape_controls(found.scenario.law.kind), found.first_difference
+    if first is None:
+        head = f"{law} commands what was recorded{_describe_slack(found.signals)}"
+    else:
+        head = f"{law} departs in {_format_difference(run, first, found.signals)}"
+    lines = [f"{escape_controls(Path(answer.file).name)}: {head}."]
+    command = found.first_command_difference
+    if command is not None and command != first:
+        lines.append(f"First command: {_format_difference(run, command, found.signals)}.")
+    if first is not None:
+        differing = [one.signal for one in found.signals if one.differing]
+        differing = [name for name in differing if name.startswith("command_")]
+        published = "are the law's"
+        if differing:
+            published = f"differ from the law's in {', '.join(differing)}"
+        elif found.commands is not None or "command_speed" in found.absent:
+            published = "are not one per sample, and are not compared"
+        lines.append(f"The commands as published {published}.")
+        others = {"Published command": found.commands, "The end": found.stop}
+        lines += [
+            f"{name}: {_format_difference(run, one, found.signals)}."
+            for name, one in others.items()
+            if one is not None and one != first
+        ]
+    lines += _format_declaration(found)
+    is_law_kept = run.parameters.get("law.kind") == found.scenario.law.kind
+    if first is not None and is_law_kept and answer.software:
+        lines += _describe_software(run, answer.software)
+    if found.missing_samples:
+        lines.append(f"{found.missing_samples} samples are lost: the law did not see their poses.")
+    title = f"{law} on the {found.samples} poses that {run.name} read"
+    return f"{console.fill_lines(lines)}\n{_format_signals(run, found, title, details=details)}"
+
+
+def _format_declaration(found: "tl.replay.LawReplay | tl.replay.LoopReplay") -> list[str]:
+    """Return the declaration of the replayed law if another declaration was recorded."""
+    told = found.declaration
+    if told is None:
+        return []
+    recorded, replayed = (escape_controls(str(text)) for text in (told.recorded, told.replayed))
+    return [f"The law declares itself otherwise. Recorded: {recorded}. Replayed: {replayed}."]
+
+
+def _format_loop(
+    run: "Run", found: "tl.replay.LoopReplay", answer: LoopReplayAnswer, *, details: bool
+) -> str:
+    """Return whether the replay equals the recording, and its first difference."""
+    first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
+    name = escape_controls(Path(answer.file).name)
+    if first is None:
+        goes_on = any(count.recorded != count.replayed for count in found.counts.values())
+        end = ", as far as that goes" if goes_on else ""
+        end += _describe_slack(found.signals)
+        columns = "every column that it holds" if found.absent else "every column"
+        lines = [f"{name}: the replay equals the recording in {columns}{end}."]
+    else:
+        departs = f"departs in {_format_difference(run, first, found.signals)}."
+        lines = [f"{name}: the replay {departs}"]
+        if changes:
+            # For a changed scenario, a difference is expected: its result is the answer.
+            given = "with" if found.run.name.startswith(run.name) else "called"
+            change = escape_controls(f"{given} {changes}")
+            result = _describe_result(run, found.run, answer.metrics)
+            lines = [f"{name}: {change}, the replay {departs}"]
+            if result:
+                lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
+    lines += _format_declaration(found)
+    lines += [] if first is None or changes else _describe_software(run, answer.software)
+    told = [
+        f"{count.recorded} {name}"
+        if count.recorded == count.replayed
+        else f"{count.recorded} {name}, replayed {count.replayed}"
+        for name, count in found.counts.items()
+    ]
+    ends = run.stop_reason or "not recorded why", found.run.stop_reason or ""
+    was, now = (end.replace("_", " ") for end in ends)
+    end = f"Both ended: {was}" if was == now else f"It ended: {was}; the replay: {now}"
+    counts = [f"Recorded: {'; '.join(told)}.", f"{escape_controls(end)}."]
+    rows = "tick by tick" if found.by_tick else "sample by sample"
+    title = f"{found.run.name} simulated again, against {run.name}, {rows}"
+    parts = [console.fill_lines(lines if changes else [*lines, *counts])]
+    if first is not None:
+        heads = ("metric", "unit", "recorded", "replayed", "difference")
+        rows_of_metrics = []
+        for one in answer.metrics:
+            before = one.recorded_status if one.recorded is None else one.recorded
+            after = one.replayed_status if one.replayed is None else one.replayed
+            rows_of_metrics.append((one.id, one.unit, before, after, one.difference))
+        name = "Metrics of the recording and of the replay"
+        parts.append(f"\n{console.fit_table(console.build_table(name, heads, rows_of_metrics))}")
+    parts += [console.fill_lines(counts)] if changes and counts else []
+    return "\n".join([*parts, _format_signals(run, found, title, details=details)])
+
+
+def _describe_result(run: "Run", replayed: "Run", metrics: "Sequence[MetricChange]") -> str:
+    """Return how a replay ended beside the recording, or its most important metric."""
+    first, second = find_goal_end(run), find_goal_end(replayed)
+    if first is not None and second is not None:
+        if (first.error_m, first.duration_s) == (second.error_m, second.duration_s):
+            return f"it {second.describe()}, as recorded."
+        was, now = (format_short(one.error_m, "m") for one in (first, second))
+        if was == now and first.error_m != second.error_m:
+            was, _ = format_pair(first.error_m, second.error_m, "m")
+        after = f"after {first.duration_s:.3g} s"
+        return f"it {second.describe()}, not {was} {after} as recorded."
+    both = [one for one in metrics if one.difference is not None]
+    if not both:
+        return ""
+    was, now = format_pair(both[0].recorded, both[0].replayed, both[0].unit)
+    beside = "as recorded" if both[0].difference == 0.0 else f"recorded {was}"
+    return f"{both[0].id} is {now}, {beside}."
+
+
+_ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
+"""Signals that are printed even if they are equal."""
+
+
+def _format_signals(
+    run: "Run", found: "tl.replay.LawReplay | tl.replay.LoopReplay", title: str, *, details: bool
+) -> str:
+    """Return the table of signals, or the number of differing signals and how to show them."""
+    rows: list[tuple[Any, ...]] = []
+    equal, differing = [], 0
+    for one in found.signals:
+        differs = one.largest > 0.0 or one.differing > 0
+        differing += differs
+        if differs or one.signal in _ALWAYS:
+            largest, unit = show_angle(one.largest, one.unit)
+            at_s = None if one.at_ns is None else tell_time(run, one.at_ns)
+            rows.append((one.signal, unit.strip("1"), largest, at_s, one.differing, one.rows))
+        else:
+            equal.append(one.signal)
+    if not details:
+        return f"{differing} of {describe_count(len(found.signals), 'signal')} differ: --details"
+    at = tl.compare.Column(title="at", unit="s", digits=3)
+    heads = ("signal", "unit", "largest difference", at, "rows that differ", "of")
+    others = {"Equal in every row as well": equal, "Not in the recording": found.absent}
+    rest = console.fill_lines(
+        f"{head}: {', '.join(names)}." for head, names in others.items() if names
+    )
+    return f"\n{console.fit_table(console.build_table(title, heads, rows))}\n{rest}".rstrip()
+
+
+def _describe_slack(signals: "Iterable[tl.replay.SignalDifference]") -> str:
+    return ", within the tolerance" if any(found.largest > 0.0 for found in signals) else ""
+
+
+def _format_difference(
+    run: "Run", found: "tl.replay.Difference", signals: "Sequence[tl.replay.SignalDifference]"
+) -> str:
+    unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
+    was, now = format_pair(found.recorded, found.replayed, unit)
+    place = f"{found.signal.replace('_', ' ')} at {tell_time(run, found.time_ns):.3f} s"
+    return f"{place}: recorded {was}, replayed {now}"

@@ -1,26 +1,15 @@
-"""Answers of replays that compare signals: through a law, and in closed loop."""
+"""Answers of replays as data, and the text of replays through the plant."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import ResultAnswer
-from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
-from turtlelog.display import describe_count, format_pair, format_short, show_angle
+from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.escapes import escape_controls
-from turtlelog.run.stop_reasons import find_goal_end
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.compare import Table
-    from turtlelog.replay import Difference, LawReplay, LoopReplay, PoseError, SignalDifference
-    from turtlelog.run import SoftwareChange
-
-
-_ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
-"""Signals that are printed even if they are equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +147,7 @@ class LawReplayAnswer(ReplayAnswer):
     declaration: DifferenceAnswer | None
     missing_samples: int
     not_compared: tuple[str, ...]
-    software: "tuple[SoftwareChange, ...]"
+    software: "tuple[tl.run.SoftwareChange, ...]"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,22 +163,65 @@ class LoopReplayAnswer(ReplayAnswer):
     not_compared: tuple[str, ...]
     output: str | None
     metrics: list[MetricChange]
-    software: "tuple[SoftwareChange, ...]"
+    software: "tuple[tl.run.SoftwareChange, ...]"
 
 
-def build_difference(run: "Run", found: "Difference | None") -> DifferenceAnswer | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantReplayAnswer(ReplayAnswer):
+    """The recorded commands driven through the plant."""
+
+    within_rounding: bool
+    heading_bits: int | None
+    commands: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandReplayAnswer:
+    """Motion of a plant that recorded commands drive.
+
+    Attributes:
+        file: Name of the file as given.
+        name: Name of the run.
+        mode: commands.
+        plant: Plant that was driven: turtlesim, or lagged, a robot model.
+        commands: Number of recorded commands.
+        taken: Number of commands that the plant took.
+        duration_s: Time for which the plant was simulated [s].
+        path_length_m: Length of the plant's path [m].
+        end: Last pose of the plant [m, rad].
+        wall_s: Time at which the plant met a wall of its world, from the first command [s]; None:
+            never.
+        output: Written recording; None without a recording.
+    """
+
+    file: str
+    name: str
+    mode: str = "commands"
+    plant: str
+    commands: int
+    taken: int
+    duration_s: float
+    path_length_m: float
+    end: PoseAnswer
+    wall_s: float | None
+    output: str | None
+
+
+def build_difference(
+    run: "tl.Run", found: "tl.replay.Difference | None"
+) -> DifferenceAnswer | None:
     """Return a difference for an answer, with its time from the first sample."""
     if found is None:
         return None
     return copy_fields(DifferenceAnswer, found, time_s=tell_time(run, found.time_ns))
 
 
-def build_pose_error(error: "PoseError") -> PoseAnswer:
+def build_pose_error(error: "tl.replay.PoseError") -> PoseAnswer:
     """Return the largest differences of a pose for an answer."""
     return PoseAnswer(x=error.x_m, y=error.y_m, heading=error.heading_rad)
 
 
-def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAnswer:
+def answer_law_replay(file: Path, run: "tl.Run", found: "tl.replay.LawReplay") -> LawReplayAnswer:
     """Return the answer of a replay through a law."""
     return LawReplayAnswer(
         file=str(file),
@@ -211,7 +243,7 @@ def answer_law_replay(file: Path, run: "Run", found: "LawReplay") -> LawReplayAn
 
 
 def build_loop(
-    file: Path, run: "Run", found: "LoopReplay", output: Path | None
+    file: Path, run: "tl.Run", found: "tl.replay.LoopReplay", output: Path | None
 ) -> LoopReplayAnswer:
     """Return the answer of a replay in closed loop."""
     return LoopReplayAnswer(
@@ -234,126 +266,14 @@ def build_loop(
     )
 
 
-def _compare_software(run: "Run", found: "LawReplay | LoopReplay") -> "tuple[SoftwareChange, ...]":
+def _compare_software(
+    run: "tl.Run", found: "tl.replay.LawReplay | tl.replay.LoopReplay"
+) -> "tuple[tl.run.SoftwareChange, ...]":
     if isinstance(found, tl.replay.LoopReplay):
         replayed = found.run.simulated_by
     else:
         replayed = tl.simulate.find_software(found.scenario.law.kind)
     return tl.run.list_software_changes(run.simulated_by, replayed)
-
-
-def _describe_software(run: "Run", found: "LawReplay | LoopReplay") -> list[str]:
-    """Return whether a run and its replay come from the same software, if the file shows this."""
-    changes = _compare_software(run, found)
-    if not run.simulated_by:
-        return []
-    if [one.name for one in changes] == [tl.run.LAW]:
-        return ["The code of the law is not the recorded one."]
-    if changes:
-        return [f"Recorded and replayed by different software: {tl.run.describe_changes(changes)}."]
-    return [f"Recorded and replayed by {tl.run.describe_software(run.simulated_by)}."]
-
-
-def format_law(file: Path, run: "Run", found: "LawReplay", *, details: bool) -> str:
-    """Return whether a law commands as recorded, and its first difference."""
-    law, first = escape_controls(found.scenario.law.kind), found.first_difference
-    if first is None:
-        head = f"{law} commands what was recorded{_describe_slack(found.signals)}"
-    else:
-        head = f"{law} departs in {_format_difference(run, first, found.signals)}"
-    lines = [f"{escape_controls(file.name)}: {head}."]
-    command = found.first_command_difference
-    if command is not None and command != first:
-        lines.append(f"First command: {_format_difference(run, command, found.signals)}.")
-    if first is not None:
-        lines.append(_describe_published(found))
-        others = {"Published command": found.commands, "The end": found.stop}
-        lines += [
-            f"{name}: {_format_difference(run, one, found.signals)}."
-            for name, one in others.items()
-            if one is not None and one != first
-        ]
-    lines += _format_declaration(found)
-    is_law_kept = run.parameters.get("law.kind") == found.scenario.law.kind
-    if first is not None and is_law_kept and _compare_software(run, found):
-        lines += _describe_software(run, found)
-    if found.missing_samples:
-        lines.append(f"{found.missing_samples} samples are lost: the law did not see their poses.")
-    title = f"{law} on the {found.samples} poses that {run.name} read"
-    return f"{fill_lines(lines)}\n{_format_signals(run, found, title, details=details)}"
-
-
-def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
-    """Return the declaration of the replayed law if another declaration was recorded."""
-    told = found.declaration
-    if told is None:
-        return []
-    recorded, replayed = (escape_controls(str(text)) for text in (told.recorded, told.replayed))
-    return [f"The law declares itself otherwise. Recorded: {recorded}. Replayed: {replayed}."]
-
-
-def _describe_published(found: "LawReplay") -> str:
-    differing = [
-        signal.signal
-        for signal in found.signals
-        if signal.signal.startswith("command_") and signal.differing
-    ]
-    if differing:
-        return f"The commands as published differ from the law's in {', '.join(differing)}."
-    if found.commands is not None or "command_speed" in found.absent:
-        return "The commands as published are not one per sample, and are not compared."
-    return "The commands as published are the law's."
-
-
-def format_loop(file: Path, run: "Run", found: "LoopReplay", *, details: bool) -> str:
-    """Return whether the replay equals the recording, and its first difference."""
-    first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
-    name = escape_controls(file.name)
-    if first is None:
-        goes_on = any(count.recorded != count.replayed for count in found.counts.values())
-        end = ", as far as that goes" if goes_on else ""
-        end += _describe_slack(found.signals)
-        columns = "every column that it holds" if found.absent else "every column"
-        lines = [f"{name}: the replay equals the recording in {columns}{end}."]
-    else:
-        departs = f"departs in {_format_difference(run, first, found.signals)}."
-        lines = [f"{name}: the replay {departs}"]
-        if changes:
-            # For a changed scenario, a difference is expected: its result is the answer.
-            given = "with" if found.run.name.startswith(run.name) else "called"
-            change = escape_controls(f"{given} {changes}")
-            result = _describe_result(run, found.run)
-            lines = [f"{name}: {change}, the replay {departs}"]
-            if result:
-                lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
-    lines += _format_declaration(found)
-    lines += [] if first is None or changes else _describe_software(run, found)
-    counts = [*_list_counts(run, found)]
-    rows = "tick by tick" if found.by_tick else "sample by sample"
-    title = f"{found.run.name} simulated again, against {run.name}, {rows}"
-    parts = [fill_lines(lines if changes else [*lines, *counts])]
-    parts += [] if first is None else [f"\n{_format_changes(run, found.run)}"]
-    parts += [fill_lines(counts)] if changes and counts else []
-    return "\n".join([*parts, _format_signals(run, found, title, details=details)])
-
-
-def _describe_result(run: "Run", replayed: "Run") -> str:
-    """Return how a replay ended beside the recording, or its most important metric."""
-    first, second = find_goal_end(run), find_goal_end(replayed)
-    if first is not None and second is not None:
-        if (first.error_m, first.duration_s) == (second.error_m, second.duration_s):
-            return f"it {second.describe()}, as recorded."
-        was, now = (format_short(one.error_m, "m") for one in (first, second))
-        if was == now and first.error_m != second.error_m:
-            was, _ = format_pair(first.error_m, second.error_m, "m")
-        after = f"after {first.duration_s:.3g} s"
-        return f"it {second.describe()}, not {was} {after} as recorded."
-    both = [one for one in _build_changes(run, replayed) if one.difference is not None]
-    if not both:
-        return ""
-    was, now = format_pair(both[0].recorded, both[0].replayed, both[0].unit)
-    beside = "as recorded" if both[0].difference == 0.0 else f"recorded {was}"
-    return f"{both[0].id} is {now}, {beside}."
 
 
 _OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
@@ -365,7 +285,7 @@ _RANKS: Final = {"final": 0, "run": 2}
 """Order of metrics: the end, then each loop, then the whole run."""
 
 
-def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
+def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> list[MetricChange]:
     """Return the essential metrics of both runs. Missing metrics have a status."""
     essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
     names = [name for name in essential if name in _OF_RUN]
@@ -389,28 +309,9 @@ def _build_changes(recorded: "Run", replayed: "Run") -> list[MetricChange]:
     return changes
 
 
-def _format_changes(recorded: "Run", replayed: "Run") -> str:
-    rows = []
-    for one in _build_changes(recorded, replayed):
-        was = one.recorded_status if one.recorded is None else one.recorded
-        now = one.replayed_status if one.replayed is None else one.replayed
-        rows.append((one.id, one.unit, was, now, one.difference))
-    heads = ("metric", "unit", "recorded", "replayed", "difference")
-    return fit_table(build_table("Metrics of the recording and of the replay", heads, rows))
-
-
-def _format_signals(
-    run: "Run", found: "LawReplay | LoopReplay", title: str, *, details: bool
-) -> str:
-    """Return the table of signals, or the number of differing signals and how to show them."""
-    if details:
-        rest = fill_lines(_describe_rest(found.signals, found.absent))
-        return f"\n{fit_table(_tabulate(run, found.signals, title))}\n{rest}".rstrip()
-    differing = sum(signal.largest > 0.0 or signal.differing > 0 for signal in found.signals)
-    return f"{differing} of {describe_count(len(found.signals), 'signal')} differ: --details"
-
-
-def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[SignalAnswer]:
+def _build_signals(
+    run: "tl.Run", signals: "Iterable[tl.replay.SignalDifference]"
+) -> list[SignalAnswer]:
     return [
         copy_fields(
             SignalAnswer,
@@ -422,55 +323,137 @@ def _build_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[Si
     ]
 
 
-def _tabulate(run: "Run", signals: "Sequence[SignalDifference]", title: str) -> "Table":
-    rows = []
-    for found in filter(_is_printed, signals):
-        largest, unit = show_angle(found.largest, found.unit)
-        at_s = None if found.at_ns is None else tell_time(run, found.at_ns)
-        rows.append((found.signal, unit.strip("1"), largest, at_s, found.differing, found.rows))
-    at = tl.compare.Column(title="at", unit="s", digits=3)
-    heads = ("signal", "unit", "largest difference", at, "rows that differ", "of")
-    return build_table(title, heads, rows)
-
-
-def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str]) -> tuple[str, ...]:
-    """Return sentences on equal signals, and on missing ones."""
-    equal = [found.signal for found in signals if not _is_printed(found)]
-    sentences = [("Equal in every row as well", equal), ("Not in the recording", absent)]
-    return tuple(f"{head}: {', '.join(names)}." for head, names in sentences if names)
-
-
-def _describe_slack(signals: "Iterable[SignalDifference]") -> str:
-    return ", within the tolerance" if any(found.largest > 0.0 for found in signals) else ""
-
-
-def _is_printed(found: "SignalDifference") -> bool:
-    return found.largest > 0.0 or found.differing > 0 or found.signal in _ALWAYS
-
-
-def _list_counts(run: "Run", found: "LoopReplay") -> list[str]:
-    """Return the numbers of rows, and the stop reasons, of recording and replay."""
-    counts = [
-        f"{count.recorded} {name}"
-        if count.recorded == count.replayed
-        else f"{count.recorded} {name}, replayed {count.replayed}"
-        for name, count in found.counts.items()
-    ]
-    ends = run.stop_reason or "not recorded why", found.run.stop_reason or ""
-    was, now = (end.replace("_", " ") for end in ends)
-    end = f"Both ended: {was}" if was == now else f"It ended: {was}; the replay: {now}"
-    return [f"Recorded: {'; '.join(counts)}.", f"{escape_controls(end)}."]
-
-
-def _format_difference(
-    run: "Run", found: "Difference", signals: "Sequence[SignalDifference]"
-) -> str:
-    unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
-    was, now = format_pair(found.recorded, found.replayed, unit)
-    place = f"{found.signal.replace('_', ' ')} at {tell_time(run, found.time_ns):.3f} s"
-    return f"{place}: recorded {was}, replayed {now}"
-
-
-def tell_time(run: "Run", time_ns: int) -> float:
+def tell_time(run: "tl.Run", time_ns: int) -> float:
     """Return a time of a run from its first sample [s]."""
     return (time_ns - run.start_ns) / 1e9
+
+
+def build_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> PlantReplayAnswer:
+    """Return the answer."""
+    return PlantReplayAnswer(
+        file=str(file),
+        name=found.name,
+        mode="plant",
+        samples=found.samples,
+        max_abs_error=build_pose_error(found.max_abs_error),
+        first_difference=build_difference(run, found.first_difference),
+        within_rounding=found.within_rounding,
+        heading_bits=found.heading_bits,
+        stretches=tuple(
+            SegmentAnswer(
+                start_s=tell_time(run, segment.start_ns),
+                end_s=tell_time(run, segment.end_ns),
+                ticks=segment.ticks,
+                max_abs_error=build_pose_error(segment.max_abs_error),
+                rounding=RoundingAnswer(position=segment.rounding_m, heading=segment.rounding_rad),
+                within_rounding=segment.within_rounding,
+            )
+            for segment in found.stretches
+        ),
+        jumps=tuple(
+            JumpAnswer(
+                at_s=tell_time(run, jump.at_ns),
+                kind=jump.kind,
+                from_pose=_build_pose(jump.from_pose),
+                to_pose=_build_pose(jump.to_pose),
+            )
+            for jump in found.jumps
+        ),
+        gaps=tuple(
+            GapAnswer(
+                start_s=tell_time(run, gap.start_ns),
+                end_s=tell_time(run, gap.end_ns),
+                missing_ticks=gap.missing_ticks,
+            )
+            for gap in found.gaps
+        ),
+        commands=asdict(found.commands),
+    )
+
+
+def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
+    return PoseAnswer(x=pose[0], y=pose[1], heading=pose[2])
+
+
+def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> str:
+    """Return whether the plant reproduces the poses, with its segments and their breaks."""
+    use = found.commands
+    and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
+    stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
+    first, *judged = judge_rounding(found)
+    sentences = [
+        f"{escape_controls(file.name)}: {first[0].lower()}{first[1:]}",
+        *judged,
+        f"Commands: {use.taken} taken, {use.unseen} that no pose shows{stops}.",
+        "Rounding: one step of the 32 bits of a pose, for other platforms."
+        if tl.plants.find_plant(run).name == tl.plants.LAGGED
+        else f"Rounding: the largest error that the 32 bits of a segment's first pose"
+        f"{and_of_velocities} can cause.",
+    ]
+    if use.never_arrived:
+        sentences.append(
+            f"The transport lost {use.never_arrived} commands, as the events show: one that equals"
+            " the command before it counts as taken."
+        )
+    if use.disturbed_ticks:
+        sentences.append(
+            f"In {use.disturbed_ticks} ticks a disturbance acts on the plant: its velocity shows no"
+            " command there, and was used as recorded."
+        )
+    if unexplained := use.unexplained_ticks - use.disturbed_ticks:
+        sentences.append(
+            f"No recorded command explains {unexplained} ticks: the recorded velocity was used"
+            " there."
+        )
+    start, end = (tl.compare.Column(title=title, unit="s", digits=3) for title in ("from", "to"))
+    ways = ("x [m]", "y [m]", "heading [deg]", "rounding [m]", "rounding [deg]")
+    rows = (
+        (
+            tell_time(run, segment.start_ns),
+            tell_time(run, segment.end_ns),
+            segment.ticks,
+            segment.max_abs_error.x_m,
+            segment.max_abs_error.y_m,
+            degrees(segment.max_abs_error.heading_rad),
+            segment.rounding_m,
+            degrees(segment.rounding_rad),
+        )
+        for segment in found.stretches
+    )
+    title = f"Largest differences between the plant and {run.name}"
+    parts = [
+        fill_lines(sentences),
+        "",
+        fit_table(build_table(title, (start, end, "ticks", *ways), rows)),
+    ]
+    return "\n".join([*parts, *list_breaks(run, found)]).rstrip()
+
+
+def judge_rounding(found: "tl.replay.PlantReplay") -> list[str]:
+    """Return whether rounding explains the differences, and whose arithmetic was used."""
+    beyond = sum(not stretch.within_rounding for stretch in found.stretches)
+    if found.of_rounding == 0.0:
+        sentences = ["The plant reproduces every pose."]
+    elif not beyond:
+        sentences = ["The largest difference is within what 32-bit poses can tell."]
+    else:
+        count = len(found.stretches)
+        of_all = f", in {beyond} of {count} segments" if count > 1 else ""
+        times = f"{found.of_rounding:.3g} times what 32-bit poses can tell"
+        sentences = [f"The largest difference is {times}{of_all}."]
+    if found.heading_bits == 32:
+        sentences.append("This turtlesim kept its heading in 32 bits: it is older than Humble.")
+    return sentences
+
+
+def list_breaks(run: "tl.Run", found: "tl.replay.PlantReplay") -> list[str]:
+    """Return a line for each jump and gap, in order of time."""
+    lines = []
+    for jump in found.jumps:
+        x_m, y_m, heading_rad = jump.to_pose
+        place = f"x = {x_m:.3f} m, y = {y_m:.3f} m, heading {degrees(heading_rad):.1f} deg"
+        lines.append((jump.at_ns, f"jump ({jump.kind}) to {place}"))
+    for gap in found.gaps:
+        length_s = (gap.end_ns - gap.start_ns) / 1e9
+        lines.append((gap.start_ns, f"gap of {length_s:.3f} s: {gap.missing_ticks} ticks"))
+    return [f"{tell_time(run, at_ns):.3f} s: {text}" for at_ns, text in sorted(lines)]

@@ -3,54 +3,31 @@
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import conclude
-from turtlelog.cli.check_tables import CountedResults
-from turtlelog.cli.options import (
-    Files,
-    Json,
-    Place,
-    ReadingOptions,
-    list_files,
-    list_reading_words,
-    read_runs,
-    require_files,
-    require_there,
-)
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    fill_lines,
-    list_written,
-    print_json,
-    print_text,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli import console, options
+from turtlelog.cli.check_answers import CountedResults, conclude
+from turtlelog.cli.work import show_progress
 from turtlelog.display import format_number
 from turtlelog.errors import ExplainError, TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog import Run
     from turtlelog.charts.violated_signal import ViolatedSignal
     from turtlelog.check import CheckResult
-    from turtlelog.draw.report import CheckLine, Explanation
 
 
 def report(
-    files: Files,
+    files: options.Files,
     /,
     *,
-    output: Annotated[Place, Parameter(name=("--output", "-o"))],
-    spec: Place | None = None,
+    output: Annotated[options.Place, Parameter(name=("--output", "-o"))],
+    spec: options.Place | None = None,
     explain: Literal["auto", "worst", "none"] = "auto",
-    topics: ReadingOptions | None = None,
-    json: Json = False,
+    topics: options.ReadingOptions | None = None,
+    json: options.Json = False,
 ) -> int:
     """Write a report on runs as one file of HTML, which opens without a network.
 
@@ -72,25 +49,26 @@ def report(
             its goal (worst), or of no run (none).
         json: Print one JSON object instead of lines.
     """
-    require_files(files)
-    require_there(files)
-    files = list_files(files)
+    options.require_files(files)
+    options.require_there(files)
+    files = options.list_files(files)
     inputs = [*files, *([] if spec is None else [spec])]
-    require_new_target(output, inputs, suffix=".html")
-    runs = read_runs(files, topics)
+    options.require_new_target(output, inputs, suffix=".html")
+    runs = options.read_runs(files, topics)
     found = _explain(runs, explain)
-    results = [] if spec is None else _check(spec, files, runs)
+    pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
+    results = [] if spec is None else [*tl.check_runs(tl.load_spec(spec), pairs)]
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
-    words += list_reading_words(topics or ReadingOptions())
+    words += options.list_reading_words(topics or options.ReadingOptions())
     with show_progress("drawing"):
         tl.draw.write_report(
             runs,
             output,
             sources=files,
             explanation=found,
-            checks=build_check_lines(results, names, dict(zip(map(str, files), runs, strict=True))),
+            checks=build_check_lines(results, names, dict(pairs)),
             command=shlex.join(["turtlelog", "report", *words, "-o", str(output)]),
         )
     verdict = tl.check.join_verdicts(results) if results else None
@@ -98,20 +76,17 @@ def report(
         ending=tl.compare.describe_runs(runs),
         output=str(output),
         bytes=output.stat().st_size,
-        runs=[
-            ReportedRun(file=str(file), name=run.name)
-            for file, run in zip(files, runs, strict=True)
-        ],
+        runs=[ReportedRun(file=file, name=run.name) for file, run in pairs],
         explained=found.run.name if found is not None and found.attribution is not None else None,
         verdict=None if verdict is None else verdict.value,
     )
     if json:
-        print_json(answer)
+        console.print_json(answer)
     else:
         checked = [conclude(CountedResults(results), len(files))] if results else []
-        said = fill_lines([*checked, answer.ending])
-        print_text("\n".join([said, *list_written([output])]))
-    return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+        said = console.fill_lines([*checked, answer.ending])
+        console.print_text("\n".join([said, *console.list_written([output])]))
+    return console.EXIT_FAILED if verdict == "FAIL" else console.EXIT_FINE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,11 +119,10 @@ class ReportAnswer:
 
 
 def build_check_lines(
-    results: "Sequence[CheckResult]", names: "Mapping[str, str]", runs: "Mapping[str, Run]"
-) -> "list[CheckLine]":
+    results: "Sequence[CheckResult]", names: "Mapping[str, str]", runs: "Mapping[str, tl.Run]"
+) -> "list[tl.draw.CheckLine]":
     """Return results in the form for a report."""
     from turtlelog.check.violation import find_violated_signal
-    from turtlelog.draw.report import CheckLine
     from turtlelog.draw.report.drawing import MOST_VIOLATIONS
 
     def tell(value: float | None, unit: str) -> str:
@@ -160,7 +134,7 @@ def build_check_lines(
             signal = find_violated_signal(runs[found.file], found).signal
             signals |= {} if signal is None else {number: signal}
     return [
-        CheckLine(
+        tl.draw.CheckLine(
             run=names.get(found.file, found.file),
             check=found.check,
             verdict=found.verdict.value,
@@ -177,23 +151,18 @@ def build_check_lines(
     ]
 
 
-def _check(spec: Path, files: Sequence[Path], runs: "Sequence[Run]") -> "list[CheckResult]":
-    loaded = tl.load_spec(spec)
-    pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
-    return [*tl.check_runs(loaded, pairs)]
-
-
-def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
+def _explain(runs: "Sequence[tl.Run]", choice: str) -> "tl.draw.Explanation | None":
     """Return the causes of the final error of the run to explain."""
-    run = _choose_run(runs, choice)
-    if run is None:
+    if choice == "none" or (choice == "auto" and len(runs) > 1):
         return None
-    from turtlelog.draw.report import Explanation
-    from turtlelog.explain import require_trust
-    from turtlelog.explain.game import simulate_what_ifs
-
+    name = "final.position_error"
+    known = [run for run in runs if len(run.samples)]
+    misses_m = [tl.measure_run(run, only=[name])[name].value or 0.0 for run in known]
+    if not known:
+        return None
+    run = known[misses_m.index(max(misses_m))]
     try:
-        require_trust(run, trust_law=False)
+        tl.explain.require_trust(run, trust_law=False)
         found = tl.identify_run(run)
         if found.scenario is None:
             raise ExplainError("no scenario stands for this log")
@@ -201,19 +170,7 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
             attribution = tl.attribute_run(
                 run, identified=found, work=tl.explain.Work(report=progress.count)
             )
-        what_ifs = simulate_what_ifs(found, attribution)
+        what_ifs = tl.explain.simulate_what_ifs(found, attribution)
     except TurtlelogError as err:
-        return Explanation(run=run, note=str(err))
-    return Explanation(run=run, attribution=attribution, what_ifs=what_ifs)
-
-
-def _choose_run(runs: "Sequence[Run]", choice: str) -> "Run | None":
-    if choice == "none" or (choice == "auto" and len(runs) > 1):
-        return None
-    known = [run for run in runs if len(run.samples)]
-    misses_m = [
-        (found.value or 0.0, run)
-        for run in known
-        for found in [tl.measure_run(run, only=["final.position_error"])["final.position_error"]]
-    ]
-    return max(misses_m, key=lambda pair: pair[0])[1] if misses_m else None
+        return tl.draw.Explanation(run=run, note=str(err))
+    return tl.draw.Explanation(run=run, attribution=attribution, what_ifs=what_ifs)

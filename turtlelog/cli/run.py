@@ -1,4 +1,4 @@
-"""`turtlelog run`: simulation of a scenario; `turtlelog scenario`: printing of it."""
+"""`turtlelog run`: simulation of a scenario."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,30 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.list_names import complete_preset
+from turtlelog.cli import console, options
 from turtlelog.cli.metrics_answer import format_run, list_needed
-from turtlelog.cli.options import Connect, Json, Output, Place, StepBudgetMs, choose_step_budget
-from turtlelog.cli.output import (
-    EXIT_FINE,
-    EXIT_INTERRUPTED,
-    describe_metrics,
-    fill_lines,
-    fit_table,
-    flush_stdout,
-    print_error,
-    print_json,
-    print_note,
-    print_text,
-)
-from turtlelog.cli.progress import ProgressLine, show_progress, watch_ticks
-from turtlelog.cli.scenario_options import (
+from turtlelog.cli.scenario import (
     LawOptions,
     RowOptions,
+    ScenarioWord,
     find_scenario_file,
     list_given_keys,
     load_changed_scenario,
 )
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.work import ProgressLine, show_progress, watch_ticks
 from turtlelog.display import describe_count
 from turtlelog.errors import SimulationError, TurtlelogError, UsageError
 from turtlelog.files.urls import make_path
@@ -42,10 +29,7 @@ from turtlelog.run.stop_reasons import INTERRUPTED, find_goal_end
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.draw.rerun.viewer import ViewerProcess
-    from turtlelog.log.recording.live_run import Sink
-    from turtlelog.simulate import Tick
 
-ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
@@ -72,8 +56,8 @@ class LiveOptions:
     watch: bool = False
     realtime: bool = False
     live: bool = False
-    connect: Connect = None
-    step_budget_ms: StepBudgetMs = None
+    connect: options.Connect = None
+    step_budget_ms: options.StepBudgetMs = None
 
 
 @Parameter(name="*")
@@ -90,8 +74,8 @@ class RecordOptions:
             in.
     """
 
-    output: Output = None
-    rrd: Annotated[Place | None, Parameter(name="--rrd")] = None
+    output: options.Output = None
+    rrd: Annotated[options.Place | None, Parameter(name="--rrd")] = None
     strip_scenario: bool = False
     trust_law: bool = False
 
@@ -100,11 +84,11 @@ def run(
     scenario: ScenarioWord = None,
     /,
     *,
-    options: LawOptions | None = None,
+    changes: LawOptions | None = None,
     source: RowOptions | None = None,
     record: RecordOptions | None = None,
     live: LiveOptions | None = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     """Simulate a scenario in closed loop, print how it ended and its metrics, record it.
 
@@ -129,31 +113,16 @@ def run(
     if live.watch:
         if source.table is not None:
             raise UsageError("--watch: leave out --from, whose table does not change")
-        return _watch(scenario, options or LawOptions(), record, live)
-    chosen = _resolve(source.load(scenario, options), options, record)
+        return _watch(scenario, changes or LawOptions(), record, live)
+    chosen = _resolve(source.load(scenario, changes), changes, record)
     with _open_viewer(live) as (window, url):
         result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)
-        if window is not None and code == EXIT_FINE:
-            flush_stdout()
+        if window is not None and code == console.EXIT_FINE:
+            console.flush_stdout()
             with suppress(KeyboardInterrupt):  # all is done: only the window is closed
                 window.wait()
     return code
-
-
-def scenario(scenario: ScenarioWord = None, /, *, options: LawOptions | None = None) -> None:
-    """Print the scenario of a preset, file or recording as a whole file, to edit and run.
-
-    The code of a law of your own is not loaded: only the given keys are printed.
-
-    Example: turtlelog scenario paper-kp10 > mine.toml
-
-    Args:
-        scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
-            Default: paper; with --law: textbook.
-    """
-    chosen = load_changed_scenario(scenario, options)
-    print_text(tl.format_scenario(chosen))
 
 
 def _require_sound(
@@ -161,8 +130,8 @@ def _require_sound(
 ) -> None:
     """Refuse options that cannot be combined, and outputs that could not be written."""
     inputs = [] if scenario is None else [make_path(scenario)]
-    require_new_target(record.output, inputs, suffix=".mcap")
-    require_new_target(record.rrd, inputs, suffix=".rrd")
+    options.require_new_target(record.output, inputs, suffix=".mcap")
+    options.require_new_target(record.rrd, inputs, suffix=".rrd")
     if record.strip_scenario and live.realtime:
         raise UsageError("--strip-scenario: leave out --realtime, which writes the scenario first")
     if record.strip_scenario and record.output is None and record.rrd is None:
@@ -173,24 +142,24 @@ def _require_sound(
         raise UsageError("--watch: leave out --json, as there are many runs")
 
 
-def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptions) -> "Scenario":
+def _resolve(chosen: "Scenario", changes: LawOptions | None, record: RecordOptions) -> "Scenario":
     """Return a scenario with its law's parameters, and print the notes on it."""
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
-    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
-        print_note(note)
+    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(changes)):
+        console.print_note(note)
     return chosen
 
 
 def _watch(
-    scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
+    scenario: str | None, changes: LawOptions, record: RecordOptions, live: LiveOptions
 ) -> int:
     """Run, and run again after each save of a file until Ctrl-C; return the exit code.
 
     An error of the law or the scenario is printed in one line; the next save runs again.
     """
-    file, kind = find_scenario_file(scenario), options.find_law_kind()
+    file, kind = find_scenario_file(scenario), changes.find_law_kind()
     if file is None and kind is None:
-        kind = load_changed_scenario(scenario, options).law.kind
+        kind = load_changed_scenario(scenario, changes).law.kind
     files = _list_watched(file, kind)
     before: Run | None = None
     told: Sequence[Path] = ()
@@ -198,27 +167,27 @@ def _watch(
         while True:
             seen = _read_texts(files)
             try:
-                chosen = load_changed_scenario(scenario, options)
+                chosen = load_changed_scenario(scenario, changes)
                 files = _list_watched(file, chosen.law.kind)
                 seen = {**_read_texts(files), **seen}
-                result = _run(_resolve(chosen, options, record), record, live, url)
+                result = _run(_resolve(chosen, changes, record), record, live, url)
                 code = _answer(result, record, before=before)
-                if code != EXIT_FINE:
+                if code != console.EXIT_FINE:
                     return code
                 before = result
             except (TurtlelogError, OSError) as err:
-                print_error(str(err))
-            flush_stdout()
+                console.print_error(str(err))
+            console.flush_stdout()
             if told != files:
                 names = ", ".join(map(str, files))
-                print_note(f"watching {names}: every save runs again, Ctrl-C ends")
+                console.print_note(f"watching {names}: every save runs again, Ctrl-C ends")
                 told = files
             saved = _wait_for_save(files, seen, window)
             if saved is None:
-                return EXIT_FINE
-            print_note(f"saved: {saved}")
-    print_note("watch ended")
-    return EXIT_INTERRUPTED
+                return console.EXIT_FINE
+            console.print_note(f"saved: {saved}")
+    console.print_note("watch ended")
+    return console.EXIT_INTERRUPTED
 
 
 def _answer(
@@ -229,15 +198,15 @@ def _answer(
     json: bool = False,
     before: "Run | None" = None,
 ) -> int:
-    code = EXIT_INTERRUPTED if result.stop_reason == INTERRUPTED else EXIT_FINE
+    code = console.EXIT_INTERRUPTED if result.stop_reason == INTERRUPTED else console.EXIT_FINE
     if code:
-        print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
+        console.print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
-        print_note(f"{name.replace('_', ' ')}: {note}")
+        console.print_note(f"{name.replace('_', ' ')}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
         end = find_goal_end(result)
-        print_json(
+        console.print_json(
             RunAnswer(
                 name=result.name,
                 file=None if record.output is None else str(record.output),
@@ -245,11 +214,11 @@ def _answer(
                 samples=len(result.samples),
                 stop_reason=result.stop_reason,
                 ending=None if end is None else end.describe(),
-                metrics=describe_metrics(tl.measure_run(result)),
+                metrics=[one.to_dict() for one in tl.measure_run(result).values()],
             )
         )
     else:
-        print_text(_describe_ending(result, file=record.output, before=before))
+        console.print_text(_describe_ending(result, file=record.output, before=before))
     return code
 
 
@@ -261,7 +230,7 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
             if is_rrd or not is_recorded:
                 written = _strip(run, path) if record.strip_scenario else run
                 (tl.write_run_rrd if is_rrd else tl.write_recording)(written, path)
-        print_note(f"wrote {path}")
+        console.print_note(f"wrote {path}")
 
 
 def _strip(run: "Run", path: Path) -> "Run":
@@ -298,7 +267,7 @@ def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: st
 
 
 def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
-    step_budget_s = choose_step_budget(live.step_budget_ms)
+    step_budget_s = options.choose_step_budget(live.step_budget_ms)
     if not live.realtime and url is None:
         from turtlelog.simulate import collect_run, iterate_ticks
 
@@ -308,7 +277,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())
-        sinks: list[Sink] = []
+        sinks: list[tl.log.Sink] = []
         viewer = None if url is None else tl.draw.LiveViewer(scenario, url)
         if viewer is not None:
             closing.callback(viewer.close, {})  # even if no run starts
@@ -324,7 +293,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
             scenario, sinks, realtime=live.realtime, step_budget_s=step_budget_s
         )
     if viewer is not None and viewer.lost:
-        print_note(f"viewer: {viewer.lost}; the run went on without it")
+        console.print_note(f"viewer: {viewer.lost}; the run went on without it")
     return result
 
 
@@ -334,7 +303,7 @@ class _Watcher:
     def __init__(self, progress: ProgressLine) -> None:
         self._progress = progress
 
-    def receive(self, tick: "Tick") -> None:
+    def receive(self, tick: "tl.simulate.Tick") -> None:
         self._progress.done = tick.time_ns / 1e9
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
@@ -370,23 +339,19 @@ class RunAnswer:
 
 def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> str:
     """Return how a run ended, and its essential metrics; after a change, those that changed."""
-    name, changes = _split_name(run)
-    facts = [f"Changed: {changes}"] if changes else []
+    # A name that fits a table, and the changes that a longer name contains.
+    base, _, changes = run.name.partition(" ")
+    name = base if changes and len(run.name) > _LONGEST else run.name
+    facts = [f"Changed: {changes}"] if name != run.name else []
     facts += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
     needed = list_needed(run, has_path=False)
     summary = tl.compare.summarise_run(
         run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
     )
     if before is not None:
-        head = fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
+        head = console.fill_lines([f"{name}: {tl.compare.describe_end(summary)}.", *facts])
         return f"{head}\n\n{_describe_change(run, before)}"
     return format_run(summary, name, facts=facts)
-
-
-def _split_name(run: "Run") -> tuple[str, str]:
-    """Return a name that fits a table, and the changes that a longer name contains."""
-    base, _, changes = run.name.partition(" ")
-    return (run.name, "") if len(run.name) <= _LONGEST or not changes else (base, changes)
 
 
 _POLL_S: Final = 0.1
@@ -425,7 +390,7 @@ def _describe_change(run: "Run", before: "Run") -> str:
     if not changed:
         return "No metric changed."
     kept = [{name: one[name] for name in changed if name in one} for one in (now, was)]
-    text = fit_table(tl.compare.tabulate_measured(("now", "before"), kept))
+    text = console.fit_table(tl.compare.tabulate_measured(("now", "before"), kept))
     same = len(essential) - len(changed)
     return f"{text}\n{describe_count(same, 'essential metric')} did not change." if same else text
 

@@ -7,39 +7,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import (
-    Json,
-    MetricsAsked,
-    Place,
-    StepBudgetMs,
-    Whole,
-    WorkOptions,
-    choose_step_budget,
-)
-from turtlelog.cli.output import (
-    EXIT_FINE,
-    copy_fields,
-    fill_lines,
-    print_json,
-    print_note,
-    print_text,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.run import ScenarioWord
-from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.scenario import LawOptions, ScenarioWord, list_given_keys, load_changed_scenario
+from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import WorkOptions, show_progress
 from turtlelog.display import describe_count, format_range
 from turtlelog.errors import SweepError, UsageError
 from turtlelog.files.urls import make_path
-
-if TYPE_CHECKING:
-    from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
 
 _MANY_ROWS: Final = 1_000_000
 """Number of rows from which consent is requested; without compilation, these rows take hours."""
@@ -74,28 +54,29 @@ class PlanOptions:
     seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
     latin: bool = False
 
-    def build_plan(self) -> "SweepPlan":
+    def build_plan(self) -> "tl.sweep.SweepPlan":
         """Return the requested rows.
 
         Raises:
             UsageError: If options cannot be combined.
             SweepError: If nothing varies, or a value cannot be read.
         """
-        return tl.sweep.build_plan(self.grid or (), self.zip_ or (), self._choose_sampling())
-
-    def _choose_sampling(self) -> "Sampling | None":
+        sampling = None
         if self.sample is not None:
-            return tl.sweep.Sampling(count=self.sample, seed=self.seed or 0, is_latin=self.latin)
-        for name, is_given in (("--seed", self.seed is not None), ("--latin", self.latin)):
-            if is_given:
-                more = "; --grid seed=0:9 varies that of the scenario" if name == "--seed" else ""
-                raise UsageError(f"{name}: needs --sample COUNT{more}")
-        return None
+            seed = self.seed or 0
+            sampling = tl.sweep.Sampling(count=self.sample, seed=seed, is_latin=self.latin)
+        elif self.seed is not None:
+            raise UsageError(
+                "--seed: needs --sample COUNT; --grid seed=0:9 varies that of the scenario"
+            )
+        elif self.latin:
+            raise UsageError("--latin: needs --sample COUNT")
+        return tl.sweep.build_plan(self.grid or (), self.zip_ or (), sampling)
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SweepTableOptions(MetricsAsked):
+class SweepTableOptions(options.MetricsAsked):
     """Options for the written files.
 
     Attributes:
@@ -109,12 +90,12 @@ class SweepTableOptions(MetricsAsked):
             "translate.settling_time > 5".
     """
 
-    output: Annotated[Place, Parameter(name=("--output", "-o"))]
+    output: Annotated[options.Place, Parameter(name=("--output", "-o"))]
     metric: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
-    record: Annotated[Place | None, Parameter(metavar="DIR")] = None
+    record: Annotated[options.Place | None, Parameter(metavar="DIR")] = None
     record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
-    def build_records(self, work: WorkOptions) -> "RowRecords | None":
+    def build_records(self, work: WorkOptions) -> "tl.sweep.RowRecords | None":
         """Return the settings for recording runs, with paths that are valid for workers."""
         if self.record is None:
             if self.record_where is not None:
@@ -138,7 +119,7 @@ class SweepOptions(WorkOptions):
 
     yes: bool = False
     trust_law: bool = False
-    step_budget_ms: StepBudgetMs = None
+    step_budget_ms: options.StepBudgetMs = None
 
 
 def sweep(
@@ -147,9 +128,9 @@ def sweep(
     *,
     table: SweepTableOptions,
     plan: PlanOptions | None = None,
-    options: LawOptions | None = None,
+    changes: LawOptions | None = None,
     work: SweepOptions | None = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     """Vary a scenario, simulate and measure every variant, and write one table.
 
@@ -173,7 +154,7 @@ def sweep(
     """
     begun, work = time.monotonic(), work or SweepOptions()
     plan = plan or PlanOptions()
-    prepared = _prepare(base, table, plan, options, work)
+    prepared = _prepare(base, table, plan, changes, work)
     rows = prepared.plan.row_count
     if rows > _MANY_ROWS and not work.yes:
         _ask_consent(prepared, table.output, work.jobs)
@@ -186,14 +167,16 @@ def sweep(
                 prepared, table.output, jobs=place, watch=progress.set, tell=_tell_late
             )
         except KeyboardInterrupt:
-            print_note(f"{int(progress.done)} of {rows} rows are done; the same command goes on")
+            console.print_note(
+                f"{int(progress.done)} of {rows} rows are done; the same command goes on"
+            )
             raise
     _answer(found, prepared.plan, time.monotonic() - begun, json=json)
-    return EXIT_FINE
+    return console.EXIT_FINE
 
 
 def _tell_late(late: str) -> None:
-    print_note(
+    console.print_note(
         f"{late}. Every such row takes as long. Ctrl-C keeps the rows that are done: the same"
         " command goes on, also with a shorter --step-budget-ms"
     )
@@ -203,28 +186,28 @@ def _prepare(
     base: str | None,
     table: SweepTableOptions,
     plan: PlanOptions,
-    options: LawOptions | None,
+    changes: LawOptions | None,
     work: SweepOptions,
-) -> "Sweep":
+) -> "tl.sweep.Sweep":
     inputs = [] if base is None else [make_path(base)]
-    require_new_target(table.output, inputs, suffix=".parquet")
+    options.require_new_target(table.output, inputs, suffix=".parquet")
     rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
     prepared = tl.sweep.prepare_sweep(
-        load_changed_scenario(base, options),
+        load_changed_scenario(base, changes),
         rows,
         metrics=patterns,
         records=records,
         trust_law=work.trust_law,
-        step_budget_s=choose_step_budget(work.step_budget_ms),
+        step_budget_s=options.choose_step_budget(work.step_budget_ms),
         source="--grid",
     )
-    for key in list_given_keys(options):
+    for key in list_given_keys(changes):
         if key in prepared.plan.keys:
             raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
     return prepared
 
 
-def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
+def _ask_consent(prepared: "tl.sweep.Sweep", output: Path, jobs: int | None) -> None:
     """Print the cost of a large sweep, and continue if the user at the terminal agrees."""
     rows = prepared.plan.row_count
     found = tl.sweep.estimate_sweep(prepared, jobs=jobs)
@@ -232,7 +215,7 @@ def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
     takes = f"{rows:,} rows: about {took}, and {found.bytes / 1e6:,.0f} MB in {output}"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise UsageError(f"{takes}; add --yes to start it")
-    print_note(takes)
+    console.print_note(takes)
     sys.stderr.write("Go on? [y/N] ")
     sys.stderr.flush()
     if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
@@ -260,22 +243,26 @@ class SweepAnswer:
     elapsed_s: float
 
 
-def _answer(found: "SweepSummary", plan: "SweepPlan", elapsed_s: float, *, json: bool) -> None:
+def _answer(
+    found: "tl.sweep.SweepSummary", plan: "tl.sweep.SweepPlan", elapsed_s: float, *, json: bool
+) -> None:
     for name, reason in found.valueless.items():
-        print_note(f"metric {name}: no row has a value ({reason})")
+        console.print_note(f"metric {name}: no row has a value ({reason})")
     if json:
-        print_json(copy_fields(SweepAnswer, found, output=str(found.output), elapsed_s=elapsed_s))
+        console.print_json(
+            console.copy_fields(SweepAnswer, found, output=str(found.output), elapsed_s=elapsed_s)
+        )
         return
     if found.failed:
-        print_note(
+        console.print_note(
             f"{describe_count(found.failed, 'row')} failed, the first: {found.first_failure}"
         )
     keys = ", ".join(plan.keys)
     recorded = f" {found.recorded} runs are recorded." if found.recorded else ""
     failed = f", {found.failed} failed" if found.failed else ""
     rows = f"{describe_count(found.rows, 'run')} over {keys}{failed}"
-    print_text(
-        fill_lines(
+    console.print_text(
+        console.fill_lines(
             [
                 f"{rows}: {_describe_best(found.output)}.",
                 f"{found.output}: {found.samples:,} samples in {elapsed_s:.1f} s.{recorded}",

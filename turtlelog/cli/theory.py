@@ -1,49 +1,45 @@
 """`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.console import print_json, print_text
 from turtlelog.cli.list_names import complete_keys, complete_preset
-from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
-from turtlelog.cli.output import print_json, print_text
-from turtlelog.cli.scenario_options import LawOptions, is_recording, load_changed_scenario
+from turtlelog.cli.options import Json, ReadingOptions, read_runs
+from turtlelog.cli.scenario import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
 from turtlelog.cli.theory_gains import (
+    Recommended,
     RecommendedGains,
     Wishes,
-    WishOptions,
     build_recommended,
     find_kept,
 )
-from turtlelog.cli.theory_loops import (
-    LoopAnswer,
-    PidAnswer,
-    answer_models,
-    build_integrator,
-    build_pid_loop,
-)
+from turtlelog.cli.theory_loops import LoopAnswer, PidAnswer, build_integrator, build_pid_loop
+from turtlelog.cli.usage import Whole
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from turtlelog.theory import LoopModel, PidGains, PidLoop, Process
 
 _MOST_GAINS: Final = 100
-_GAINS: Final = "1,2,4,10"
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TermOptions:
-    """Further terms of the controller besides P, and the process that it controls.
+class LoopOptions:
+    """The controller, the process that it controls, and their timing.
 
     Attributes:
+        kp: Gains [1/s], separated by commas, at most 100. Default: 1,2,4,10. With SCENARIO, give
+            one gain; it replaces all gains of the law.
         ki: Integral gain [1/s^2].
         kd: Derivative gain, on the measurement [1].
         filter: Time constant of the derivative's first-order filter [s].
@@ -52,8 +48,12 @@ class TermOptions:
         dead_time_s: Dead time theta [s], any fraction of a period, in addition to --dead-time.
         low_pass: Time constant of a first-order low-pass of the commands [s], as low_pass_s of
             [shaping].
+        period: Sampling period [s]. Default: 0.016, turtlesim's tick.
+        dead_time: Dead time [ticks], 0 to 1000. Default: 0, the smallest possible.
+        assignments: Set one key of the scenario. Can be repeated.
     """
 
+    kp: Annotated[str | None, Parameter(metavar="GAINS")] = None
     ki: Annotated[float | None, Parameter(metavar="GAIN")] = None
     kd: Annotated[float | None, Parameter(metavar="GAIN")] = None
     filter: Annotated[float | None, Parameter(metavar="SECONDS")] = None
@@ -61,39 +61,62 @@ class TermOptions:
     lag: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     dead_time_s: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     low_pass: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+    period: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+    dead_time: Whole | None = None
+    assignments: Annotated[
+        list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
+    ] = None
 
-    def list_given(self) -> list[str]:
-        """Return the options that are given."""
-        given = [one.name for one in fields(self) if getattr(self, one.name) is not None]
+    def list_terms(self) -> list[str]:
+        """Return the given options of terms besides P, and of the process."""
+        given = [name for name in _TERMS if getattr(self, name) is not None]
         return [f"--{name.replace('_', '-')}" for name in given]
 
-    def build_gains(self, kp: float) -> "PidGains":
-        """Return the gains of the controller."""
-        return tl.theory.PidGains(
-            kp=kp, ki=self.ki or 0.0, kd=self.kd or 0.0, filter_s=self.filter or 0.0
-        )
 
-    def build_process(self) -> "Process":
-        """Return the process that the command passes through."""
-        return tl.theory.Process(
-            gain=1.0 if self.gain is None else self.gain,
-            lag_s=self.lag or 0.0,
-            dead_time_s=self.dead_time_s or 0.0,
-            low_pass_s=self.low_pass or 0.0,
-        )
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WishOptions:
+    """Requirements for recommended gains.
+
+    Attributes:
+        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
+            5, unless only --phase-margin is given.
+        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180. Default:
+            60, unless only --overshoot is given.
+    """
+
+    overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None
+    phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
+
+    def read(self) -> "Wishes":
+        """Return the requirements.
+
+        Raises:
+            UsageError: If a number is out of its range.
+        """
+        percent, degrees = self.overshoot, self.phase_margin
+        if percent is not None and not 0.0 <= percent < 100.0:
+            raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
+        if degrees is not None and not 0.0 < degrees < 180.0:
+            expected = "degrees above 0 and below 180"
+            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
+        if percent is None and degrees is None:
+            return Wishes(
+                overshoot_percent=tl.theory.OVERSHOOT_PERCENT,
+                phase_margin_rad=tl.theory.PHASE_MARGIN_RAD,
+            )
+        margin_rad = None if degrees is None else math.radians(degrees)
+        return Wishes(overshoot_percent=percent, phase_margin_rad=margin_rad)
 
 
-def theory(  # noqa: PLR0913 (each is an option of the command)
+_TERMS: Final = ("ki", "kd", "filter", "gain", "lag", "dead_time_s", "low_pass")
+
+
+def theory(
     scenario: Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)] = None,
     /,
     *,
-    kp: Annotated[str | None, Parameter(metavar="GAINS")] = None,
-    terms: TermOptions | None = None,
-    period: Annotated[float | None, Parameter(metavar="SECONDS")] = None,
-    dead_time: Annotated[Whole | None, Parameter()] = None,
-    assignments: Annotated[
-        list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
-    ] = None,
+    options: LoopOptions | None = None,
     topics: ReadingOptions | None = None,
     wishes: WishOptions | None = None,
     details: bool = False,
@@ -123,38 +146,24 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     Args:
         scenario: A preset, a scenario file (.toml), or a recording, whose period and dead times are
             measured.
-        kp: Gains [1/s], separated by commas, at most 100. Default: 1,2,4,10. With SCENARIO, give
-            one gain; it replaces all gains of the law.
-        terms: Other terms and the plant.
-        period: Sampling period [s]. Default: 0.016, turtlesim's tick.
-        dead_time: Dead time [ticks], 0 to 1000. Default: 0, the smallest possible.
-        assignments: Set one key of the scenario. Can be repeated.
-        topics: Options for reading a recording.
-        wishes: Requirements for recommended gains.
         details: Also print the tables and sources that few people need.
         json: Print one JSON object instead of text.
     """
-    form = _Form(is_json=json, shows_all=details)
-    changes, timing = _Changes(kp, assignments), (period, dead_time)
+    options = options or LoopOptions()
     try:
         wanted = (wishes or WishOptions()).read()
         if scenario is None:
-            _answer_loop(changes, terms or TermOptions(), timing, wanted, form)
+            _answer_loop(options, wanted, details=details, json=json)
         else:
-            _require_alone(terms or TermOptions(), timing)
-            _answer_file(scenario, changes, topics, wanted, form)
+            _answer_file(scenario, options, topics, wanted, details=details, json=json)
     except TheoryError as err:
-        raise UsageError(_name_option(err)) from err
-
-
-def _name_option(err: TheoryError) -> str:
-    """Return the message of an error, with the option that sets the refused quantity."""
-    option = _OPTIONS.get(err.quantity or "")
-    if option is None:
-        return str(err)
-    if not err.must:
-        return f"{option}: {err.problem}"
-    return f"{option} {repr(err.value).removesuffix('.0')}: must be {err.must}"
+        option = _OPTIONS.get(err.quantity or "")
+        if option is None:
+            raise UsageError(str(err)) from err
+        if not err.must:
+            raise UsageError(f"{option}: {err.problem}") from err
+        value = repr(err.value).removesuffix(".0")
+        raise UsageError(f"{option} {value}: must be {err.must}") from err
 
 
 _OPTIONS: Final = {
@@ -171,77 +180,50 @@ _OPTIONS: Final = {
 """Options by the names of quantities in errors."""
 
 
-_Timing = tuple[float | None, int | None]
-"""Period [s] and dead time [ticks], as given."""
-
-
-def _require_alone(terms: TermOptions, timing: _Timing) -> None:
-    """Refuse options of a plant together with a scenario, which has its own plant."""
-    given = terms.list_given()
-    given += [
-        name for name, value in zip(("--period", "--dead-time"), timing, strict=True) if value
-    ]
-    if given:
-        raise UsageError(f"{given[0]}: leave it out beside SCENARIO, which has its own")
-
-
-def _answer_loop(
-    changes: "_Changes", terms: TermOptions, timing: _Timing, wanted: Wishes, form: "_Form"
-) -> None:
+def _answer_loop(options: LoopOptions, wanted: Wishes, *, details: bool, json: bool) -> None:
     """Print the answer for P, PI, PD or PID control of an integrator, at each Kp."""
-    (kp, assignments), (period, dead_time) = changes, timing
-    if assignments:
+    if options.assignments:
         raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
-    gains = _parse_gains(_GAINS if kp is None else kp)
-    period_s = tl.plants.TURTLESIM.period_s if period is None else period
-    if terms.list_given():
-        _answer_terms(gains, terms, (period_s, dead_time or 0), wanted, form)
+    kps = _parse_gains("1,2,4,10" if options.kp is None else options.kp)
+    period_s = tl.plants.TURTLESIM.period_s if options.period is None else options.period
+    ticks = options.dead_time or 0
+    process = tl.theory.Process(
+        gain=1.0 if options.gain is None else options.gain,
+        lag_s=options.lag or 0.0,
+        dead_time_s=options.dead_time_s or 0.0,
+        low_pass_s=options.low_pass or 0.0,
+    )
+    ki, kd, filter_s = options.ki or 0.0, options.kd or 0.0, options.filter or 0.0
+    given = [tl.theory.PidGains(kp=kp, ki=ki, kd=kd, filter_s=filter_s) for kp in kps]
+
+    def recommend() -> Recommended:
+        late = replace(process, dead_time_s=process.dead_time_s + ticks * period_s)
+        return wanted.recommend(late, period_s, filter_s, given=given).choose_given()
+
+    if not options.list_terms():
+        loops = [
+            tl.theory.analyse_sampled_loop(kp, period_s=period_s, dead_time_ticks=ticks)
+            for kp in kps
+        ]
+        if json:
+            print_json(build_integrator(loops, recommend()))
+        else:
+            print_text(format_integrator(loops, recommend(), wanted, shows_all=details))
         return
-    loops = [
-        tl.theory.analyse_sampled_loop(gain, period_s=period_s, dead_time_ticks=dead_time or 0)
-        for gain in gains
-    ]
-    late = tl.theory.Process(dead_time_s=(dead_time or 0) * period_s)
-    given = [tl.theory.PidGains(kp=gain) for gain in gains]
-    recommended = wanted.recommend(late, period_s, given=given).choose_given()
-    if form.is_json:
-        gains_json = build_recommended(recommended)
-        print_json(build_integrator(loops, gains_json, find_kept(recommended)))
-        return
-    print_text(format_integrator(loops, recommended, wanted, shows_all=form.shows_all))
-
-
-class _Form(NamedTuple):
-    """Format of the answer."""
-
-    is_json: bool
-    shows_all: bool
-
-
-def _answer_terms(
-    gains: list[float], terms: TermOptions, timing: tuple[float, int], wanted: Wishes, form: _Form
-) -> None:
-    """Print the answer for a loop with more than P on 1/s, at each Kp."""
-    process = terms.build_process()
-    period_s, dead_time = timing
-    late = replace(process, dead_time_s=process.dead_time_s + dead_time * period_s)
-    given = [terms.build_gains(kp) for kp in gains]
-    recommended = wanted.recommend(late, period_s, terms.filter or 0.0, given=given).choose_given()
+    recommended = recommend()
     found = [
-        tl.theory.analyse_pid_loop(
-            one, period_s=period_s, dead_time_ticks=dead_time, process=process
-        )
+        tl.theory.analyse_pid_loop(one, period_s=period_s, dead_time_ticks=ticks, process=process)
         for one in given
     ]
-    if not form.is_json:
+    if not json:
         answers = [LoopAnswer(title=f"Kp = {loop.gains.kp:g}", found=loop) for loop in found]
-        print_text(format_terms(answers, recommended, wanted, shows_all=form.shows_all))
+        print_text(format_terms(answers, recommended, wanted, shows_all=details))
         return
     ranges = found[0].stable_gains
     print_json(
         _TermsAnswer(
             period_s=period_s,
-            dead_time_ticks=dead_time,
+            dead_time_ticks=ticks,
             dead_time_s=found[0].dead_time_s,
             process=process,
             stability_gain=ranges[-1][1] if ranges else None,
@@ -259,7 +241,7 @@ class _TermsAnswer:
     period_s: float
     dead_time_ticks: int
     dead_time_s: float
-    process: "Process"
+    process: "tl.theory.Process"
     overshoot_gain: None = None
     stability_gain: float | None
     gains: list[PidAnswer]
@@ -298,28 +280,6 @@ class DeclaredLoopAnswer:
     kept_kp: float | None
 
 
-def _build_declared_loop(
-    model: "LoopModel",
-    found: "PidLoop | None",
-    recommended: list[RecommendedGains],
-    kept_kp: float | None,
-) -> DeclaredLoopAnswer:
-    """Return a declared loop for JSON, with its sources and, if known, its values."""
-    return DeclaredLoopAnswer(
-        loop=model.loop.name,
-        signal=model.loop.signal,
-        command=model.loop.command,
-        status="ok" if found else "unknown",
-        reason=model.reason or None,
-        sources=dict(model.sources),
-        left_out=list(model.left_out),
-        most_dead_time_s=model.most_dead_time_s,
-        sampled=None if found is None else build_pid_loop(found),
-        recommended=recommended,
-        kept_kp=kept_kp,
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _FileAnswer:
     """Each loop of a scenario or a recording."""
@@ -329,50 +289,68 @@ class _FileAnswer:
     loops: list[DeclaredLoopAnswer]
 
 
-class _Changes(NamedTuple):
-    """Changes to a scenario."""
-
-    kp: str | None
-    assignments: list[str] | None
-
-
 def _answer_file(
-    word: str, changes: _Changes, topics: ReadingOptions | None, wanted: Wishes, form: _Form
+    word: str,
+    options: LoopOptions,
+    topics: ReadingOptions | None,
+    wanted: Wishes,
+    *,
+    details: bool,
+    json: bool,
 ) -> None:
     """Print the answer for each loop of a scenario or a recording."""
-    name, source, models = _read_models(word, changes, topics)
-    answers = answer_models(models)
+    given = options.list_terms()
+    timing = {"--period": options.period, "--dead-time": options.dead_time}
+    given += [name for name, value in timing.items() if value]
+    if given:
+        raise UsageError(f"{given[0]}: leave it out beside SCENARIO, which has its own")
+    name, source, models = _read_models(word, options, topics)
+    answers = [
+        LoopAnswer(title=one.loop.name, found=None if one.reason else one.analyse(), model=one)
+        for one in models
+    ]
     groups = wanted.recommend_for(models)
-    if form.is_json:
-        recommended = {
-            loop: (build_recommended(one), find_kept(one, loop))
-            for one in groups
-            for loop in one.loops
-        }
-        loops = [
-            _build_declared_loop(one.model, one.found, *recommended.get(one.title, ([], None)))
-            for one in answers
-            if one.model is not None
-        ]
-        print_json(_FileAnswer(name=name, source=source, loops=loops))
-    else:
+    if not json:
         label = tl.compare.label_file(word) if source == "recording" else name
-        print_text(format_file(label, word, answers, groups, wanted, shows_all=form.shows_all))
+        print_text(format_file(label, word, answers, groups, wanted, shows_all=details))
+        return
+    recommended = {loop: one for one in groups for loop in one.loops}
+    loops = []
+    for found, model in ((one.found, one.model) for one in answers if one.model):
+        gains = recommended.get(model.loop.name)
+        answer = DeclaredLoopAnswer(
+            loop=model.loop.name,
+            signal=model.loop.signal,
+            command=model.loop.command,
+            status="ok" if found else "unknown",
+            reason=model.reason or None,
+            sources=dict(model.sources),
+            left_out=list(model.left_out),
+            most_dead_time_s=model.most_dead_time_s,
+            sampled=None if found is None else build_pid_loop(found),
+            recommended=[] if gains is None else build_recommended(gains),
+            kept_kp=None if gains is None else find_kept(gains, model.loop.name),
+        )
+        loops.append(answer)
+    print_json(_FileAnswer(name=name, source=source, loops=loops))
 
 
 def _read_models(
-    word: str, changes: _Changes, topics: ReadingOptions | None
-) -> "tuple[str, str, Sequence[LoopModel]]":
+    word: str, options: LoopOptions, topics: ReadingOptions | None
+) -> "tuple[str, str, Sequence[tl.theory.LoopModel]]":
     """Return the name of a scenario or recording, its kind, and its loops."""
     path = make_path(word)
     if is_recording(path):
-        if changes.kp is not None or changes.assignments:
-            option = "--set" if changes.kp is None else "--kp"
+        if options.kp is not None or options.assignments:
+            option = "--set" if options.kp is None else "--kp"
             raise UsageError(f"{option}: needs a scenario; {path} is a recording")
         (run,) = read_runs([path], topics)
         return run.name, "recording", tl.measure.model_run_loops(run, identified=_identify(run))
-    options = LawOptions(kp=_parse_one_gain(changes.kp), assignments=changes.assignments)
-    chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, options))
+    gains = [] if options.kp is None else _parse_gains(options.kp)
+    if len(gains) > 1:
+        raise UsageError(f"--kp: takes one gain with SCENARIO, not {len(gains)}")
+    changes = LawOptions(kp=gains[0] if gains else None, assignments=options.assignments)
+    chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, changes))
     parameters = tl.scenario.flatten_scenario(chosen)
     models = tl.theory.model_loops(tl.simulate.declare_scenario(chosen), parameters)
     return chosen.name, "scenario", models
@@ -387,15 +365,6 @@ def _identify(run: "tl.Run") -> dict[str, Any]:
     findings = tl.explain.identify_run(run).findings
     values = {key: findings[key].value for key in keys if key in findings}
     return {key: value for key, value in values.items() if value is not None}
-
-
-def _parse_one_gain(text: str | None) -> float | None:
-    if text is None:
-        return None
-    gains = _parse_gains(text)
-    if len(gains) != 1:
-        raise UsageError(f"--kp: takes one gain with SCENARIO, not {len(gains)}")
-    return gains[0]
 
 
 def _parse_gains(text: str) -> list[float]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, fill_lines, find_width
+from turtlelog.cli.console import build_table, fill_lines, find_width
 from turtlelog.cli.theory_gains import (
     Recommended,
     Wishes,
@@ -33,8 +33,7 @@ from turtlelog.cli.theory_loops import (
 from turtlelog.display import format_short, join_words
 
 if TYPE_CHECKING:
-    from turtlelog.compare import Table
-    from turtlelog.theory import Recommendation, SampledLoop
+    from turtlelog.theory import LoopModel, PidLoop, Recommendation, SampledLoop
 
 _Ranges = tuple[tuple[float, float], ...]
 
@@ -71,7 +70,7 @@ def format_integrator(
 _RESPONSES: Final = {"impulse": "1", "step": "t", "ramp": "t^2 / 2"}
 
 
-def _tabulate_plant() -> "Table":
+def _tabulate_plant() -> "tl.compare.Table":
     ends = {kind: tl.theory.find_plant_final_value(kind) for kind in tl.theory.PLANT_INPUTS}
     endless = {
         end.reason: [kind for kind in ends if ends[kind].reason == end.reason]
@@ -89,7 +88,7 @@ def _tabulate_plant() -> "Table":
     return build_table("The plant 1/s", ("input", "response", "final value"), rows, notes)
 
 
-def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
+def _tabulate_ideal(loops: "list[SampledLoop]") -> "tl.compare.Table":
     rows = [
         (
             loop.kp,
@@ -105,7 +104,7 @@ def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
     return build_table("The ideal loop Kp / (s + Kp)", heads, rows, [note])
 
 
-def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
+def _tabulate_loops(loops: "list[SampledLoop]") -> "tl.compare.Table":
     column = tl.compare.Column
     heads = (
         *("Kp [1/s]", "slowest pole", column(title="damping", digits=3), "overshoots"),
@@ -126,7 +125,7 @@ def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
     return build_table(title, heads, rows)
 
 
-def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
+def _tabulate_limits(loops: "list[SampledLoop]") -> "tl.compare.Table":
     period_s = loops[0].period_s
     rows = [
         (ticks, 1e3 * ticks * period_s, *compute_limits(period_s, ticks))
@@ -184,11 +183,12 @@ def format_terms(
     answers: Sequence[LoopAnswer], recommended: Recommended, wishes: Wishes, *, shows_all: bool
 ) -> str:
     """Return the answer for a loop with more than P on 1/s, at each Kp."""
+    known = [answer.found for answer in answers if answer.found]
     head = [
         *_list_recommended(recommended, wishes),
-        *([f"Stable for Kp {_show_range(answers[0])}."] if answers and answers[0].found else []),
+        *(f"Stable for Kp {_write_ranges(loop.stable_gains)}." for loop in known[:1]),
         *_list_motions(answers),
-        *(describe_plant(answer.found) for answer in answers[:1] if answer.found),
+        *map(describe_plant, known[:1]),
     ]
     parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
     details = [tabulate_answers("Loop by loop", part) for part in parts] if shows_all else []
@@ -282,7 +282,7 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
     motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
-    return f"{said}; stable for Kp {_show_late_range(answer)}."
+    return f"{said}; stable for Kp {_show_late_range(loop, answer.model)}."
 
 
 def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
@@ -308,13 +308,13 @@ def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -
     ]
 
 
-def _join(head: Sequence[str], tables: "Sequence[Table]", rest: Sequence[str]) -> str:
+def _join(head: Sequence[str], tables: "Sequence[tl.compare.Table]", rest: Sequence[str]) -> str:
     shown = [_narrow(table) for table in tables if table.rows]
     texts = [tl.draw.format_table(table, width=find_width()).strip("\n") for table in shown]
     return "\n\n".join([fill_lines(head), *texts, fill_lines(rest)])
 
 
-def _narrow(table: "Table") -> "Table":
+def _narrow(table: "tl.compare.Table") -> "tl.compare.Table":
     """Return a table with fewer of the least important columns."""
     ranks = [0 if column.title in {"damping", "stable"} else None for column in table.columns]
     return tl.compare.narrow_table(table, find_width(), ranks)
@@ -360,18 +360,13 @@ _MOST_SAID: Final = 4
 """Largest number of gains with separate sentences."""
 
 
-def _show_range(answer: LoopAnswer) -> str:
-    return _write_ranges(() if answer.found is None else answer.found.stable_gains)
-
-
-def _show_late_range(answer: LoopAnswer) -> str:
+def _show_late_range(loop: "PidLoop", model: "LoopModel | None") -> str:
     """Return the range of Kp that is stable at the most dead time and at those below it.
 
     Between two samples, a longer dead time may be stable with a larger Kp.
     """
-    model = answer.model
     if model is None or model.most_dead_time_s is None:
-        return _show_range(answer)
+        return _write_ranges(loop.stable_gains)
     gains, settings = model.require()
     process, most_s = settings["process"], model.most_dead_time_s
     found = [

@@ -3,54 +3,11 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
-
-from cyclopts import Parameter
+from typing import Any, Final, NamedTuple
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table
+from turtlelog.cli.console import build_table
 from turtlelog.display import format_short, join_words
-from turtlelog.errors import UsageError
-
-if TYPE_CHECKING:
-    from turtlelog.compare import Cell, Table
-    from turtlelog.theory import LoopModel, PidGains, Process, Recommendation
-
-
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WishOptions:
-    """Requirements for recommended gains.
-
-    Attributes:
-        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
-            5, unless only --phase-margin is given.
-        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180. Default:
-            60, unless only --overshoot is given.
-    """
-
-    overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None
-    phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
-
-    def read(self) -> "Wishes":
-        """Return the requirements.
-
-        Raises:
-            UsageError: If a number is out of its range.
-        """
-        percent, degrees = self.overshoot, self.phase_margin
-        if percent is not None and not 0.0 <= percent < 100.0:
-            raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
-        if degrees is not None and not 0.0 < degrees < 180.0:
-            expected = "degrees above 0 and below 180"
-            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
-        if percent is None and degrees is None:
-            return Wishes(
-                overshoot_percent=tl.theory.OVERSHOOT_PERCENT,
-                phase_margin_rad=tl.theory.PHASE_MARGIN_RAD,
-            )
-        margin_rad = None if degrees is None else math.radians(degrees)
-        return Wishes(overshoot_percent=percent, phase_margin_rad=margin_rad)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,11 +24,11 @@ class Wishes:
 
     def recommend(
         self,
-        process: "Process",
+        process: "tl.theory.Process",
         period_s: float,
         filter_s: float = 0.0,
         *,
-        given: "Sequence[PidGains]" = (),
+        given: "Sequence[tl.theory.PidGains]" = (),
     ) -> "Recommended":
         """Return gains for a process with all dead time, and the results of given gains."""
         found = tl.theory.recommend_gains(
@@ -84,12 +41,12 @@ class Wishes:
         measured = [tl.theory.measure_gains(one, process, period_s=period_s) for one in given]
         return Recommended(found, tuple(measured))
 
-    def recommend_for(self, models: "Sequence[LoopModel]") -> "list[Recommended]":
+    def recommend_for(self, models: "Sequence[tl.theory.LoopModel]") -> "list[Recommended]":
         """Return gains for the declared loops that theory knows. Equal loops share gains.
 
         The gains are for the largest dead time of a loop, and for its largest steps.
         """
-        groups: dict[tuple[Process, float, float], dict[str, LoopModel]] = {}
+        groups: dict[tuple[tl.theory.Process, float, float], dict[str, tl.theory.LoopModel]] = {}
         for model in tl.theory.list_known(models):
             gains, settings = model.require()[0], model.require_slowest()
             key = settings["process"], settings["period_s"], gains.filter_s
@@ -105,7 +62,7 @@ class Wishes:
             )
         return found
 
-    def tell(self, one: "Recommendation") -> str:
+    def tell(self, one: "tl.theory.Recommendation") -> str:
         """Return controller and rule as text, for a table."""
         if one.rule == "given":
             return f"{one.controller} as given"
@@ -133,18 +90,18 @@ class Recommended(NamedTuple):
         ramp_s: Increase of the time constant due to acceleration limits [s].
     """
 
-    found: "tuple[Recommendation, ...]"
-    given: "tuple[Recommendation, ...]" = ()
+    found: "tuple[tl.theory.Recommendation, ...]"
+    given: "tuple[tl.theory.Recommendation, ...]" = ()
     loops: Sequence[str] = ()
     most_dead_time_s: float | None = None
     ramp_s: float = 0.0
 
-    def find_best(self, controller: str) -> "Recommendation | None":
+    def find_best(self, controller: str) -> "tl.theory.Recommendation | None":
         """Return the first recommended gains of a controller, or else of P; None without either."""
         known = {one.controller: one for one in reversed(self.found) if one.gains}
         return known.get(controller) or known.get("P")
 
-    def keeps(self, given: "Recommendation") -> bool:
+    def keeps(self, given: "tl.theory.Recommendation") -> bool:
         """Return whether given gains need no change."""
         best = self.find_best(given.controller)
         return best is not None and tl.theory.is_no_worse(given, best)
@@ -153,7 +110,7 @@ class Recommended(NamedTuple):
         """Keep, of several given gains, those that are compared with the recommended gains."""
         return self._replace(given=tuple(sorted(self.given, key=self._rank)[:1]))
 
-    def _rank(self, given: "Recommendation") -> tuple[bool, float, float]:
+    def _rank(self, given: "tl.theory.Recommendation") -> tuple[bool, float, float]:
         """Return a sort key: gains without change first, then gains with the least overshoot."""
         if given.motion is None:
             return True, math.inf, math.inf
@@ -164,7 +121,7 @@ class Recommended(NamedTuple):
         return not self.keeps(given), excess, math.inf if settles_s is None else settles_s
 
 
-def show_gains(gains: "PidGains") -> str:
+def show_gains(gains: "tl.theory.PidGains") -> str:
     """Return gains with their units: `Kp = 4 1/s and Ki = 0.5 1/s^2`."""
     said = [f"Kp = {format_short(gains.kp)} 1/s"]
     said += [f"Ki = {format_short(gains.ki)} 1/s^2"] if gains.ki else []
@@ -187,13 +144,13 @@ NO_OVERSHOOT: Final = 0.005
 """Overshoot below which the shown digits are 0 [%]."""
 
 
-def tell_gains(one: "Recommendation") -> str:
+def tell_gains(one: "tl.theory.Recommendation") -> str:
     """Return overshoot and settling time of a loop with these gains after a step, as text."""
     motion = one.motion
     return "" if motion is None else tell_step(motion.overshoot_percent, motion.settling_time_s)
 
 
-def compare_gains(best: "Recommendation", given: "Recommendation") -> str:
+def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommendation") -> str:
     """Return the figures in which recommended gains are better, and worse, than given gains."""
     name = show_gains(given.gains) if given.gains else ""
     if given.margins is None:
@@ -228,7 +185,7 @@ class _Figure(NamedTuple):
         return "" if self.value is None else format_short(self.value, self.unit)
 
 
-def _list_figures(one: "Recommendation") -> list[_Figure]:
+def _list_figures(one: "tl.theory.Recommendation") -> list[_Figure]:
     motion, margins = one.motion, one.margins
     overshoot = None if motion is None else motion.overshoot_percent
     if overshoot is not None and overshoot < NO_OVERSHOOT:
@@ -277,28 +234,27 @@ def find_kept(recommended: Recommended, loop: str = "") -> float | None:
 
 def build_recommended(recommended: Recommended) -> list[RecommendedGains]:
     """Return recommended gains for JSON."""
-    return [_build(one) for one in recommended.found]
+
+    def take(source: object, *names: str) -> dict[str, Any]:
+        return {name: getattr(source, name, None) for name in names}
+
+    return [
+        RecommendedGains(
+            rule=one.rule,
+            controller=one.controller,
+            source=one.source,
+            **take(one.gains, "kp", "ki", "kd", "filter_s"),
+            **take(one.motion, "overshoot_percent", "settling_time_s"),
+            **take(one.margins, "gain_margin", "phase_margin_rad"),
+            reason=one.reason or None,
+        )
+        for one in recommended.found
+    ]
 
 
-def _build(one: "Recommendation") -> RecommendedGains:
-    gains, motion, margins = one.gains, one.motion, one.margins
-    return RecommendedGains(
-        rule=one.rule,
-        controller=one.controller,
-        source=one.source,
-        kp=None if gains is None else gains.kp,
-        ki=None if gains is None else gains.ki,
-        kd=None if gains is None else gains.kd,
-        filter_s=None if gains is None else gains.filter_s,
-        overshoot_percent=None if motion is None else motion.overshoot_percent,
-        settling_time_s=None if motion is None else motion.settling_time_s,
-        gain_margin=None if margins is None else margins.gain_margin,
-        phase_margin_rad=None if margins is None else margins.phase_margin_rad,
-        reason=one.reason or None,
-    )
-
-
-def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> "Table":
+def tabulate_recommended(
+    recommended: Recommended, wishes: Wishes, *, shows_all: bool
+) -> "tl.compare.Table":
     """Return a table of recommended gains."""
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
     found = [*dict.fromkeys(recommended.given)]
@@ -311,16 +267,14 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes, *, shows_all:
         column(title="phase margin", unit="deg", digits=1, lines=("phase", "margin")),
     )
     heads = ("", "Kp [1/s]", "Ki [1/s^2]", "Kd", *columns)
-    rows = (_list_cells(one, wishes.tell(one)) for one in found if one.gains)
+    rows = []
+    for one in found:
+        if one.gains is not None:
+            gains = one.gains.kp, one.gains.ki or None, one.gains.kd or None
+            figures = (figure.value for figure in _list_figures(one))
+            rows.append((wishes.tell(one), *gains, *figures))
     notes = _list_notes(recommended, wishes, shows_all=shows_all)
     return build_table(f"Recommended gains{of}", heads, rows, notes)
-
-
-def _list_cells(one: "Recommendation", name: str) -> "tuple[Cell, ...]":
-    if one.gains is None:
-        return (name,)
-    gains = one.gains.kp, one.gains.ki or None, one.gains.kd or None
-    return (name, *gains, *(figure.value for figure in _list_figures(one)))
 
 
 def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> Iterator[str]:

@@ -6,17 +6,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, copy_fields
-from turtlelog.cli.theory_gains import NO_OVERSHOOT, RecommendedGains, tell_step
+from turtlelog.cli.console import build_table, copy_fields
+from turtlelog.cli.theory_gains import (
+    NO_OVERSHOOT,
+    Recommended,
+    RecommendedGains,
+    build_recommended,
+    find_kept,
+    tell_step,
+)
 from turtlelog.display import join_words
 from turtlelog.run.loops import SIGNAL_WORDS
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from turtlelog.compare import Table
-    from turtlelog.theory import LoopModel, Margins, PidLoop, Process, SampledLoop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,18 +34,8 @@ class LoopAnswer:
     """
 
     title: str
-    found: "PidLoop | None"
-    model: "LoopModel | None" = None
-
-
-def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
-    """Return theory's answers for declared loops."""
-    return [
-        LoopAnswer(
-            title=model.loop.name, found=None if model.reason else model.analyse(), model=model
-        )
-        for model in models
-    ]
+    found: "tl.theory.PidLoop | None"
+    model: "tl.theory.LoopModel | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +47,6 @@ class PlanePole:
 
 
 def _build_poles(poles: "NDArray[np.complex128]") -> list[PlanePole]:
-    """Return poles for JSON."""
     return [PlanePole(re=float(pole.real), im=float(pole.imag)) for pole in poles]
 
 
@@ -126,56 +119,47 @@ class IntegratorAnswer:
 
 
 def build_integrator(
-    loops: "list[SampledLoop]", recommended: list[RecommendedGains], kept_kp: float | None
+    loops: "list[tl.theory.SampledLoop]", recommended: Recommended
 ) -> IntegratorAnswer:
     """Return the answer for P on 1/s."""
-    first = loops[0]
-    overshoot_gain, stability_gain = compute_limits(first.period_s, first.dead_time_ticks)
+    theory, first = tl.theory, loops[0]
     limits = {ticks: compute_limits(first.period_s, ticks) for ticks in list_dead_times(first)}
+    overshoot_gain, stability_gain = limits[first.dead_time_ticks]
+    verdict, (numerator, denominator) = theory.judge_bibo(*theory.PLANT), theory.PLANT
+    ends = {kind: theory.find_plant_final_value(kind) for kind in theory.PLANT_INPUTS}
     return IntegratorAnswer(
         period_s=first.period_s,
         dead_time_ticks=first.dead_time_ticks,
         overshoot_gain=overshoot_gain,
         stability_gain=stability_gain,
-        plant=_build_plant(),
-        gains=[_build_loop(loop) for loop in loops],
+        plant=PlantAnswer(
+            transfer_function=_Transfer(numerator=numerator, denominator=denominator),
+            bibo_stable=verdict.stable,
+            reason=verdict.reason,
+            final_values=[
+                _End(input=kind, value=end.value, status=end.status.value, reason=end.reason)
+                for kind, end in ends.items()
+            ],
+        ),
+        gains=[
+            copy_fields(
+                GainAnswer,
+                loop,
+                tau_s=theory.compute_time_constant(loop.kp),
+                settling_time_s=theory.compute_settling_time(loop.kp),
+                exact_settling_time_s=theory.compute_exact_settling_time(loop.kp),
+                poles=_build_poles(loop.poles),
+                sampled_settling_time_s=loop.settling_time_s,
+            )
+            for loop in loops
+        ],
         limits=[
             GainBounds(dead_time_ticks=ticks, overshoot_gain=overshoot, stability_gain=stability)
             for ticks, (overshoot, stability) in limits.items()
         ],
-        recommended=recommended,
-        kept_kp=kept_kp,
+        recommended=build_recommended(recommended),
+        kept_kp=find_kept(recommended),
     )
-
-
-def _build_plant() -> PlantAnswer:
-    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
-    ends = [(kind, tl.theory.find_plant_final_value(kind)) for kind in tl.theory.PLANT_INPUTS]
-    numerator, denominator = tl.theory.PLANT
-    return PlantAnswer(
-        transfer_function=_Transfer(numerator=numerator, denominator=denominator),
-        bibo_stable=verdict.stable,
-        reason=verdict.reason,
-        final_values=[
-            _End(input=kind, value=end.value, status=end.status.value, reason=end.reason)
-            for kind, end in ends
-        ],
-    )
-
-
-def _build_loop(loop: "SampledLoop") -> GainAnswer:
-    return copy_fields(
-        GainAnswer,
-        loop,
-        tau_s=tl.theory.compute_time_constant(loop.kp),
-        settling_time_s=tl.theory.compute_settling_time(loop.kp),
-        exact_settling_time_s=tl.theory.compute_exact_settling_time(loop.kp),
-        poles=_build_poles(loop.poles),
-        sampled_settling_time_s=loop.settling_time_s,
-    )
-
-
-_LIMITS_UP_TO: Final = 8
 
 
 def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
@@ -184,7 +168,7 @@ def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
     return overshoot, tl.theory.compute_stability_gain(period_s, ticks)
 
 
-def list_dead_times(loop: "SampledLoop") -> list[int]:
+def list_dead_times(loop: "tl.theory.SampledLoop") -> list[int]:
     """Return the dead times [ticks] in a table of limits, including the dead time of the loop."""
     return sorted({*range(_LIMITS_UP_TO + 1), loop.dead_time_ticks})
 
@@ -197,6 +181,9 @@ def tell_pole(poles: "NDArray[np.complex128]") -> str:
     return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"
 
 
+_LIMITS_UP_TO: Final = 8
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PidAnswer:
     """JSON entry of a sampled loop; None for a number that does not exist."""
@@ -207,7 +194,7 @@ class PidAnswer:
     filter_s: float
     period_s: float
     dead_time_s: float
-    process: "Process"
+    process: "tl.theory.Process"
     tau_s: float
     settling_time_s: float
     poles: list[PlanePole]
@@ -224,11 +211,12 @@ class PidAnswer:
     delay_margin_s: float | None
 
 
-def build_pid_loop(loop: "PidLoop") -> PidAnswer:
+def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
     """Return a loop for JSON."""
     whole = loop.gains.kp * loop.process.gain
     terms = {name: getattr(loop.gains, name) for name in ("kp", "ki", "kd", "filter_s")}
     margins = {name: getattr(loop.margins, name, None) for name in _MARGINS}
+    ticks = margins["delay_margin_ticks"]
     return copy_fields(
         PidAnswer,
         loop,
@@ -237,7 +225,7 @@ def build_pid_loop(loop: "PidLoop") -> PidAnswer:
         poles=_build_poles(loop.poles),
         overshoots=not loop.stable or _overshoots(loop),
         sampled_settling_time_s=loop.settling_time_s,
-        delay_margin_s=_find_delay_margin(loop),
+        delay_margin_s=None if ticks is None else ticks * loop.period_s,
         **terms,
         **margins,
     )
@@ -249,7 +237,7 @@ _MARGINS: Final = (
 )
 
 
-def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
+def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
     """Return a table with a column for each loop, without rows that are zero in all loops."""
     known = [answer.found for answer in answers if answer.found]
     rows = []
@@ -260,7 +248,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
     return build_table(title, ("", *(answer.title for answer in answers)), rows)
 
 
-def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
+def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
     """Return a table with a row for each Kp; optional columns with only `-` or 0 are left out."""
     loops = [answer.found for answer in answers if answer.found]
     columns, cells = [], []
@@ -279,7 +267,7 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "Table":
     return tl.compare.Table(title="The sampled loop", columns=tuple(columns), rows=rows)
 
 
-def describe_plant(loop: "PidLoop") -> str:
+def describe_plant(loop: "tl.theory.PidLoop") -> str:
     """Return the values that are equal at every Kp: other gains, plant and timing."""
     said = []
     for name, is_optional, write in _ROWS:
@@ -291,7 +279,7 @@ def describe_plant(loop: "PidLoop") -> str:
     return f"{', '.join((first[0].upper() + first[1:], *others))}."
 
 
-def _find_overshoot(loop: "PidLoop") -> str | float | None:
+def _find_overshoot(loop: "tl.theory.PidLoop") -> str | float | None:
     if not loop.stable:
         return "no end"
     percent = loop.overshoot_percent
@@ -335,7 +323,7 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
     return notes
 
 
-def tell_motion(loop: "PidLoop") -> str:
+def tell_motion(loop: "tl.theory.PidLoop") -> str:
     """Return whether a loop is stable, with its overshoot and settling time, as text."""
     if not loop.stable:
         return "unstable"
@@ -343,33 +331,19 @@ def tell_motion(loop: "PidLoop") -> str:
     return f"stable, {step or 'but its slowest part hardly decays'}"
 
 
-def _tell_sources(model: "LoopModel") -> str:
+def _tell_sources(model: "tl.theory.LoopModel") -> str:
     """Return the sources of values as text. Values from one source share an entry."""
     found: dict[str, list[str]] = {}
     for key, words in model.sources.items():
-        found.setdefault(words, []).append(_NAMES[key])
+        found.setdefault(words, []).append(key.removesuffix("_s").replace("_", " "))
     return "; ".join(f"{join_words(names)} {words}" for words, names in found.items())
 
 
-_NAMES: Final = {
-    "gains": "gains",
-    "plant": "plant",
-    "period_s": "period",
-    "dead_time_s": "dead time",
-}
-
-
-def _overshoots(loop: "PidLoop") -> bool:
+def _overshoots(loop: "tl.theory.PidLoop") -> bool:
     return loop.overshoot_percent is not None and loop.overshoot_percent >= NO_OVERSHOOT
 
 
-def _find_delay_margin(loop: "PidLoop") -> float | None:
-    if loop.margins is None or loop.margins.delay_margin_ticks is None:
-        return None
-    return loop.margins.delay_margin_ticks * loop.period_s
-
-
-def _tell_overshoot(loop: "PidLoop") -> str:
+def _tell_overshoot(loop: "tl.theory.PidLoop") -> str:
     if not loop.stable:
         return "without end"
     if loop.overshoot_percent is None:
@@ -377,7 +351,7 @@ def _tell_overshoot(loop: "PidLoop") -> str:
     return f"by {loop.overshoot_percent:.2f} %" if _overshoots(loop) else "no"
 
 
-def _tell_range(loop: "PidLoop") -> str:
+def _tell_range(loop: "tl.theory.PidLoop") -> str:
     if not loop.stable_gains:
         return "none"
     return ", ".join(
@@ -387,9 +361,9 @@ def _tell_range(loop: "PidLoop") -> str:
 
 
 def _tell_margin(
-    read: "Callable[[Margins], float | None]", form: str, factor: float = 1.0
-) -> "Callable[[PidLoop], str]":
-    def write(loop: "PidLoop") -> str:
+    read: "Callable[[tl.theory.Margins], float | None]", form: str, factor: float = 1.0
+) -> "Callable[[tl.theory.PidLoop], str]":
+    def write(loop: "tl.theory.PidLoop") -> str:
         value = None if loop.margins is None else read(loop.margins)
         return "-" if value is None else format(factor * value, form)
 
@@ -409,7 +383,7 @@ _OF_PLANT: Final = (
 _NOT_BESIDE: Final = (*_OF_PLANT, "stable", "stable for Kp [1/s]", "slowest pole")
 """Rows that a table of gains does not have. The sentences above contain them; poles are details."""
 
-_ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
+_ROWS: "Final[tuple[tuple[str, bool, Callable[[tl.theory.PidLoop], str]], ...]]" = (
     ("Kp [1/s]", False, lambda loop: _tell_number(loop.gains.kp)),
     ("Ki [1/s^2]", True, lambda loop: _tell_number(loop.gains.ki)),
     ("Kd", True, lambda loop: _tell_number(loop.gains.kd)),

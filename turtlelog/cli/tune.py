@@ -1,39 +1,19 @@
 """`turtlelog tune`: the best values of keys, their neighbourhood, and their robustness."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_keys, complete_metrics
-from turtlelog.cli.options import Json, Place, StepBudgetMs, Whole, WorkOptions, choose_step_budget
-from turtlelog.cli.output import (
-    EXIT_FAILED,
-    EXIT_FINE,
-    print_json,
-    print_note,
-    print_text,
-    write_text,
-)
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.run import ScenarioWord
-from turtlelog.cli.scenario_options import LawOptions, list_given_keys, load_changed_scenario
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.scenario import LawOptions, ScenarioWord, list_given_keys, load_changed_scenario
 from turtlelog.cli.tune_answer import build_tune_answer, format_tune_answer
+from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import WorkOptions, show_progress
 from turtlelog.errors import UsageError
 from turtlelog.files.urls import make_path
-
-if TYPE_CHECKING:
-    from turtlelog.scenario import Scenario
-    from turtlelog.sweep.tune import (
-        Candidates,
-        SearchedKey,
-        Spread,
-        TunedScenario,
-        TuningGoal,
-        Variation,
-    )
 
 _MOST_VARIANTS: Final = 1_000_000
 
@@ -67,7 +47,7 @@ class GoalOptions:
     evaluations: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
     seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
-    def parse_goal(self) -> "TuningGoal":
+    def parse_goal(self) -> "tl.sweep.tune.TuningGoal":
         """Return the goal of tuning."""
         if self.minimise is not None and self.maximise is not None:
             raise UsageError("tune takes --minimise or --maximise, not both")
@@ -114,7 +94,7 @@ class RobustnessOptions:
     spread: Annotated[list[str] | None, Parameter(metavar="KEY=A:B", completer=complete_keys)] = (
         None
     )
-    robot: Annotated[Place | None, Parameter(metavar="FILE")] = None
+    robot: Annotated[options.Place | None, Parameter(metavar="FILE")] = None
 
     def count_runs(self) -> int:
         """Return the requested number of variants; 0 without a request."""
@@ -128,9 +108,11 @@ class RobustnessOptions:
             raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {most}")
         return self.monte_carlo
 
-    def list_variations(self, scenario: "Scenario", varied: list[str]) -> "list[Variation]":
+    def list_variations(
+        self, scenario: "tl.Scenario", varied: list[str]
+    ) -> "list[tl.sweep.tune.Variation]":
         """Return the keys chosen at random for each variant, in addition to seeds and delays."""
-        found: list[Variation] = []
+        found: list[tl.sweep.tune.Variation] = []
         if self.robot is not None:
             found += tl.sweep.tune.read_intervals(self.robot, scenario)
         if self.spread:
@@ -163,9 +145,9 @@ class TuneOptions(WorkOptions):
             limit.
     """
 
-    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None
+    output: options.Output = None
     trust_law: bool = False
-    step_budget_ms: StepBudgetMs = None
+    step_budget_ms: options.StepBudgetMs = None
 
 
 def tune(
@@ -174,9 +156,9 @@ def tune(
     *,
     goal: GoalOptions | None = None,
     robustness: RobustnessOptions | None = None,
-    options: LawOptions | None = None,
+    changes: LawOptions | None = None,
     work: TuneOptions | None = None,
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     """Search the best values of a scenario's keys, and show how far each value can move.
 
@@ -202,38 +184,48 @@ def tune(
     goal, robustness = goal or GoalOptions(), robustness or RobustnessOptions()
     work = work or TuneOptions()
     runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
-    require_new_target(work.output, [] if base is None else [make_path(base)], suffix=".toml")
-    scenario = load_changed_scenario(base, options)
-    scenario, keys = _parse_keys(scenario, goal.grid or [], options, trust_law=work.trust_law)
+    options.require_new_target(
+        work.output, [] if base is None else [make_path(base)], suffix=".toml"
+    )
+    scenario = load_changed_scenario(base, changes)
+    scenario, keys = _parse_keys(scenario, goal.grid or [], changes, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
     with work.find_any_place() as place:
         found, spread = _search(scenario, keys, goal, wanted, seed, place, work=work), None
-        if "name" not in list_given_keys(options):
-            found = replace(found, scenario=replace(found.scenario, name=_name_best(found)))
+        if "name" not in list_given_keys(changes):
+            told = [f"{key}={value:.6g}" for key, value in found.values.items()]
+            name = " ".join([found.scenario.name, *told])
+            found = replace(found, scenario=replace(found.scenario, name=name))
         if work.output is not None:
-            write_text(work.output, tl.scenario.format_scenario(found.scenario))
+            console.write_text(work.output, tl.scenario.format_scenario(found.scenario))
         if runs and found.is_feasible:
-            spread = _simulate_variants(found, runs, more, seed, place, work)
+            variations = tl.sweep.tune.choose_variations(found.scenario, runs, more)
+            with show_progress("simulated", runs, "variants", has_rate=True) as progress:
+                spread = tl.sweep.tune.simulate_variants(
+                    found.scenario,
+                    found.goal,
+                    variations,
+                    runs=runs,
+                    seed=seed,
+                    jobs=place,
+                    watch=progress.set,
+                    trust_law=work.trust_law,
+                    step_budget_s=options.choose_step_budget(work.step_budget_ms),
+                )
     if json:
-        print_json(build_tune_answer(found, spread))
+        console.print_json(build_tune_answer(found, spread))
     else:
-        print_text(format_tune_answer(found, spread))
-    return EXIT_FINE if found.is_feasible else EXIT_FAILED
-
-
-def _name_best(found: "TunedScenario") -> str:
-    """Return a name that contains the best values, like the name after `--set`."""
-    told = [f"{key}={value:.6g}" for key, value in found.values.items()]
-    return " ".join([found.scenario.name, *told])
+        console.print_text(format_tune_answer(found, spread))
+    return console.EXIT_FINE if found.is_feasible else console.EXIT_FAILED
 
 
 def _parse_keys(
-    scenario: "Scenario", vary: list[str], options: LawOptions | None, *, trust_law: bool
-) -> "tuple[Scenario, tuple[SearchedKey, ...]]":
+    scenario: "tl.Scenario", vary: list[str], changes: LawOptions | None, *, trust_law: bool
+) -> "tuple[tl.Scenario, tuple[tl.sweep.tune.SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
-    given = list_given_keys(options)
+    given = list_given_keys(changes)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
-        if key.key == "kp" and options is not None and options.kp is not None:
+        if key.key == "kp" and changes is not None and changes.kp is not None:
             raise UsageError("--kp: the gains are tuned by --grid kp; leave one of them out")
         if key.key in given:
             raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")
@@ -241,15 +233,15 @@ def _parse_keys(
 
 
 def _search(  # noqa: PLR0913  (what a search takes)
-    scenario: "Scenario",
-    keys: "tuple[SearchedKey, ...]",
+    scenario: "tl.Scenario",
+    keys: "tuple[tl.sweep.tune.SearchedKey, ...]",
     goal: GoalOptions,
-    wanted: "TuningGoal",
+    wanted: "tl.sweep.tune.TuningGoal",
     seed: int,
     place: Any,
     *,
     work: TuneOptions,
-) -> "TunedScenario":
+) -> "tl.sweep.tune.TunedScenario":
     """Return the best values and their neighbourhood."""
     most = goal.count_evaluations(len(keys))
     expected = most + tl.sweep.tune.NEIGHBOURS * len(keys)
@@ -262,48 +254,23 @@ def _search(  # noqa: PLR0913  (what a search takes)
             expected=expected,
             watch=progress.set,
             trust_law=work.trust_law,
-            step_budget_s=choose_step_budget(work.step_budget_ms),
+            step_budget_s=options.choose_step_budget(work.step_budget_ms),
             tell=_tell_late,
             source="--grid",
         )
         try:
             return tl.sweep.tune.tune_candidates(candidates, keys, evaluations=most, seed=seed)
         except KeyboardInterrupt:
-            _tell_best_so_far(candidates, keys)
+            if candidates.evaluations:
+                values = zip(keys, tl.sweep.tune.find_best(candidates).point, strict=True)
+                told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
+                console.print_note(
+                    f"the best of {candidates.evaluations} candidates so far: {told}"
+                )
             raise
 
 
 def _tell_late(late: str) -> None:
-    print_note(f"{late}. Every such candidate takes as long; --step-budget-ms 100 ends it sooner")
-
-
-def _tell_best_so_far(candidates: "Candidates", keys: "tuple[SearchedKey, ...]") -> None:
-    if not candidates.evaluations:
-        return
-    best = tl.sweep.tune.find_best(candidates)
-    values = zip(keys, best.point, strict=True)
-    told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
-    print_note(f"the best of {candidates.evaluations} candidates so far: {told}")
-
-
-def _simulate_variants(
-    found: "TunedScenario",
-    runs: int,
-    more: "list[Variation]",
-    seed: int,
-    place: Any,
-    work: TuneOptions,
-) -> "Spread":
-    variations = tl.sweep.tune.choose_variations(found.scenario, runs, more)
-    with show_progress("simulated", runs, "variants", has_rate=True) as progress:
-        return tl.sweep.tune.simulate_variants(
-            found.scenario,
-            found.goal,
-            variations,
-            runs=runs,
-            seed=seed,
-            jobs=place,
-            watch=progress.set,
-            trust_law=work.trust_law,
-            step_budget_s=choose_step_budget(work.step_budget_ms),
-        )
+    console.print_note(
+        f"{late}. Every such candidate takes as long; --step-budget-ms 100 ends it sooner"
+    )

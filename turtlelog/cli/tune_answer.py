@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import build_table, copy_fields, fill_lines, fit_table
+from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from turtlelog.compare import Table
-    from turtlelog.sweep.tune import KeyRange, SearchedKey, Spread, TunedScenario, TuningGoal
+    from turtlelog.sweep.tune import KeyRange, SearchedKey, Spread, TunedScenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +136,13 @@ def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAn
 def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
     """Return the answer as text. The first line has the best values and their result."""
     tables = [_tabulate_best(found)]
-    tables += [_tabulate_constraints(found)] if found.tuned.best.constraints else []
+    if found.tuned.best.constraints:
+        rows = (
+            (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
+            for one in found.tuned.best.constraints
+        )
+        heads = ("constraint", "value", "margin", "holds")
+        tables.append(build_table("Constraints", heads, rows))
     tables += [] if spread is None else [_tabulate_spread(found, spread)]
     head = fill_lines([_conclude(found), *_describe_room(found)])
     return "\n".join([head, "", *map(fit_table, tables)])
@@ -208,7 +213,7 @@ def _describe_range(found: "KeyRange") -> str:
     return f"{found.key} = {low} to {high}"
 
 
-def _tabulate_best(found: "TunedScenario") -> "Table":
+def _tabulate_best(found: "TunedScenario") -> "tl.compare.Table":
     around = {one.key: one for one in found.around.ranges} if found.around else {}
     if not around:
         rows: list[tuple[Any, ...]] = [*found.values.items()]
@@ -216,8 +221,12 @@ def _tabulate_best(found: "TunedScenario") -> "Table":
     rows = []
     for key, value in found.values.items():
         one = around.get(key)
-        ends = (None,) * 4 if one is None else (one.low, one.high, *_tell_ends(one))
-        rows.append((key, value, *ends))
+        if one is None:
+            rows.append((key, value, *(None,) * 4))
+            continue
+        low, high = (end.replace("objective", "worse") for end in (one.low_end, one.high_end))
+        reasons = one.low_constraint or low, one.high_constraint or high
+        rows.append((key, value, one.low, one.high, *reasons))
     heads = ("key", "best", "from", "to", "below", "above")
     return build_table("How far each key can go", heads, rows, _list_notes(found))
 
@@ -231,7 +240,13 @@ def _list_notes(found: "TunedScenario") -> list[str]:
             "From and to: as far as this key alone can go, in the steps of the search, until the"
             f" objective is worse by {slack}, or a constraint breaks."
         )
-    notes += _tell_sign(found.goal, best.objective)
+    goal = found.goal
+    kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
+    is_signed = kind is not None and kind.better is None and (best.objective or 0.0) < 0.0
+    if is_signed and not goal.is_maximised:  # neither direction is better
+        notes.append(
+            f"{goal.metric} has a sign: abs({goal.metric}) is least where it is nearest to 0."
+        )
     if tuned.failed:
         notes.append(
             f"{describe_count(tuned.failed, 'candidate')} failed, the first: {tuned.failure}."
@@ -239,32 +254,11 @@ def _list_notes(found: "TunedScenario") -> list[str]:
     return notes
 
 
-def _tell_sign(goal: "TuningGoal", objective: float | None) -> list[str]:
-    """Return a note on the minimum of a signed metric for which neither direction is better."""
-    kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
-    if kind is None or kind.better is not None or goal.is_maximised or (objective or 0.0) >= 0.0:
-        return []
-    return [f"{goal.metric} has a sign: abs({goal.metric}) is least where it is nearest to 0."]
-
-
-def _tell_ends(one: "KeyRange") -> tuple[str, str]:
-    low, high = (end.replace("objective", "worse") for end in (one.low_end, one.high_end))
-    return one.low_constraint or low, one.high_constraint or high
-
-
-def _tabulate_constraints(found: "TunedScenario") -> "Table":
-    rows = (
-        (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
-        for one in found.tuned.best.constraints
-    )
-    return build_table("Constraints", ("constraint", "value", "margin", "holds"), rows)
-
-
 def _tell_margin(margin: float) -> float | None:
     return margin if math.isfinite(margin) else None
 
 
-def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "Table":
+def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "tl.compare.Table":
     values = {
         "median": spread.median,
         "5 % below": spread.low,

@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence, Set as Collection
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, get_args, get_origin
 
-from cyclopts import CycloptsError
+from cyclopts import CycloptsError, Parameter, Token
 from cyclopts.exceptions import (
     CoercionError,
     ConsumeMultipleError,
@@ -19,7 +19,7 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from turtlelog.errors import find_near, join_names, quote_name
+from turtlelog.errors import UsageError, find_near, join_names, quote_name
 
 if TYPE_CHECKING:
     from cyclopts.argument import Argument
@@ -100,9 +100,10 @@ class HelpFormatter:
     ) -> None:
         """Print the purpose of a command, then its examples."""
         width = min(console.width, _WIDEST)
+        found = [" ".join(text.split()) for text in _find_text(description).split("\n\n")]
         text = "\n\n".join(
             textwrap.fill(paragraph, width, break_long_words=False, break_on_hyphens=False)
-            for paragraph in self._choose(_list_paragraphs(description))
+            for paragraph in self._choose([*filter(None, found)])
         )
         console.print(f"{text}\n", highlight=False, markup=False, soft_wrap=True)
 
@@ -112,9 +113,18 @@ def show_default(value: object) -> str | None:
     return None if value is False or value is None else str(value)
 
 
-def _list_paragraphs(description: Any) -> list[str]:
-    text = _find_text(description)
-    return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
+def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
+    text = tokens[0].value
+    try:
+        return int(text)
+    except ValueError as err:
+        option = tokens[0].keyword
+        unit = " of ticks" if option == "--dead-time" else ""
+        raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
+
+
+Whole = Annotated[int, Parameter(converter=_read_whole)]
+"""A whole number, because a plain int would truncate 1.5 to 1."""
 
 
 def _find_text(description: Any) -> str:
@@ -246,7 +256,7 @@ def _describe_value_error(err: Any) -> str:
     expected = _describe_value(err.argument)
     near = find_near(value, choices) if choices else []
     hint = f"; did you mean {join_names(near)}?" if near else ""
-    if _takes_no_value(err.argument):
+    if err.argument.hint is bool or bool in get_args(err.argument.hint):
         return f"{place}: takes no value, not {quote_name(value)}"
     shown = value if value.isprintable() and 0 < len(value) <= _SHORT else quote_name(value)
     return f"{place} {shown}: must be {expected}{hint}"
@@ -262,10 +272,6 @@ def _describe_repeated(err: Any) -> str:
 def _name_place(argument: "Argument") -> str:
     name = argument.name
     return name if name.startswith("-") else name.upper()
-
-
-def _takes_no_value(argument: "Argument") -> bool:
-    return argument.hint is bool or bool in get_args(argument.hint)
 
 
 def _describe_value(argument: "Argument") -> str:

@@ -1,37 +1,20 @@
 """`turtlelog view`: recordings in the Rerun viewer."""
 
 import re
-import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import (
-    Connect,
-    Files,
-    Place,
-    ReadingOptions,
-    list_files,
-    read_runs,
-    require_files,
-    require_there,
-)
-from turtlelog.cli.output import fill_lines, list_written, outlive_reader, print_note, print_text
-from turtlelog.cli.picture_options import MovieOptions, film_runs, require_movie
-from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli import options
+from turtlelog.cli.console import fill_lines, flush_stdout, list_written, print_note, print_text
+from turtlelog.cli.work import show_progress
 from turtlelog.errors import UsageError
-
-if TYPE_CHECKING:
-    from turtlelog import Run
-    from turtlelog.log import Surroundings
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
@@ -60,7 +43,7 @@ class PictureOptions:
         no_scans: Leave out the laser scans and the map of a bag.
     """
 
-    snapshot: Place | None = None
+    snapshot: options.Place | None = None
     at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     timeline: str = "sim_time"
     size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = _USUAL_SIZE
@@ -81,18 +64,32 @@ class WindowOptions:
 
     web: bool = False
     follow: bool = False
-    connect: Connect = None
+    connect: options.Connect = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovieOptions:
+    """A movie of the runs.
+
+    Attributes:
+        movie: Write a movie of the runs driving into this .mp4 (VP9) or .gif file.
+        length: Length of the movie [s], 1 to 600. Default: real time, at most 10 s.
+    """
+
+    movie: options.Place | None = None
+    length: Annotated[float | None, Parameter(metavar="SECONDS")] = None
 
 
 def view(
-    files: Files,
+    files: options.Files,
     /,
     *,
-    save: Place | None = None,
+    save: options.Place | None = None,
     picture: PictureOptions | None = None,
     window: WindowOptions | None = None,
     movie: MovieOptions | None = None,
-    topics: ReadingOptions | None = None,
+    topics: options.ReadingOptions | None = None,
 ) -> None:
     """Open recordings in the Rerun viewer; several recordings are overlaid for comparison.
 
@@ -107,27 +104,32 @@ def view(
     """
     picture, window = picture or PictureOptions(), window or WindowOptions()
     movie = movie or MovieOptions()
-    require_files(files)
+    options.require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
-    _require_view(save)
     _require_picture(picture, movie)
     require_movie(movie, files)
-    require_there(files)
-    files = list_files(files)
-    require_new_target(save, files, suffix=".rrd")
-    require_new_target(picture.snapshot, files, suffix=".png")
+    options.require_there(files)
+    files = options.list_files(files)
+    options.require_new_target(save, files, suffix=".rrd")
+    options.require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
     if window.follow:
         with suppress(KeyboardInterrupt):  # as if the window was closed
             _follow(files[0], window.connect)
         return
     if movie.movie is not None:
-        runs = _film(files, movie, picture.timeline, topics)
+        ready = [path for path in files if path.suffix == ".rrd"]
+        if ready:
+            raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
+        runs = options.read_runs(files, topics)
+        film_runs(runs, movie, timeline=picture.timeline)
         _tell([movie.movie], runs)
         if save is None and picture.snapshot is None and not window.web:
             return
-    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+    from tempfile import TemporaryDirectory  # not for plot, which films as well
+
+    with TemporaryDirectory(prefix="turtlelog-") as folder:
         rrds, runs = _prepare_rrds(files, save, picture, Path(folder), topics)
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
@@ -146,29 +148,11 @@ def view(
                 tl.open_viewer(rrds)
 
 
-def _require_view(save: Path | None) -> None:
-    """Refuse a picture or movie as the file of a view, and name the right option."""
-    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
-        other = "--snapshot" if save.suffix == ".png" else "--movie"
-        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
-
-
-def _tell(written: Sequence[Path], runs: "Sequence[Run]") -> None:
+def _tell(written: Sequence[Path], runs: "Sequence[tl.Run]") -> None:
     """Print how the runs in a file ended, and the written files."""
     if written:
         ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
-
-
-def _film(
-    files: list[Path], movie: MovieOptions, timeline: str, topics: ReadingOptions | None
-) -> "list[Run]":
-    ready = [path for path in files if path.suffix == ".rrd"]
-    if ready:
-        raise UsageError(f"--movie: {ready[0]} is a view already; name recordings")
-    runs = read_runs(files, topics)
-    film_runs(runs, movie, timeline=timeline)
-    return runs
 
 
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
@@ -198,6 +182,10 @@ def _require_one_way(
             "--follow: takes one .mcap file that is being recorded, not"
             f" {len(files) if len(files) > 1 else files[0]}"
         )
+    save = outputs[0]
+    if save is not None and save.suffix in {".png", ".mp4", ".gif"}:
+        other = "--snapshot" if save.suffix == ".png" else "--movie"
+        raise UsageError(f"--save {save}: --save writes .rrd files; did you mean {other} {save}?")
 
 
 def _follow(path: Path, url: str | None) -> None:
@@ -209,8 +197,7 @@ def _follow(path: Path, url: str | None) -> None:
 def _serve(rrds: list[Path]) -> None:
     with tl.draw.serve_recordings(rrds) as address:
         print_text(address)
-        with outlive_reader():
-            sys.stdout.flush()
+        flush_stdout()
         print_note("open it in a browser on this machine; Ctrl-C ends it")
         while True:
             time.sleep(_HOUR_S)
@@ -232,8 +219,8 @@ def _prepare_rrds(
     save: Path | None,
     picture: PictureOptions,
     folder: Path,
-    topics: ReadingOptions | None,
-) -> tuple[list[Path], "list[Run]"]:
+    topics: options.ReadingOptions | None,
+) -> tuple[list[Path], "list[tl.Run]"]:
     """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
@@ -244,8 +231,12 @@ def _prepare_rrds(
         raise UsageError(f"--snapshot: takes one view, not {len(ready)}")
     if ready:
         return ready, []
-    runs = read_runs(files, topics)
-    seen = None if picture.no_scans or len(runs) > 1 else _look_around(files[0], runs[0])
+    runs = options.read_runs(files, topics)
+    seen = None  # the surroundings of a bag's robot
+    if not picture.no_scans and len(runs) == 1 and "pose_topic" in runs[0].notes:
+        seen = tl.log.read_surroundings(files[0], runs[0])
+    for note in () if seen is None else seen.notes:
+        print_note(f"{files[0]}: {note}")
     rrd = save or folder / "view.rrd"
     with show_progress("drawing"):
         size = None if picture.snapshot is None else _parse_size(picture.size)
@@ -256,17 +247,7 @@ def _prepare_rrds(
     return [rrd], runs
 
 
-def _look_around(file: Path, run: "Run") -> "Surroundings | None":
-    """Return the surroundings of a bag's robot, and print their source."""
-    if "pose_topic" not in run.notes:
-        return None
-    seen = tl.log.read_surroundings(file, run)
-    for note in () if seen is None else seen.notes:
-        print_note(f"{file}: {note}")
-    return seen
-
-
-def _find_span(runs: "Sequence[Run]") -> tuple[float, float] | None:
+def _find_span(runs: "Sequence[tl.Run]") -> tuple[float, float] | None:
     """Return the time of the first pose and the end of the longest run [s]; None without runs."""
     if not runs:
         return None
@@ -287,3 +268,37 @@ def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) ->
         least = f"must be at least {start_s:.3f} s, where it begins"
         raise UsageError(f"--at {picture.at}: {least}")
     return picture.at
+
+
+def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
+    """Refuse a movie that cannot be written, before any file is read."""
+    if movie.movie is None:
+        if movie.length is not None:
+            raise UsageError("--length: needs --movie NAME.mp4")
+        return
+    suffix = movie.movie.suffix.lower()
+    if suffix not in {".mp4", ".gif"}:
+        raise UsageError(f"--movie {movie.movie}: the name must end in .mp4 or .gif")
+    options.require_new_target(movie.movie, files, suffix=suffix)
+    from turtlelog.draw.movie_file import require_encoder
+
+    require_encoder(suffix)
+
+
+def film_runs(runs: "Sequence[tl.Run]", movie: MovieOptions, *, timeline: str) -> None:
+    """Write the movie if one is requested."""
+    if movie.movie is None:
+        return
+    from turtlelog.draw.movie_file import write_movie
+
+    bare = next((run.name for run in runs if not len(run.poses)), None)
+    if bare is not None:
+        raise UsageError(f"--movie: {bare} has commands alone, and a movie needs poses")
+    with show_progress("filming", 100.0, "%") as progress:
+        write_movie(
+            runs,
+            movie.movie,
+            timeline=timeline,
+            length_s=movie.length,
+            on_picture=progress.count,
+        )

@@ -13,17 +13,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeVar
+from typing import IO, Any, Final, TextIO, TypeVar
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
-
-if TYPE_CHECKING:
-    from turtlelog import Metric
-    from turtlelog.compare import Column, Table
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
@@ -60,16 +56,10 @@ class FormatOptions:
         Raises:
             UsageError: If several formats are requested.
         """
-        asked = {
-            "--markdown": self.markdown,
-            "--csv": self.csv,
-            "--latex": self.latex,
-            "--json": self.json,
-        }
-        chosen = [name for name, is_asked in asked.items() if is_asked]
+        kinds = {"markdown": "md", "csv": "csv", "latex": "tex", "json": "json"}
+        chosen = [name for name in kinds if getattr(self, name)]
         if len(chosen) > 1:
-            raise UsageError(f"{chosen[0]} and {chosen[1]}: choose one format")
-        kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
+            raise UsageError(f"--{chosen[0]} and --{chosen[1]}: choose one format")
         return kinds[chosen[0]] if chosen else "txt"
 
 
@@ -125,7 +115,7 @@ def print_lines(lines: Iterable[str]) -> None:
     print_text("\n".join(map(escape_controls, lines)))
 
 
-def print_tables(tables: "Sequence[Table]", kind: str) -> None:
+def print_tables(tables: "Sequence[tl.compare.Table]", kind: str) -> None:
     """Print tables in a format, separated by empty lines."""
     texts = (
         fit_table(table) if kind == "txt" else tl.draw.format_table(table, kind) for table in tables
@@ -139,7 +129,11 @@ def outlive_reader() -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        if err.errno != errno.EPIPE and not (err.errno == errno.EIO and _is_device()):
+        is_closed = err.errno == errno.EPIPE or (
+            # A terminal, for which `isatty` returns False when it is closed.
+            err.errno == errno.EIO and stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
+        )
+        if not is_closed:
             raise
         drop_stdout()
 
@@ -148,11 +142,6 @@ def flush_stdout() -> None:
     """Send everything printed so far to the reader of stdout."""
     with outlive_reader():
         sys.stdout.flush()
-
-
-def _is_device() -> bool:
-    """Return whether stdout is or was a terminal; for a closed terminal, `isatty` returns False."""
-    return stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
 
 
 def drop_stdout() -> None:
@@ -253,10 +242,10 @@ def align_rows(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def build_table(
     title: str,
-    heads: "Iterable[str | Column]",
+    heads: "Iterable[str | tl.compare.Column]",
     rows: Iterable[Iterable[Any]],
     notes: Iterable[str] = (),
-) -> "Table":
+) -> "tl.compare.Table":
     """Return a table. A head may end in a unit: `duration [s]`."""
     columns = []
     for head in heads:
@@ -269,9 +258,14 @@ def build_table(
     )
 
 
-def fit_table(table: "Table") -> str:
+def fit_table(table: "tl.compare.Table") -> str:
     """Return a table that fits a line."""
     return tl.draw.format_table(table, width=find_width())
+
+
+def fit_body(table: "tl.compare.Table") -> str:
+    """Return a table that fits a line, below an empty line in place of its title."""
+    return "\n" + fit_table(replace(table, title="")).strip("\n")
 
 
 _MOST_ROWS: Final = 20
@@ -279,7 +273,7 @@ _MOST_ROWS: Final = 20
 run."""
 
 
-def cut_rows(table: "Table") -> "Table":
+def cut_rows(table: "tl.compare.Table") -> "tl.compare.Table":
     """Return the first rows of a table of runs, with the number of the other rows."""
     more = len(table.rows) - _MOST_ROWS
     if more <= 0:
@@ -316,11 +310,8 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
     told = _OF_SOURCE if "chosen" in notes else ()
     for name in ("preset", *told, "unused", "recovered", "partial"):
         if name in notes:
-            label = (
-                ""
-                if name in {"preset", "chosen", "plane", "unused"}
-                else f"{name.replace('_', ' ')}: "
-            )
+            is_plain = name in {"preset", "chosen", "plane", "unused"}
+            label = "" if is_plain else f"{name.replace('_', ' ')}: "
             _HELD.append(f"{path}: {label}{notes[name]}")
     if len(_HELD) > _MOST_HELD:
         print_held_notes()
@@ -342,6 +333,15 @@ _OF_SOURCE: Final = (
 def print_error(text: str) -> None:
     """Print an error in one line."""
     print_note(f"turtlelog: error: {text}")
+
+
+def print_errors(errors: Iterable[TurtlelogError]) -> int:
+    """Print errors of files, each in one line, and return the exit code."""
+    code = EXIT_FINE
+    for err in errors:
+        print_error(str(err))
+        code = EXIT_BAD_INPUT
+    return code
 
 
 def print_json(value: Any) -> None:
@@ -375,15 +375,13 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
 
     with _spool() as spool:
         writer = csv.writer(spool, lineterminator="\n")
+        is_shown = sys.stdout.isatty()  # else a program reads the cells
         for number, row in enumerate(rows):
-            cells = [_show_cell(cell) for cell in row]
+            texts = map(guard_cell, row)
+            cells = [
+                escape_controls(one) if is_shown and isinstance(one, str) else one for one in texts
+            ]
             writer.writerows([cells] if number else [head, cells])
-
-
-def _show_cell(cell: Any) -> Any:
-    """Return a cell as text that is not a formula: unchanged for a program, else escaped."""
-    text = guard_cell(cell)
-    return escape_controls(text) if isinstance(text, str) and sys.stdout.isatty() else text
 
 
 @contextmanager
@@ -397,11 +395,6 @@ def _spool() -> Iterator[IO[str]]:
         spool.seek(0)
         with outlive_reader():
             shutil.copyfileobj(spool, sys.stdout)
-
-
-def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
-    """Return metrics as the `metrics` list of JSON answers."""
-    return [metric.to_dict() for metric in metrics.values()]
 
 
 def find_command_name() -> str:

@@ -1,22 +1,22 @@
-"""Options that choose a scenario and change it, shared by several commands."""
+"""`turtlelog scenario`: printing of a scenario; options that choose and change scenarios."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.list_names import complete_keys, complete_law
-from turtlelog.cli.options import MaxDownload, Place, TopicOptions, Whole, read_chosen_run
-from turtlelog.cli.output import print_note
+from turtlelog.cli.console import print_note, print_text
+from turtlelog.cli.list_names import complete_keys, complete_law, complete_preset
+from turtlelog.cli.options import MaxDownload, Place, TopicOptions, read_chosen_run
+from turtlelog.cli.usage import Whole
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path
 
-if TYPE_CHECKING:
-    from turtlelog import Declaration, Scenario
+ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
 
 @Parameter(name="*")
@@ -39,6 +39,10 @@ class ScenarioOptions:
     assignments: Annotated[
         list[str] | None, Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys)
     ] = None
+
+    def parse_assignments(self) -> dict[str, Any]:
+        """Return the values of --set by key."""
+        return tl.scenario.parse_assignments(self.assignments or (), source="--set")
 
 
 @Parameter(name="*")
@@ -63,8 +67,7 @@ class LawOptions(ScenarioOptions):
             UsageError: If the options name two laws, or a law together with --commands, which
                 replaces the law.
         """
-        changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
-        kind = changes.get("law.kind")
+        kind = self.parse_assignments().get("law.kind")
         if self.law is not None and kind not in (None, self.law):
             raise UsageError(f"--law {self.law} and --set law.kind={kind}: choose one")
         named = self.law or (kind if isinstance(kind, str) else None)
@@ -86,7 +89,7 @@ class RowOptions:
     table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
     row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
-    def load(self, scenario: str | None, options: LawOptions | None) -> "Scenario":
+    def load(self, scenario: str | None, options: LawOptions | None) -> "tl.Scenario":
         """Return the scenario to run, with the options applied."""
         if self.table is None:
             if self.row is not None:
@@ -97,6 +100,21 @@ class RowOptions:
         if self.row is None:
             raise UsageError("--from: needs --row NUMBER")
         return apply_options(tl.sweep.load_row_scenario(self.table, self.row), options)
+
+
+def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = None) -> None:
+    """Print the scenario of a preset, file or recording as a whole file, to edit and run.
+
+    The code of a law of your own is not loaded: only the given keys are printed.
+
+    Example: turtlelog scenario paper-kp10 > mine.toml
+
+    Args:
+        scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
+            Default: paper; with --law: textbook.
+    """
+    chosen = load_changed_scenario(scenario, changes)
+    print_text(tl.format_scenario(chosen))
 
 
 _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
@@ -117,7 +135,7 @@ def is_recording(path: Path) -> bool:
     return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
 
 
-def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
+def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "tl.Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
     The name of the scenario contains the changes. The code of a law is loaded only to set its
@@ -130,7 +148,10 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     path, declared = make_path(name_or_path), None
     if name_or_path in tl.PRESETS or not is_recording(path):
         base = tl.load_scenario(name_or_path)
-        _note_robot(path)
+        if path.suffix == ".toml" and path.is_file():
+            text = path.read_text(encoding="utf-8", errors="replace")
+            for note in tl.identify.read_robot_notes(text):
+                print_note(note)
     else:
         run = read_chosen_run(path, TopicOptions())
         if not run.scenario_is_complete:
@@ -143,17 +164,9 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     return apply_options(base, options, declared)
 
 
-def _note_robot(path: Path) -> None:
-    """Print the notes of `identify` in a scenario file before other output."""
-    if path.suffix == ".toml" and path.is_file():
-        text = path.read_text(encoding="utf-8", errors="replace")
-        for note in tl.identify.read_robot_notes(text):
-            print_note(note)
-
-
 def apply_options(
-    base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
-) -> "Scenario":
+    base: "tl.Scenario", options: LawOptions | None, declared: "tl.Declaration | None" = None
+) -> "tl.Scenario":
     """Return a scenario with the options applied and named."""
     options, scenario, said = options or LawOptions(), base, []
     if options.law is not None:
@@ -166,29 +179,26 @@ def list_given_keys(options: ScenarioOptions | None) -> list[str]:
     """Return the keys of a scenario that the options set by name."""
     if options is None:
         return []
-    assigned = tl.scenario.parse_assignments(options.assignments or (), source="--set")
-    return [*assigned, *([] if options.goal is None else _parse_goal(options.goal))]
+    return [
+        *options.parse_assignments(),
+        *([] if options.goal is None else _parse_goal(options.goal)),
+    ]
 
 
 def name_by_changes(
-    scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
-) -> "Scenario":
+    scenario: "tl.Scenario", base: str, options: ScenarioOptions | None, *more: str
+) -> "tl.Scenario":
     """Return a scenario that is named after its base and the changes.
 
     A name from --set is kept.
     """
-    said = [*more, *_list_changes(options)]
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
-
-
-def _list_changes(options: ScenarioOptions | None) -> list[str]:
-    if options is None:
-        return []
-    said = [] if options.commands is None else [f"commands={options.commands.stem}"]
+    said, options = [*more], options or ScenarioOptions()
+    said += [] if options.commands is None else [f"commands={options.commands.stem}"]
     said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
-    return said + [_tell(text) for text in options.assignments or ()]
+    said += map(_tell, options.assignments or ())
+    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
+    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
 
 
 def _tell(text: str) -> str:
@@ -197,26 +207,27 @@ def _tell(text: str) -> str:
 
 
 def change_scenario(
-    scenario: "Scenario", options: ScenarioOptions | None, declaration: "Declaration | None" = None
-) -> "Scenario":
+    scenario: "tl.Scenario",
+    options: ScenarioOptions | None,
+    declaration: "tl.Declaration | None" = None,
+) -> "tl.Scenario":
     """Return a scenario with the options applied."""
     options = options or ScenarioOptions()
     if options.commands is not None:
         run = read_chosen_run(options.commands, TopicOptions(), allow_no_poses=True)
         scenario, declaration = tl.scenario.replay_commands(scenario, run), None
-    changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
+    changes = options.parse_assignments()
     if "law.kind" in changes:
         # Another law has other keys, so it is chosen first.
         kind = {"law.kind": changes.pop("law.kind")}
         scenario = tl.override_scenario(scenario, kind, source="--set")
     if options.kp is not None:
-        from turtlelog.scenario import override_gains
-
-        asked = declaration or _ask_law(scenario, changes)
-        gains = asked.list_gains()
+        # The law declares its loops once all required values are set.
+        complete = partial(tl.override_scenario, scenario, changes, source="--set")
+        gains = (declaration or tl.simulate.declare_scenario(complete())).list_gains()
         if not gains:
             raise UsageError("--kp: this law declares no gain; set its keys with --set")
-        scenario = override_gains(scenario, gains, options.kp, source="--kp")
+        scenario = tl.scenario.override_gains(scenario, gains, options.kp, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
     try:
@@ -228,11 +239,6 @@ def change_scenario(
         problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")
         problem = re.sub(r"\bkp_", "law.kp_", problem)
         raise UsageError(f"{problem} --kp {kp} sets the gain of every loop") from err
-
-
-def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
-    """Return the declaration of a scenario's law, once all required values are set."""
-    return tl.simulate.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
 
 
 def _parse_goal(text: str) -> dict[str, Any]:
