@@ -143,7 +143,7 @@ class FailureExplainer:
         has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
         if not has_failed or self.explained == _MOST_EXPLAINED:
             return file
-        from turtlelog.check.difference_reason import explain_failures
+        from turtlelog.check.failure_report import explain_failures
 
         # Failed files that another process has judged are read once more here.
         closer = self.judge.look_closer(path, file) if file.run is None else file

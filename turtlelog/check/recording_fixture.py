@@ -214,7 +214,7 @@ class Recording:
         reference = next((one.reference for one in results if one.reference is not None), None)
         if reference is None:
             return results
-        from turtlelog.check.difference_reason import explain_failures
+        from turtlelog.check.failure_report import explain_failures
 
         return explain_failures(self.run, reference, results, trust_law=self._trust_law)
 

@@ -8,7 +8,7 @@ after any other end, they are unknown.
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from textwrap import shorten
 from typing import Any, Final, Protocol
@@ -255,9 +255,7 @@ class _Leaf:
         node = self._node
         if not isinstance(node, Comparison) or len(node.operators) == 1:
             return CriticalPart(node=node, time_ns=time_ns)
-        pairs = zip(node.operators, node.operands, node.operands[1:], strict=False)
-        links = [Comparison(operators=(op,), operands=(a, b)) for op, a, b in pairs]
-        found = [_Leaf(self._reader, link, self._sign) for link in links]
+        found = [_Leaf(self._reader, link, self._sign) for link in split_comparison(node)]
         return min(found, key=lambda link: _read(link, time_ns)).find_critical(time_ns)
 
     def find_violation(self) -> int | None:
@@ -368,6 +366,12 @@ def read_margin(whole: Part) -> float:
 
 def _read(part: Part, time_ns: int) -> float:
     return float(part.margins.values[part.margins.find_piece(time_ns)])
+
+
+def split_comparison(node: Comparison) -> Iterator[Comparison]:
+    """Yield the two-sided comparisons of a chain, as results name them."""
+    for operator, *sides in zip(node.operators, node.operands, node.operands[1:], strict=False):
+        yield Comparison(operators=(operator,), operands=tuple(sides))
 
 
 def _find_failure(part: Part, start_ns: int, end_ns: int) -> int | None:

@@ -44,13 +44,7 @@ from turtlelog.simulate.loop_parts import (
     bind_step,
     list_streams,
 )
-from turtlelog.simulate.rows import (
-    EventRow,
-    SampleRow,
-    TickRow,
-    describe_event,
-    find_maker,
-)
+from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event, find_maker
 from turtlelog.simulate.settings import build_settings, find_states, list_acting
 
 _FORGET_EVERY: Final = 64
