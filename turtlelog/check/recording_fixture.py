@@ -10,15 +10,14 @@ from typing import Any, Literal, TypeAlias, Unpack
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_formula import judge_check, watch_metric
-from turtlelog.check.judge_run import (
+from turtlelog.check.reference import (
     AnyReference,
     AnyTolerance,
-    fail_recording,
+    ReferenceFile,
     judge_replay,
     match_run,
 )
-from turtlelog.check.reference import ReferenceFile
-from turtlelog.check.result import CheckOutcome, CheckResult
+from turtlelog.check.result import CheckOutcome, CheckResult, fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
     describe_nearest,

@@ -213,3 +213,10 @@ def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
         for one in results
     ]
     return format_html(rows, heads=heads, title=title)
+
+
+def fail_recording(file: str, reason: str) -> CheckResult:
+    """Return the result for a recording on which no check could be judged."""
+    return CheckResult(
+        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+    )

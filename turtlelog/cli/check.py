@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from turtlelog import Run, Spec
     from turtlelog.check import ArtifactWriter, CheckResult
-    from turtlelog.check.judged_files import FileJudge, JudgedFile
+    from turtlelog.check.judge_run import FileJudge, JudgedFile
     from turtlelog.sweep import FoundRecording
 
 
@@ -254,7 +254,7 @@ def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) 
     Recordings are read only for names that may be states or parameters of a user law, until one
     recording contains them all.
     """
-    from turtlelog.check.judged_files import read_to_judge
+    from turtlelog.check.judge_run import read_to_judge
     from turtlelog.check.vocabulary import is_in_tables, require_known_names
 
     formulas = [
@@ -284,7 +284,7 @@ def _write_first(
     path: Path, words: Sequence[Path], output: Path | None, topics: ReadingOptions
 ) -> int:
     from turtlelog.check.first_spec import format_first_spec, name_reference
-    from turtlelog.check.judged_files import read_to_judge
+    from turtlelog.check.judge_run import read_to_judge
 
     if words:
         raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")
@@ -334,8 +334,11 @@ def _check_into_table(
 def _prepare_judge(
     spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
 ) -> "FileJudge":
-    from turtlelog.check.judged_files import FileJudge
-    from turtlelog.check.reference import read_reference_run, read_reference_trajectory
+    from turtlelog.check.judge_run import (
+        FileJudge,
+        read_reference_run,
+        read_reference_trajectory,
+    )
 
     choice = spec.read.override(topics.build_choice())
     return FileJudge(
@@ -367,7 +370,7 @@ def _check_placed(
     *,
     place: "int | Executor",
 ) -> "Iterator[CheckResult]":
-    from turtlelog.check.judged_files import CheckedFile, format_junit
+    from turtlelog.check.judge_run import CheckedFile, format_junit
 
     jobs = 1 if reports.report is not None else place
     keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
