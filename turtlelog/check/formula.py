@@ -16,7 +16,7 @@ from turtlelog.check.formula_trace import (
     read_signals,
 )
 from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
-from turtlelog.check.vocabulary import OTHER_VALUES, find_kind, find_other_unit
+from turtlelog.check.spec import OTHER_UNITS, find_kind
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls
@@ -293,14 +293,11 @@ def _read_sides(
 
 def find_formula_unit(name: str, declaration: Declaration) -> str | None:
     """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
-    if name in list_signals(declaration):
-        return list_signals(declaration)[name].unit
-    if name in list_metrics(declaration):
-        return list_metrics(declaration)[name].unit
+    own = list_signals(declaration).get(name) or list_metrics(declaration).get(name)
+    if own is not None or name in OTHER_UNITS:
+        return OTHER_UNITS[name] if own is None else own.unit
     kind = find_metric_kind(name)
-    if name in OTHER_VALUES or kind is None:
-        return find_other_unit(name)
-    return "" if " or " in kind.unit else kind.unit
+    return None if kind is None else "" if " or " in kind.unit else kind.unit
 
 
 def _is_measured(node: Node, units: Mapping[str, str]) -> bool:

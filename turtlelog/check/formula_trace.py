@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.vocabulary import find_kind
+from turtlelog.check.spec import find_kind
 from turtlelog.errors import CheckError
 from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
 from turtlelog.log.recording.head import LOSS_NOTES, NO_LOSS
@@ -93,7 +93,6 @@ def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
 
 
 Column = tuple[NDArray[np.int64], NDArray[Any]]
-
 
 Signals = Mapping[str, Column | float | bool | str | None]
 """Signals and constants by name: times [ns] and values of a signal, or a constant; None for no

@@ -11,14 +11,15 @@ import numpy as np
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, JudgedMetric, Verdict
-from turtlelog.check.spec import Check, list_formula_names
-from turtlelog.check.vocabulary import (
+from turtlelog.check.spec import (
     ROBOT_VALUES,
     TRAJECTORY_VALUES,
+    Check,
     TrajectoryJudge,
     choose_signals,
     describe_missing_phase,
     find_kind,
+    list_formula_names,
     measure_robot,
     require_known_names,
 )

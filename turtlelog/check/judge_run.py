@@ -12,9 +12,8 @@ from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_formula import Grown, judge_check, measure_named
 from turtlelog.check.reference import MetricsFile, match_run, read_metrics_file
 from turtlelog.check.result import CheckResult, Verdict, describe_result, fail_recording
-from turtlelog.check.spec import Spec, list_formula_names
+from turtlelog.check.spec import TRAJECTORY_VALUES, Spec, TrajectoryJudge, list_formula_names
 from turtlelog.check.spec_file import count_parts, require_reference
-from turtlelog.check.vocabulary import TRAJECTORY_VALUES, TrajectoryJudge
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic

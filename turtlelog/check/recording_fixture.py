@@ -18,8 +18,8 @@ from turtlelog.check.reference import (
     match_run,
 )
 from turtlelog.check.result import CheckOutcome, CheckResult, fail_recording
-from turtlelog.check.spec import Check
-from turtlelog.check.vocabulary import (
+from turtlelog.check.spec import (
+    Check,
     describe_nearest,
     names_metrics_alone,
     require_known_names,

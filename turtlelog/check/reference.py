@@ -14,9 +14,8 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from turtlelog.check.result import CheckResult, JudgedSignal, Verdict, fail_recording
-from turtlelog.check.spec import Tolerances
+from turtlelog.check.spec import Tolerances, choose_signals
 from turtlelog.check.spec_file import load_tolerances
-from turtlelog.check.vocabulary import choose_signals
 from turtlelog.compare import Tolerance
 from turtlelog.compare.difference import compare_metrics
 from turtlelog.compare.signal_comparison import compare_signals, explain_lack, find_zero_ns

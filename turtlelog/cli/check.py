@@ -138,7 +138,7 @@ def check(
     kind = (formats or FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
     if first.schema:
-        from turtlelog.check.spec import build_schema
+        from turtlelog.check.spec_templates import build_schema
 
         print_json(build_schema())
         return EXIT_FINE
@@ -177,8 +177,7 @@ def _require_use(spec: "Spec", reference: Path | None) -> None:
     Raises:
         UsageError: If there is such a reference.
     """
-    from turtlelog.check.spec import list_formula_names
-    from turtlelog.check.vocabulary import TRAJECTORY_VALUES
+    from turtlelog.check.spec import TRAJECTORY_VALUES, list_formula_names
 
     if reference is not None and list_formula_names(spec.checks).isdisjoint(TRAJECTORY_VALUES):
         raise UsageError(
@@ -236,8 +235,7 @@ def _require_targets(reports: ReportOptions, output: Path | None, words: Sequenc
 
 def build_spec(formulas: "Sequence[str]") -> "Spec":
     """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
-    from turtlelog.check.spec import Check
-    from turtlelog.check.vocabulary import names_metrics_alone, require_known_names
+    from turtlelog.check.spec import Check, names_metrics_alone, require_known_names
 
     checks = []
     for text in formulas:
@@ -255,7 +253,7 @@ def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) 
     recording contains them all.
     """
     from turtlelog.check.judge_run import read_to_judge
-    from turtlelog.check.vocabulary import is_in_tables, require_known_names
+    from turtlelog.check.spec import is_in_tables, require_known_names
 
     formulas = [
         (formula, check.kind == "holds" and formula is check.formula)
@@ -283,8 +281,8 @@ def _require_known(spec: "Spec", files: Sequence[Path], topics: ReadingOptions) 
 def _write_first(
     path: Path, words: Sequence[Path], output: Path | None, topics: ReadingOptions
 ) -> int:
-    from turtlelog.check.first_spec import format_first_spec, name_reference
     from turtlelog.check.judge_run import read_to_judge
+    from turtlelog.check.spec_templates import format_first_spec, name_reference
 
     if words:
         raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")

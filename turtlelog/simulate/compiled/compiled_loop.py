@@ -125,7 +125,6 @@ class Kinds:
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
 _OF_TICKS, _OF_SAMPLES = (build_dtype(build_events(ticks=ticks)) for ticks in (True, False))
 
-
 _STEPS: Final[dict[str, Function]] = {
     "MOVE_PLANT": loop.move_plant,
     "ANSWER": loop.answer,

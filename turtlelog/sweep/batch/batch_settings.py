@@ -48,7 +48,6 @@ FREE_KEYS: Final = frozenset(
 be any number between two bounds, and each is a number of the loop itself. Other keys are validated
 in combination."""
 
-
 _NOT_COMPARED: Final = (dict, list, tuple)
 """Types of values that are rarely equal, because each row has its own schedule or points."""
 

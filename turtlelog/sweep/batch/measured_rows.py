@@ -65,7 +65,6 @@ _STRETCH: Final = 32
 """Number of rows in one call: enough for a negligible overhead, few enough that all cores finish
 together."""
 
-
 _COMPARED: Final[set[CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""
 

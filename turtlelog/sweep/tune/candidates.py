@@ -39,7 +39,6 @@ _CHUNK_S: Final = 0.5
 """Duration of a unit of work [s]: long compared with the time to distribute it, short for a waiting
 user."""
 
-
 Values = Mapping[str, Any]
 
 
