@@ -13,6 +13,7 @@ from turtlelog.check.formula_trace import (
     check_names,
     find_ending,
     find_span,
+    list_names,
     read_signals,
 )
 from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
@@ -141,6 +142,8 @@ def check_formula(
     if holds is False:  # a violation is certain only with unknown parts at their best
         failed_ns = find_violation(walk_formula(expression, trace, exact=True, unknown=math.inf))
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
+    is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
+    reach_s = _measure_reach(expression.root, is_cut=is_cut)
     unknown = FormulaResult(
         formula=expression.text,
         holds=None,
@@ -148,7 +151,7 @@ def check_formula(
         margin_s=None,
         first_violation_s=None if failed_ns is None else (failed_ns - trace.start_ns) / 1e9,
         values=values,
-        is_covered=_is_covered(expression, trace),
+        is_covered=trace.start_ns + reach_s * 1e9 <= trace.end_ns,
     )
     if critical is None:
         return replace(unknown, reason=_explain_unknown(expression, trace))
@@ -241,25 +244,14 @@ def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
     if trace.ending is not RunEnding.SETTLED:
         settled = replace(trace, ending=RunEnding.SETTLED)
         if _decide(expression, settled)[0] is not None:
-            return f"{_TOO_SHORT}, and {trace.ending.value}{_advise(expression, trace)}"
+            recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
+            nodes = iterate_nodes(expression.root)
+            is_open = any(isinstance(n, Temporal | Until) and math.isinf(n.end_s) for n in nodes)
+            window = f"such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
+            advice = f"; a window with an end, {window}" if is_open and recorded_ms else ""
+            return f"{_TOO_SHORT}, and {trace.ending.value}{advice}"
     missing = [name for name, value in trace.constants.items() if value is None]
     return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
-
-
-def _advise(expression: Expression, trace: FormulaTrace) -> str:
-    """Return the window to use for a truncated trace instead of a window without an end."""
-    recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
-    nodes = iterate_nodes(expression.root)
-    is_open = any(isinstance(node, Temporal | Until) and math.isinf(node.end_s) for node in nodes)
-    if not is_open or not recorded_ms:
-        return ""
-    return f"; a window with an end, such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
-
-
-def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
-    is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
-    reach_s = _measure_reach(expression.root, is_cut=is_cut)
-    return trace.start_ns + reach_s * 1e9 <= trace.end_ns
 
 
 def _measure_reach(node: Node, *, is_cut: bool) -> float:
@@ -277,12 +269,10 @@ def _read_sides(
     """Return value, limit and unit of a comparison of numbers; nothing for any other node."""
     if not isinstance(node, Comparison):
         return {}
-    names = {part.name for part in iterate_nodes(node) if isinstance(part, Name)}
-    units = {
-        name: unit for name in names if (unit := find_formula_unit(name, declaration)) is not None
-    }
+    found = {name: find_formula_unit(name, declaration) for name in list_names(node)}
+    units = {name: unit for name, unit in found.items() if unit is not None}
     measured, limit = node.operands
-    if _is_measured(limit, units) and not _is_measured(measured, units):
+    if units.keys().isdisjoint(list_names(measured)) and units:  # the limit names all of them
         measured, limit = limit, measured
     sides = [evaluate_node(expression, side, values) for side in (measured, limit)]
     if any(side.kind is not Kind.NUMBER for side in sides):
@@ -298,10 +288,6 @@ def find_formula_unit(name: str, declaration: Declaration) -> str | None:
         return OTHER_UNITS[name] if own is None else own.unit
     kind = find_metric_kind(name)
     return None if kind is None else "" if " or " in kind.unit else kind.unit
-
-
-def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
-    return any(isinstance(part, Name) and part.name in units for part in iterate_nodes(node))
 
 
 def _find_unit(node: Node, units: Mapping[str, str]) -> str:

@@ -82,8 +82,8 @@ class _Judge:
     def __init__(
         self, check: Check, run: Run, file: str, metrics: Mapping[str, Metric], grown: Grown
     ) -> None:
-        self._check, self._run, self._file, self._metrics = check, run, file, metrics
-        self._grown = grown
+        self._check, self._run, self._file = check, run, file
+        self._metrics, self._grown = metrics, grown
 
     def __call__(self) -> CheckResult:
         check, formula = self._check, self._check.formula
@@ -95,7 +95,18 @@ class _Judge:
         lacking = self._find_lacking(formula)
         if lacking:
             return self._leave_open(lacking)
-        return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
+        if check.kind == "holds":
+            return self._judge_over_time()
+        found = self._check_values(formula)
+        failed_s = None if found.holds else self._find_moment(found.limit)
+        return replace(self._describe(found), first_violation_s=failed_s)
+
+    def _check_values(self, formula: Expression) -> FormulaResult:
+        values: dict[str, Any] = {
+            name: self._metrics[name].value if name in self._metrics else self._run.parameters[name]
+            for name in formula.names
+        }
+        return check_formula(values, formula, declaration=self._run.declaration)
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
         """Return the reason why a check is skipped or undecided; None if it applies."""
@@ -103,9 +114,7 @@ class _Judge:
         lacking = self._find_lacking(condition)
         if lacking:
             return self._leave_open(f"when: {lacking}")
-        found = check_formula(
-            self._read_values(condition), condition, declaration=self._run.declaration
-        )
+        found = self._check_values(condition)
         if found.holds is None:
             return self._leave_open(f"when: {found.reason}")
         if found.holds:
@@ -114,18 +123,10 @@ class _Judge:
         reason = f"only when {condition.text}; here {values}"
         return self._build(Verdict.SKIPPED, reason=reason)
 
-    def _judge_metrics(self) -> CheckResult:
-        formula = self._check.formula
-        found = check_formula(
-            self._read_values(formula), formula, declaration=self._run.declaration
-        )
-        failed_s = None if found.holds else self._find_moment(found.limit)
-        return replace(self._describe(found), first_violation_s=failed_s)
-
     def _judge_over_time(self) -> CheckResult:
         check, run = self._check, self._run
         names = check.formula.names
-        window_ns = find_span(run, names) if not check.phase else find_window(run, check.phase)
+        window_ns = find_window(run, check.phase) if check.phase else find_span(run, names)
         if window_ns is None:
             return self._leave_open(describe_missing_phase(run, check.phase or ""))
         found = check_run(run, check.formula, window_ns=window_ns)
@@ -146,13 +147,15 @@ class _Judge:
 
     def _describe(self, found: FormulaResult) -> CheckResult:
         is_finite = found.margin is not None and math.isfinite(found.margin)
+        nodes = iterate_nodes(self._check.formula.root)
+        comparisons = sum(len(n.operators) for n in nodes if isinstance(n, Comparison))
         return replace(
             self._build(Verdict.PASS if found.holds else Verdict.FAIL, reason=found.reason),
             value=found.value,
             limit=found.limit,
             margin=found.margin if is_finite else None,
             unit=found.unit,
-            decided_by=found.decided_by if _has_several(self._check.formula) else "",
+            decided_by=found.decided_by if comparisons > 1 else "",
             is_decided=found.holds is not None,
         )
 
@@ -187,12 +190,6 @@ class _Judge:
                 lacking.append(f"{name}: {metric.lack}")
         return "; ".join(lacking)
 
-    def _read_values(self, formula: Expression) -> dict[str, Any]:
-        return {
-            name: self._metrics[name].value if name in self._metrics else self._run.parameters[name]
-            for name in formula.names
-        }
-
     def _find_moment(self, limit: float | None) -> float | None:
         """Return when a bound on one metric is first violated; None if the check names several."""
         formula = self._check.formula
@@ -206,12 +203,6 @@ class _Judge:
                 operator = root.operators[0]
                 return find_metric_violation(self._run, metric, operator, limit, grown=self._grown)
         return metric.at_s
-
-
-def _has_several(formula: Expression) -> bool:
-    """Return whether a formula contains more than one comparison."""
-    links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
-    return sum(map(len, links)) > 1
 
 
 def find_metric_violation(
@@ -236,8 +227,11 @@ def find_metric_violation(
         if kind.grows:
             grown = {} if grown is None else grown
             return _find_growth(run, metric.id, operator, limit, settings, grown)
-        if kind.is_awaited:
-            return _find_start_s(run, part) + max(limit, 0.0)
+        if kind.is_awaited:  # from the time at which its loop first acts
+            loop = run.declaration.find_loop(part)
+            stretch = find_first_stretch(run, loop) if loop else []
+            start_s = (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
+            return start_s + max(limit, 0.0)
     if metric.at_s is None and part == "final":
         return (run.end_ns - run.start_ns) / 1e9
     return metric.at_s
@@ -260,13 +254,6 @@ def _find_growth(
         else:
             first = middle + 1
     return float(run.poses.time_ns[last] - run.start_ns) / 1e9
-
-
-def _find_start_s(run: Run, part: str) -> float:
-    """Return when a loop first acts, from the first sample [s]; 0 for any other metric."""
-    loop = run.declaration.find_loop(part)
-    stretch = find_first_stretch(run, loop) if loop else []
-    return (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
 
 
 def measure_margin(value: float, operator: str, limit: float) -> float:

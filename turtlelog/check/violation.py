@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import Curve
 from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.check.formula import check_run, find_formula_unit
-from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, read_signals
+from turtlelog.check.formula_trace import (
+    FormulaTrace,
+    find_span,
+    find_window,
+    list_names,
+    read_signals,
+)
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.robustness import split_comparison, walk_formula
 from turtlelog.check.spec import Check
@@ -29,7 +35,6 @@ from turtlelog.expressions import (
     Until,
     evaluate_node,
     format_expression,
-    iterate_nodes,
 )
 from turtlelog.measure import (
     MIRRORED,
@@ -382,7 +387,7 @@ class _BandReader:
         self, run: Run, formula: Expression, leaf: _Leaf, signals: Mapping[str, Any]
     ) -> None:
         self._run, self._formula, self._leaf = run, formula, leaf
-        named = {name: signals.get(name) for name in _list_names(leaf.node)}
+        named = {name: signals.get(name) for name in list_names(leaf.node)}
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
         self._signals = columns
         longest = max(columns.values(), key=lambda column: len(column[0]))[0]
@@ -413,7 +418,7 @@ class _BandReader:
         if ends is None:
             return None
         for link in (part for node in self._leaf.place.beside for part in split_comparison(node)):
-            names = [name for name in _list_names(link) if name not in self._signals]
+            names = [name for name in list_names(link) if name not in self._signals]
             if any(isinstance(self._values[name], tuple) for name in names):
                 continue  # it uses other signals than the deciding comparison
             more = self._find_ends([link], measured, is_magnitude=is_magnitude)
@@ -423,7 +428,7 @@ class _BandReader:
         excess = excess if low is None else np.fmax(excess, low - shown)
         unit, factor = find_scale(self._find_unit(measured))
         known, start_ns = list_signals(self._run.declaration), self._run.start_ns
-        kinds = [known[name] for name in _list_names(bare) if name in known]
+        kinds = [known[name] for name in list_names(bare) if name in known]
         is_held = any(kind.resampling == "hold" for kind in kinds)  # in steps if any is held
         return _Band(
             name=format_expression(bare),
@@ -475,17 +480,13 @@ class _BandReader:
         children = node.list_children()
         if operator in {"*", "/", "**"} or not children:
             return ""
-        found = {self._find_unit(child) for child in children if _list_names(child)}
+        found = {self._find_unit(child) for child in children if list_names(child)}
         return found.pop() if len(found) == 1 else ""
-
-
-def _list_names(node: Node) -> list[str]:
-    return [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
 
 
 def _names_signals(node: Node, signals: Mapping[str, Any]) -> bool:
     """Return whether any node below a node is a signal."""
-    return any(isinstance(signals.get(name), tuple) for name in _list_names(node))
+    return any(isinstance(signals.get(name), tuple) for name in list_names(node))
 
 
 def find_scale(unit: str) -> tuple[str, float]:
