@@ -28,7 +28,7 @@ SWEEP = """
 import contextlib, io, os, resource
 from turtlelog.cli.app import main
 from turtlelog.sweep import sweep_rows
-from turtlelog.sweep.table.kept_parts import KeptParts
+from turtlelog.sweep.table.stored_rows import KeptParts
 close = KeptParts.close
 def tell(kept, **options):
     said["partial"] = kept.path.stat().st_size / 1e6

@@ -23,7 +23,7 @@ from turtlelog.sweep import (
     sweep_rows,
 )
 from turtlelog.sweep.table import result_table
-from turtlelog.sweep.table.kept_parts import KeptParts, name_partial
+from turtlelog.sweep.table.stored_rows import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
 SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metric", "final.*")

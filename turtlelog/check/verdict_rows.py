@@ -13,8 +13,9 @@ from turtlelog.errors import CheckError, LibraryError
 from turtlelog.log import ReadChoice
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.sweep import RecordingTable, describe_values, hash_recording
+from turtlelog.sweep.table.recording_table import ERROR, FILE
 from turtlelog.sweep.table.result_table import open_result_table
-from turtlelog.sweep.table.stored_rows import ERROR, FILE, Cell, Key, Row
+from turtlelog.sweep.table.stored_rows import Cell, Key, Row
 
 _KEYS: Final = (
     *(Key(name) for name in ("check", "verdict", "expected")),

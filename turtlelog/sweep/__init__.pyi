@@ -2,6 +2,7 @@ from . import tune as tune
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
+    hash_recording as hash_recording,
     is_one_recording as is_one_recording,
 )
 from .gain_borders import (
@@ -47,7 +48,6 @@ from .table.recording_table import (
     TabulatedFiles as TabulatedFiles,
     describe_former as describe_former,
     describe_values as describe_values,
-    hash_recording as hash_recording,
     plan_metric_table as plan_metric_table,
     tabulate_recordings as tabulate_recordings,
 )

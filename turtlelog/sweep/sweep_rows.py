@@ -19,7 +19,6 @@ from turtlelog.scenario import parse_scenario
 from turtlelog.sweep.batch.measured_rows import find_batch
 from turtlelog.sweep.plan import PlannedCells, SweepPlan
 from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
-from turtlelog.sweep.table.kept_parts import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.table.result_table import (
     STATUS,
     ResultColumn,
@@ -30,11 +29,15 @@ from turtlelog.sweep.table.result_table import (
 )
 from turtlelog.sweep.table.stored_rows import (
     Columns,
+    KeptParts,
     Key,
     StoredCells,
     StoredRows,
     WindowedRows,
     build_result_columns,
+    has_results,
+    name_partial,
+    require_same,
 )
 
 if TYPE_CHECKING:
