@@ -23,7 +23,7 @@ from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
 from turtlelog.sweep.batch.batch_settings import FREE_KEYS, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.simulate_rows import list_row_metrics
+from turtlelog.sweep.sweep_rows import list_row_metrics
 
 LOOPS: Final = ("rotate", "translate", "reorient")
 METRICS: Final = (*(f"{loop}.{name}" for loop in LOOPS for name in CURVES), *COURSES)

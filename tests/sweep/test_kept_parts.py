@@ -19,7 +19,6 @@ from turtlelog.sweep import (
     prepare_sweep,
     read_result_table,
     run_sweep,
-    simulate_rows,
     sweep_rows,
 )
 from turtlelog.sweep.table import result_table
@@ -60,11 +59,11 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return the list of all rows that are simulated from here on, in this process."""
     rows: list[int] = []
 
-    def count_rows(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+    def count_rows(chunk: sweep_rows.RowChunk) -> sweep_rows.RowResults:
         rows.extend(range(chunk.first, chunk.first + len(chunk.values)))
-        return simulate_rows.simulate_rows(chunk)
+        return sweep_rows.simulate_rows(chunk)
 
-    monkeypatch.setattr(sweep_rows, "simulate_rows", count_rows)
+    monkeypatch.setitem(run_sweep.__globals__, "simulate_rows", count_rows)
     return rows
 
 
@@ -256,7 +255,7 @@ class Own:
 def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     sweep = prepare("law.kp_linear=1:2")
-    partial = KeptParts(output, sweep.list_facts(), simulate_rows.RowResults)
+    partial = KeptParts(output, sweep.list_facts(), sweep_rows.RowResults)
     try:
         with pytest.raises(tl.errors.SweepError, match="another command is writing it"):
             run_sweep(sweep, output)

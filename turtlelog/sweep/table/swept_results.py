@@ -2,30 +2,37 @@
 
 import json
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
 from turtlelog.files.text_files import parse_toml
 from turtlelog.log.file_access import name_file
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.run.loops import ControlLoop
-from turtlelog.scenario import Scenario, build_scenario, resolve_scenario
+from turtlelog.run.tables import Tabular
+from turtlelog.scenario import Scenario, build_scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.table.result_table import (
     ROW,
     STATUS,
     ResultColumn,
+    ResultTable,
     StoredTable,
+    build_result_arrow,
     list_row_numbers,
     open_result_table,
+    write_result_table,
 )
 
 Values = NDArray[np.float64]
@@ -393,3 +400,84 @@ def _number_by_first_row(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArra
     _, first, inverse = np.unique(cells, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[inverse]
+
+
+_SHOWN_ROWS: Final = 20
+"""Number of rows of the table shown in a notebook; the frame contains all rows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SweepTable(Tabular):
+    """The results of a sweep: a table for pandas, polars and Arrow.
+
+    The columns are the row number, the varied keys, each metric with its status, the stop reason,
+    and the reason of a failure.
+
+    Attributes:
+        name: Name of the scenario that the rows vary.
+        keys: Varied keys.
+        table: All columns and the facts of the table.
+        notes: Notes on laws that were not compiled or exceeded the step budget, one line each.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    table: ResultTable
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return self.table.row_count
+
+    @property
+    def failed(self) -> int:
+        """Number of failed rows."""
+        column = self.table.find("failed")
+        return 0 if column is None else sum(cell is not None for cell in column.cells)
+
+    def _tabulate(self) -> Mapping[str, Any]:
+        return {one.name: one.cells for one in self.table.columns}
+
+    def _list_units(self) -> Mapping[str, str]:
+        return {one.name: one.unit for one in self.table.columns if one.unit}
+
+    def to_arrow(self) -> Any:
+        """Return the table as the `pyarrow.Table` that its file contains."""
+        return build_result_arrow(self.table)
+
+    def __repr__(self) -> str:
+        return fit_line(f"<SweepTable of {self._describe()}>")
+
+    def _describe(self) -> str:
+        rows, failed = describe_count(len(self), "row"), self.failed
+        more = f", {failed} failed" if failed else ""
+        return f"{self.name}: {rows} over {', '.join(self.keys)}{more}"
+
+    def _repr_html_(self) -> str:
+        shown = [one for one in self.table.columns if one.name in self.keys or one.type == "real"]
+        heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in shown]
+        rows = [[one.cells[row] for one in shown] for row in range(min(len(self), _SHOWN_ROWS))]
+        rest = len(self) - len(rows)
+        more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
+        notes = [f"<p>{escape(note)}</p>" for note in self.notes]
+        return format_notebook(self._describe(), format_html(rows, heads=heads), more, *notes)
+
+
+def read_sweep_table(path: str | Path) -> SweepTable:
+    """Return the table of a sweep in a file.
+
+    Raises:
+        LogError: If the file is not a table of a sweep.
+        LibraryError: If pyarrow is not installed.
+    """
+    table = open_result_table(path, kind="sweep").load()
+    name = parse_scenario(table.facts["base"]).name
+    plan = json.loads(table.facts["plan"])
+    return SweepTable(name=name, keys=(*plan["grid"], *plan["zip"]), table=table)
+
+
+def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None) -> SweptResults:
+    """Return the rows of a table in memory for charts, as `read_swept_results` does."""
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "sweep.parquet")
+        write_result_table(table.table, file)
+        return replace(read_swept_results(file, patterns), path=f"sweep of {table.name}")

@@ -25,7 +25,7 @@ from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, reso
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import KP, build_row_scenario
-from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
+from turtlelog.sweep.sweep_rows import RowChunk, RowResults, is_batch, simulate_rows
 
 Point = tuple[float | int, ...]
 
