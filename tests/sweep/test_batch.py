@@ -19,8 +19,7 @@ from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.many import COST_S
 from turtlelog.sweep.batch import measured_rows
-from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
-from turtlelog.sweep.batch.batch_settings import FREE_KEYS, prepare_rows
+from turtlelog.sweep.batch.batch_arrays import COURSES, CURVES, FREE_KEYS, STATUSES, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
 from turtlelog.sweep.plan import build_row_scenario
 from turtlelog.sweep.sweep_rows import list_row_metrics

@@ -30,9 +30,8 @@ from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_many
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
-from turtlelog.sweep.batch.batch_columns import OK, STATUSES, is_covered
-from turtlelog.sweep.batch.batch_settings import is_batched
-from turtlelog.sweep.batch.measured_rows import measure_rows
+from turtlelog.sweep.batch.batch_arrays import OK, STATUSES, is_batched
+from turtlelog.sweep.batch.measured_rows import is_covered, measure_rows
 from turtlelog.sweep.plan import PlannedCells, SweepPlan, build_row_scenario
 from turtlelog.sweep.table.result_table import STATUS, ResultColumn, ResultTable, StoredTable
 from turtlelog.sweep.table.stored_rows import (
