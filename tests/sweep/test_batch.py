@@ -16,8 +16,7 @@ from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
-from turtlelog.simulate.compiled.compiled_code import CompiledCode
-from turtlelog.simulate.many import COST_S
+from turtlelog.simulate.many import COST_S, CompiledCode
 from turtlelog.sweep.batch import measured_rows
 from turtlelog.sweep.batch.batch_arrays import COURSES, CURVES, FREE_KEYS, STATUSES, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows

@@ -42,10 +42,12 @@ from turtlelog.simulate.loop_parts import (
     bind_parts,
     bind_states,
     bind_step,
+    build_settings,
+    find_states,
+    list_acting,
     list_streams,
 )
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event, find_maker
-from turtlelog.simulate.settings import build_settings, find_states, list_acting
 
 _FORGET_EVERY: Final = 64
 """Ticks between two deletions of rows that are no longer needed. Few rows stay in the processor's

@@ -24,35 +24,33 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import collect, loop
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.compiled import compiled_entry
-from turtlelog.simulate.compiled.compiled_code import remove_others
 from turtlelog.simulate.compiled.twins import (
     TwinError,
     Twins,
     as_record,
     build_dtype,
     describe_numba_error,
+    remove_others,
     stamp_functions,
 )
 from turtlelog.simulate.loop_parts import (
     STREAMS,
     Function,
+    NoNumbers,
     Parts,
     bind_parts,
     bind_states,
     bind_step,
+    bound_rows,
     build_events,
+    build_settings,
     draw_events,
+    find_law_numbers,
+    find_shape,
     list_of,
     list_streams,
 )
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event
-from turtlelog.simulate.settings import (
-    NoNumbers,
-    bound_rows,
-    build_settings,
-    find_law_numbers,
-    find_shape,
-)
 from turtlelog.simulate.step_budget import WatchedCode
 
 

@@ -13,9 +13,13 @@ import dataclasses
 import dis
 import hashlib
 import math
+import os
 import re
+import sys
 import typing
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType
 from typing import Any, Final
@@ -343,3 +347,54 @@ _TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = MappingProxyTyp
     }
 )
 """Functions of compiled code that replace Python functions."""
+
+
+def is_kept(module: str, function: str = "") -> bool:
+    """Return whether numba's cache has the code of a module or of a function, without loading it.
+
+    Code older than a file in the module's folder may need to be compiled again, unless the name of
+    the function is given, which contains the stamp.
+    """
+    source = _find_source(module)
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    try:
+        files = [source] if function else source.parent.glob("*.py")
+        changed_s = max(file.stat().st_mtime for file in files)
+        return any(
+            index.stat().st_mtime >= changed_s
+            for folder in _list_cache_folders(source)
+            for index in folder.glob(f"{source.stem}.{function}*.{python}*.nbi")
+        )
+    except OSError:
+        return False
+
+
+def remove_others(module: str, function: str, kept: str) -> None:
+    """Remove versions of a function from numba's cache, except the one whose name has `kept`."""
+    source = _find_source(module)
+    for folder in _list_cache_folders(source):
+        with suppress(OSError):
+            for file in folder.glob(f"{source.stem}.{function}_*.nb?"):
+                if kept not in file.name:
+                    file.unlink(missing_ok=True)
+
+
+def _find_source(module: str) -> Path:
+    found = find_spec(module)
+    return Path((found and found.origin) or "").absolute()
+
+
+def _list_cache_folders(source: Path) -> list[Path]:
+    """Return the folders in which numba stores compiled code of a module, without loading it.
+
+    The folder is NUMBA_CACHE_DIR if set, or else the module's folder. If that is not writable, it
+    is the user's cache, whose place is unknown here on Windows and macOS.
+    """
+    from hashlib import sha1  # most commands do not need it
+
+    hashed = sha1(str(source.parent).encode(), usedforsecurity=False).hexdigest()
+    name = f"{source.parent.name}_{hashed}"
+    if folder := os.environ.get("NUMBA_CACHE_DIR"):
+        return [Path(folder) / name]
+    of_user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return [source.parent / "__pycache__", of_user / "numba" / name]

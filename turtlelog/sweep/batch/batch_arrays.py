@@ -32,9 +32,14 @@ from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled import compiled_loop
 from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
-from turtlelog.simulate.loop_parts import Function, compile_text, list_streams
+from turtlelog.simulate.loop_parts import (
+    Function,
+    bound_rows,
+    build_settings,
+    compile_text,
+    list_streams,
+)
 from turtlelog.simulate.many import find_loop
-from turtlelog.simulate.settings import bound_rows, build_settings
 from turtlelog.sweep.batch import batch_kernel, path_kernel
 from turtlelog.sweep.batch.batch_entry import measure_row
 from turtlelog.sweep.batch.batch_kernel import PATH, REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row

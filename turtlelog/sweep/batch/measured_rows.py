@@ -26,9 +26,17 @@ from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
 from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, build_pieces, draw_streams
-from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
+from turtlelog.simulate.compiled.twins import is_kept
+from turtlelog.simulate.many import (
+    COST_S,
+    ENTRY,
+    FIRST_S,
+    CompiledCode,
+    call_beside,
+    describe_difference,
+    find_saving,
+)
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch import batch_arrays as arrays
 from turtlelog.sweep.batch.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
