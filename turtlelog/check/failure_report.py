@@ -16,19 +16,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from turtlelog import explain
+from turtlelog import errors, explain
 from turtlelog.check.reference import MetricsFile
 from turtlelog.check.result import CheckResult, JudgedMetric
 from turtlelog.check.spec import Check
 from turtlelog.display import describe_count, format_number, format_pair, show_angle
-from turtlelog.errors import (
-    CheckError,
-    ExplainError,
-    LibraryError,
-    ScenarioError,
-    ShowError,
-    TurtlelogError,
-)
 from turtlelog.escapes import escape_controls
 from turtlelog.files.text_files import parse_known_toml
 from turtlelog.files.urls import make_path
@@ -241,7 +233,9 @@ class ArtifactWriter:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as err:
             found = f"found: {err.strerror}"
-            raise CheckError(f"{self._folder}: expected a folder to write to, {found}") from err
+            raise errors.CheckError(
+                f"{self._folder}: expected a folder to write to, {found}"
+            ) from err
         base = self._folder / name_files(result, prefix)
         rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
         at_s = result.first_violation_s
@@ -255,7 +249,7 @@ class ArtifactWriter:
         write_recording(part, mcap)
         try:
             _write_view(run, result, rrd, at_s=shown_s)
-        except LibraryError as err:
+        except errors.LibraryError as err:
             return Artifacts(files=(mcap,), notes=(f"{rrd}: no view: {err}",))
         if self._lack:
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {self._lack}",))
@@ -265,7 +259,7 @@ class ArtifactWriter:
             if self._camera is None:
                 self._camera = self._viewer.enter_context(open_camera(size=_SIZE))
             self._camera.take(rrd, png, at_s=shown_s)
-        except ShowError as err:
+        except errors.ShowError as err:
             self._lack = "" if self._has_seen else str(err)  # the same for the next failure
             self.close()
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
@@ -370,7 +364,7 @@ def _explain(
 
     def require_time(done: int, total: int) -> None:
         if perf_counter() - began_s > limit_s:
-            raise ExplainError(f"{done} of {total} simulations took {limit_s:g} s")
+            raise errors.ExplainError(f"{done} of {total} simulations took {limit_s:g} s")
 
     try:
         found = explain.explain_difference(
@@ -383,7 +377,7 @@ def _explain(
             ),
             work=explain.Work(report=require_time),
         )
-    except TurtlelogError as err:
+    except errors.TurtlelogError as err:
         return (f"Not explained: {err}.",)
     from turtlelog.explain.difference_report import write_difference_sentences
 
@@ -402,7 +396,7 @@ def _explain_metrics(
         )
     try:
         again = _simulate_again(reference, trust_law=trust_law)
-    except TurtlelogError as err:
+    except errors.TurtlelogError as err:
         return (f"Not explained: {err}.",)
     metrics = measure_run(again, only=[*reference.metrics.keys() & list_metrics(again.declaration)])
     apart = [name for name, one in metrics.items() if not _is_same(one, reference.metrics[name])]
@@ -423,15 +417,15 @@ def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
     try:
         tables = parse_known_toml(reference.scenario)
     except ValueError as err:
-        raise ScenarioError(f"{place}: not TOML: {err}") from err
+        raise errors.ScenarioError(f"{place}: not TOML: {err}") from err
     scenario = build_scenario(tables, source=place, trust_law=trust_law)
     if scenario.law.kind not in LAWS and not trust_law:
-        raise ScenarioError(
+        raise errors.ScenarioError(
             f"{scenario.law.kind}, the law in {reference.file}, runs only if its code is trusted"
             " (trust_law=True in pytest)"
         )
     if scenario.max_duration_s > _LONGEST_S:
-        raise ScenarioError(
+        raise errors.ScenarioError(
             f"a scenario of up to {scenario.max_duration_s:g} s takes too long here"
         )
     return simulate_run(scenario)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from turtlelog import expressions
 from turtlelog.check.formula_trace import (
     FormulaTrace,
     RunEnding,
@@ -21,20 +22,6 @@ from turtlelog.check.spec import OTHER_UNITS, find_kind
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls
-from turtlelog.expressions import (
-    Call,
-    Comparison,
-    Expression,
-    Kind,
-    Name,
-    Node,
-    Temporal,
-    Until,
-    evaluate_node,
-    format_expression,
-    iterate_nodes,
-    parse_expression,
-)
 from turtlelog.measure import explain_no_signal, find_metric_kind, list_metrics, list_signals
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
@@ -110,7 +97,7 @@ class FormulaResult:
 
 def check_formula(
     signals: Run | Signals,
-    expression: Expression | str,
+    expression: expressions.Expression | str,
     *,
     window_ns: tuple[int, int] | None = None,
     ending: RunEnding = RunEnding.SETTLED,
@@ -163,22 +150,22 @@ def check_formula(
         margin=margin + 0.0,
         margin_s=(critical.time_ns - trace.start_ns) / 1e9,
         values=decisive if failed_ns is None else values,
-        decided_by=format_expression(critical.node),
+        decided_by=expressions.format_expression(critical.node),
         reason="" if holds or failed_ns is not None else _BEYOND,
         **sides,
     )
 
 
-def _parse(expression: Expression | str) -> Expression:
+def _parse(expression: expressions.Expression | str) -> expressions.Expression:
     if isinstance(expression, str):
-        return parse_expression(expression)
-    if not isinstance(expression, Expression):
+        return expressions.parse_expression(expression)
+    if not isinstance(expression, expressions.Expression):
         raise ExpressionError(f"expression: expected a formula, found {expression!r:.60}")
     return expression
 
 
 def check_run(
-    run: Run, expression: Expression | str, *, window_ns: tuple[int, int] | None = None
+    run: Run, expression: expressions.Expression | str, *, window_ns: tuple[int, int] | None = None
 ) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
@@ -220,7 +207,7 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 """Whether a formula holds, its margin, and the origin of the margin."""
 
 
-def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
+def _decide(expression: expressions.Expression, trace: FormulaTrace) -> _Decision:
     """Return the verdict, with only one walk over a long trace in memory.
 
     If a part is unknown, two margins may decide: with the unknown part at its worst, and at its
@@ -240,13 +227,16 @@ def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
     return None, margin, None
 
 
-def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
+def _explain_unknown(expression: expressions.Expression, trace: FormulaTrace) -> str:
     if trace.ending is not RunEnding.SETTLED:
         settled = replace(trace, ending=RunEnding.SETTLED)
         if _decide(expression, settled)[0] is not None:
             recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
-            nodes = iterate_nodes(expression.root)
-            is_open = any(isinstance(n, Temporal | Until) and math.isinf(n.end_s) for n in nodes)
+            nodes = expressions.iterate_nodes(expression.root)
+            is_open = any(
+                isinstance(n, expressions.Temporal | expressions.Until) and math.isinf(n.end_s)
+                for n in nodes
+            )
             window = f"such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
             advice = f"; a window with an end, {window}" if is_open and recorded_ms else ""
             return f"{_TOO_SHORT}, and {trace.ending.value}{advice}"
@@ -254,28 +244,31 @@ def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
     return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
 
 
-def _measure_reach(node: Node, *, is_cut: bool) -> float:
+def _measure_reach(node: expressions.Node, *, is_cut: bool) -> float:
     """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
     children = node.list_children()
     below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
-    if not isinstance(node, Temporal | Until):
+    if not isinstance(node, expressions.Temporal | expressions.Until):
         return below
     return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)
 
 
 def _read_sides(
-    expression: Expression, node: Node, values: Mapping[str, Any], declaration: Declaration
+    expression: expressions.Expression,
+    node: expressions.Node,
+    values: Mapping[str, Any],
+    declaration: Declaration,
 ) -> dict[str, Any]:
     """Return value, limit and unit of a comparison of numbers; nothing for any other node."""
-    if not isinstance(node, Comparison):
+    if not isinstance(node, expressions.Comparison):
         return {}
     found = {name: find_formula_unit(name, declaration) for name in list_names(node)}
     units = {name: unit for name, unit in found.items() if unit is not None}
     measured, limit = node.operands
     if units.keys().isdisjoint(list_names(measured)) and units:  # the limit names all of them
         measured, limit = limit, measured
-    sides = [evaluate_node(expression, side, values) for side in (measured, limit)]
-    if any(side.kind is not Kind.NUMBER for side in sides):
+    sides = [expressions.evaluate_node(expression, side, values) for side in (measured, limit)]
+    if any(side.kind is not expressions.Kind.NUMBER for side in sides):
         return {}
     value, limit_value = (float(side.data) for side in sides)
     return {"value": value, "limit": limit_value, "unit": _find_unit(measured, units)}
@@ -290,11 +283,11 @@ def find_formula_unit(name: str, declaration: Declaration) -> str | None:
     return None if kind is None else "" if " or " in kind.unit else kind.unit
 
 
-def _find_unit(node: Node, units: Mapping[str, str]) -> str:
+def _find_unit(node: expressions.Node, units: Mapping[str, str]) -> str:
     """Return the unit of the measured value; empty if the unit is not simple."""
-    if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
+    if isinstance(node, expressions.Call) and node.function in {"abs", "min", "max"}:
         found = {_find_unit(argument, units) for argument in node.arguments}
         return found.pop() if len(found) == 1 else ""
-    if isinstance(node, Call) and node.function == "deg":
+    if isinstance(node, expressions.Call) and node.function == "deg":
         return "deg"
-    return units.get(node.name, "") if isinstance(node, Name) else ""
+    return units.get(node.name, "") if isinstance(node, expressions.Name) else ""

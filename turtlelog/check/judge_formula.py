@@ -8,21 +8,10 @@ from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 
+from turtlelog.check import spec
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, JudgedMetric, Verdict
-from turtlelog.check.spec import (
-    ROBOT_VALUES,
-    TRAJECTORY_VALUES,
-    Check,
-    TrajectoryJudge,
-    choose_signals,
-    describe_missing_phase,
-    find_kind,
-    list_formula_names,
-    measure_robot,
-    require_known_names,
-)
 from turtlelog.display import format_number
 from turtlelog.errors import CheckError, MissingValueError
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
@@ -46,7 +35,7 @@ them."""
 
 
 def judge_check(
-    check: Check,
+    check: spec.Check,
     run: Run,
     *,
     file: str,
@@ -63,24 +52,24 @@ def judge_check(
 
 
 def measure_named(
-    checks: Sequence[Check],
+    checks: Sequence[spec.Check],
     run: Run,
     *,
-    trajectories: TrajectoryJudge | None = None,
+    trajectories: spec.TrajectoryJudge | None = None,
     file: str = "",
 ) -> Mapping[str, Metric]:
     """Return the metrics of a run that checks name; `trajectories` measures errors of positions."""
-    names = list_formula_names(checks)
-    ids = sorted(name for name in names if find_kind(run, name) is not None)
-    of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
-    errors = sorted(names & TRAJECTORY_VALUES.keys())
+    names = spec.list_formula_names(checks)
+    ids = sorted(name for name in names if spec.find_kind(run, name) is not None)
+    of_robot = spec.measure_robot(run, sorted(names & spec.ROBOT_VALUES.keys()))
+    errors = sorted(names & spec.TRAJECTORY_VALUES.keys())
     beside = trajectories.measure(run, errors, file) if trajectories and errors else {}
     return {**(measure_run(run, only=ids) if ids else {}), **of_robot, **beside}
 
 
 class _Judge:
     def __init__(
-        self, check: Check, run: Run, file: str, metrics: Mapping[str, Metric], grown: Grown
+        self, check: spec.Check, run: Run, file: str, metrics: Mapping[str, Metric], grown: Grown
     ) -> None:
         self._check, self._run, self._file = check, run, file
         self._metrics, self._grown = metrics, grown
@@ -91,7 +80,7 @@ class _Judge:
             skipped = self._judge_condition(check.when)
             if skipped is not None:
                 return skipped
-        require_known_names(formula, over_time=check.kind == "holds", run=self._run)
+        spec.require_known_names(formula, over_time=check.kind == "holds", run=self._run)
         lacking = self._find_lacking(formula)
         if lacking:
             return self._leave_open(lacking)
@@ -110,7 +99,7 @@ class _Judge:
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
         """Return the reason why a check is skipped or undecided; None if it applies."""
-        require_known_names(condition, over_time=False, run=self._run)
+        spec.require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
         if lacking:
             return self._leave_open(f"when: {lacking}")
@@ -128,7 +117,7 @@ class _Judge:
         names = check.formula.names
         window_ns = find_window(run, check.phase) if check.phase else find_span(run, names)
         if window_ns is None:
-            return self._leave_open(describe_missing_phase(run, check.phase or ""))
+            return self._leave_open(spec.describe_missing_phase(run, check.phase or ""))
         found = check_run(run, check.formula, window_ns=window_ns)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (
@@ -169,7 +158,7 @@ class _Judge:
             verdict=verdict,
             expected=self._check.describe(),
             reason=reason,
-            names=choose_signals(self._check.formula.names, self._run.declaration),
+            names=spec.choose_signals(self._check.formula.names, self._run.declaration),
             judged=self._check,
         )
 
@@ -376,7 +365,7 @@ class RecordedMetric:
             margin=margin,
             unit=metric.unit,
             value_s=metric.at_s,
-            names=choose_signals([metric.id], self.run.declaration),
+            names=spec.choose_signals([metric.id], self.run.declaration),
             judged=JudgedMetric(metric=self.measured, operator=judged, limit=border),
         )
 
@@ -413,7 +402,7 @@ class RecordedMetric:
                 verdict=Verdict.FAIL,
                 expected=wanted,
                 reason=metric.lack,
-                names=choose_signals([metric.id], self.run.declaration),
+                names=spec.choose_signals([metric.id], self.run.declaration),
                 is_decided=False,
             )
         )

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
+from turtlelog import measure
 from turtlelog.check.result import CheckResult, JudgedSignal, Verdict, fail_recording
 from turtlelog.check.spec import Tolerances, choose_signals
 from turtlelog.check.spec_file import load_tolerances
@@ -25,16 +26,6 @@ from turtlelog.files.text_files import format_toml
 from turtlelog.files.urls import make_path
 from turtlelog.log import read_run, replace_when_complete, write_recording
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.measure import (
-    Metric,
-    Status,
-    find_metric_kind,
-    find_signal,
-    list_metrics,
-    list_signal_units,
-    list_signals,
-    measure_run,
-)
 from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
 from turtlelog.run import Run
 from turtlelog.scenario import nest_parameters
@@ -52,7 +43,7 @@ class MetricsFile:
     """
 
     file: str
-    metrics: Mapping[str, Metric]
+    metrics: Mapping[str, measure.Metric]
     scenario: str = ""
     simulated_by: Mapping[str, str] = field(default_factory=dict)
 
@@ -126,7 +117,7 @@ def load_reference(path: Path) -> Run | MetricsFile:
 
 def format_metrics(run: Run, file: str) -> str:
     """Return the metrics of a run as `turtlelog metrics --json` prints them, with their origin."""
-    metrics = [metric.to_dict() for metric in measure_run(run).values()]
+    metrics = [metric.to_dict() for metric in measure.measure_run(run).values()]
     entry: dict[str, Any] = {"file": file, "name": run.name, "metrics": metrics}
     if run.scenario_is_complete:
         entry["scenario"] = format_toml(nest_parameters(run.parameters))
@@ -176,9 +167,9 @@ def _has_metrics(found: Any) -> bool:
     return isinstance(found, dict) and isinstance(found.get("metrics"), list)
 
 
-def _parse_metric(entry: Any, place: str) -> Metric:
+def _parse_metric(entry: Any, place: str) -> measure.Metric:
     found = entry.get("id") if isinstance(entry, dict) else entry
-    kind = find_metric_kind(found) if isinstance(found, str) else None
+    kind = measure.find_metric_kind(found) if isinstance(found, str) else None
     if not isinstance(entry, dict) or kind is None:
         raise CheckError(f"{place}.id: expected the id of a metric, found {found!r}")
     unit, status = entry.get("unit"), entry.get("status")
@@ -186,18 +177,22 @@ def _parse_metric(entry: Any, place: str) -> Metric:
     # For any loop the unit is `deg or m` if it depends on the controlled signal.
     if unit not in (kind.unit, *kind.unit.split(" or ")):
         raise CheckError(f"{place}.unit: expected {kind.unit}, found {unit!r}")
-    if status not in list(Status):
+    if status not in list(measure.Status):
         raise CheckError(f"{place}.status: expected one of a metric, found {status!r}")
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     is_finite = is_number and abs(value) <= sys.float_info.max
-    if (status == Status.OK) != is_finite:
+    if (status == measure.Status.OK) != is_finite:
         raise CheckError(f"{place}.value: expected one that goes with {status}, found {value!r}")
     reason = entry.get("reason") or ""
-    return Metric(id=entry["id"], value=value, unit=unit, status=Status(status), reason=str(reason))
+    return measure.Metric(
+        id=entry["id"], value=value, unit=unit, status=measure.Status(status), reason=str(reason)
+    )
 
 
 AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
-AnyReference: TypeAlias = Run | ReferenceFile | MetricsFile | Mapping[str, Metric] | str | Path
+AnyReference: TypeAlias = (
+    Run | ReferenceFile | MetricsFile | Mapping[str, measure.Metric] | str | Path
+)
 
 _SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
 _METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
@@ -262,7 +257,7 @@ def judge_replay(
         return f"recorded {recorded}, {verb} {replayed}"
 
     units = {signal.signal: signal.unit for signal in found.signals}
-    known = list_signals(run.declaration)
+    known = measure.list_signals(run.declaration)
     signals = [
         replace(
             _judge_signal(signal, f"{mode}.{signal.signal}", run.start_ns, describe),
@@ -298,7 +293,7 @@ def _judge_run(
         at_s = (difference.time_ns - start_ns) / 1e9
         return f"{_tell_sides(sides, units[difference.signal])} at {at_s:.3f} s"
 
-    units = list_signal_units([reference.declaration, run.declaration])
+    units = measure.list_signal_units([reference.declaration, run.declaration])
     for name, tolerance in tolerances.signals.items():
         check, names = f"signals.{name}", choose_signals([name], run.declaration)
         if name not in differences:
@@ -316,7 +311,7 @@ def _judge_run(
         )
         result = _judge_signal(found, check, start_ns, describe)
         yield replace(result, expected=expected, names=names, judged=judged)
-    known = list_metrics(reference.declaration, run.declaration)
+    known = measure.list_metrics(reference.declaration, run.declaration)
     for pair in compare_metrics(reference, run, list(tolerances.metrics)):
         metric, names = pair.metric, choose_signals([pair.metric.id], run.declaration)
         if metric.id in known:
@@ -349,8 +344,8 @@ def _judge_signal(
 
 
 def _judge_metric(
-    metric: Metric,
-    reference: Metric,
+    metric: measure.Metric,
+    reference: measure.Metric,
     tolerance: Tolerance,
     names: tuple[str, ...],
     *,
@@ -370,7 +365,7 @@ def _judge_metric(
         if is_strict or not is_same:
             return found
         return replace(found, verdict=Verdict.PASS, is_decided=True)
-    kind = find_metric_kind(metric.id)
+    kind = measure.find_metric_kind(metric.id)
     if kind is None or metric.unit != reference.unit:
         reason = f"in {metric.unit}, where the reference has {reference.unit}: not compared"
         return _leave_open(check, unit, reason, names)
@@ -401,19 +396,19 @@ def _tell_sides(sides: tuple[float | str | None, ...], unit: str) -> str:
     return f"{texts[0]} where the reference has {texts[1]}"
 
 
-def _tell_status(metric: Metric) -> str:
+def _tell_status(metric: measure.Metric) -> str:
     return metric.lack if metric.reason else metric.status.value
 
 
 def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
     """Return one tolerance for every signal that either run contains."""
     label = replace(tolerance, abs=0.0, rel=0.0)
-    kinds = {**list_signals(run.declaration), **list_signals(reference.declaration)}
+    kinds = {**measure.list_signals(run.declaration), **measure.list_signals(reference.declaration)}
     return Tolerances(
         signals={
             name: label if kinds[name].compared_as == "label" else tolerance
-            for name in list_signal_units([run.declaration, reference.declaration])
-            if any(find_signal(found, name) is not None for found in (run, reference))
+            for name in measure.list_signal_units([run.declaration, reference.declaration])
+            if any(measure.find_signal(found, name) is not None for found in (run, reference))
         }
     )
 
@@ -438,7 +433,7 @@ def _judge_length(run: Run, reference: Run, window_s: float) -> CheckResult:
 
 
 def _match_metrics(
-    run: Run, reference: Mapping[str, Metric], tolerance: Tolerance | Tolerances | None
+    run: Run, reference: Mapping[str, measure.Metric], tolerance: Tolerance | Tolerances | None
 ) -> list[CheckResult]:
     if isinstance(tolerance, Tolerances):
         if tolerance.signals:
@@ -450,7 +445,7 @@ def _match_metrics(
     missing = sorted(wanted.keys() - reference.keys())
     if missing:
         raise CheckError(f"reference: has no metric {missing[0]}")
-    measured = measure_run(run, only=list(wanted))
+    measured = measure.measure_run(run, only=list(wanted))
     results = []
     for name, limit in wanted.items():
         names = choose_signals([name], run.declaration)

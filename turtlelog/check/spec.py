@@ -11,19 +11,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final, Literal
 
+from turtlelog import expressions
 from turtlelog.compare import Delta, Tolerance, TrajectorySettings, compare_trajectories
 from turtlelog.display import describe_count
 from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.escapes import escape_controls
-from turtlelog.expressions import (
-    Expression,
-    Name,
-    Temporal,
-    Until,
-    describe_unknown_name,
-    fail_at,
-    iterate_nodes,
-)
 from turtlelog.log import ReadChoice, read_trajectory
 from turtlelog.measure import (
     METRICS,
@@ -65,9 +57,9 @@ class Check:
 
     name: str
     kind: Literal["expect", "holds"]
-    formula: Expression
+    formula: expressions.Expression
     phase: str | None = None
-    when: Expression | None = None
+    when: expressions.Expression | None = None
     reason: str = ""
     is_observed: bool = False
 
@@ -236,7 +228,9 @@ def find_kind(run: Run, name: str) -> MetricKind | None:
     return own or (None if name in run.parameters else find_metric_kind(name))
 
 
-def require_known_names(formula: Expression, *, over_time: bool, run: Run | None = None) -> None:
+def require_known_names(
+    formula: expressions.Expression, *, over_time: bool, run: Run | None = None
+) -> None:
     """Raise an error for names that no run has, or that this run does not have.
 
     Without a run, any loop may have the existing metrics, and the parameters and states of a law
@@ -244,11 +238,13 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
     """
     signals = SIGNALS if run is None else list_signals(run.declaration)
     own = {} if run is None else run.parameters
-    for node in iterate_nodes(formula.root):
-        if isinstance(node, Temporal | Until) and not over_time:
-            word = node.operator if isinstance(node, Temporal) else "until"
-            fail_at(formula, node, f"expected metrics, found {word}: it stands in holds = ...")
-        if not isinstance(node, Name):
+    for node in expressions.iterate_nodes(formula.root):
+        if isinstance(node, expressions.Temporal | expressions.Until) and not over_time:
+            word = node.operator if isinstance(node, expressions.Temporal) else "until"
+            expressions.fail_at(
+                formula, node, f"expected metrics, found {word}: it stands in holds = ..."
+            )
+        if not isinstance(node, expressions.Name):
             continue
         name = node.name
         of_law = name in own if run is not None else name.startswith("law.")
@@ -258,17 +254,17 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
             continue
         if name in signals:
             problem = f"expected a metric, found the signal {name}: it stands in holds = ..."
-            fail_at(formula, node, problem)
+            expressions.fail_at(formula, node, problem)
         ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
         known = [*(signals if over_time else ()), *ids, *OTHER_UNITS, *_list_parameters(), *own]
-        problem = describe_unknown_name(name, dict.fromkeys(known))
+        problem = expressions.describe_unknown_name(name, dict.fromkeys(known))
         if run is not None and over_time and could_be_signal(name):
             states = ", ".join(run.declaration.states) or "no states"
             problem = f"{problem} (the law of this run has {states})"
-        fail_at(formula, node, problem)
+        expressions.fail_at(formula, node, problem)
 
 
-def names_metrics_alone(formula: Expression) -> bool:
+def names_metrics_alone(formula: expressions.Expression) -> bool:
     """Return whether a formula names only metrics and nothing that changes with time."""
     names = formula.names
     are_metrics = all(name in OTHER_UNITS or find_metric_kind(name) is not None for name in names)
@@ -301,7 +297,7 @@ def describe_missing_phase(run: Run, phase: str) -> str:
 
 def describe_nearest(text: str, known: Sequence[str]) -> str:
     """Return the end of an error line for an unknown word."""
-    return describe_unknown_name(text, dict.fromkeys(known))
+    return expressions.describe_unknown_name(text, dict.fromkeys(known))
 
 
 _MOST_SIGNALS: Final = 4

@@ -12,18 +12,10 @@ from fnmatch import fnmatchcase
 from functools import partial
 from typing import Any, Final
 
-from turtlelog import expressions
+from turtlelog import expressions, measure
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.recording import write_recording
-from turtlelog.measure import (
-    MetricKind,
-    choose_metrics,
-    find_metric_kind,
-    list_essential_metrics,
-    list_metrics,
-    measure_run,
-)
 from turtlelog.measure.metric import Metric
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
@@ -173,7 +165,7 @@ def is_batch(chunk: RowChunk) -> bool:
     return bool(_list_batch_metrics(parse_scenario(chunk.base), chunk))
 
 
-def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricKind]:
+def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, measure.MetricKind]:
     """Return the metrics of a chunk by id if the batch covers all of them, else nothing."""
     if chunk.records or any(k.startswith(_DECIDING) for k in chunk.keys):
         return {}
@@ -184,13 +176,15 @@ def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricK
     if not is_batched(scenario, scenario.plant.facts):
         return {}
     declaration = declare_scenario(scenario)
-    names, known = list_row_metrics(declaration, chunk.metrics), list_metrics(declaration)
+    names, known = list_row_metrics(declaration, chunk.metrics), measure.list_metrics(declaration)
     if not all(name in known and is_covered(name) for name in names):
         return {}
     return {name: known[name] for name in names}
 
 
-def _simulate_batch(base: Scenario, chunk: RowChunk, kinds: Mapping[str, MetricKind]) -> RowResults:
+def _simulate_batch(
+    base: Scenario, chunk: RowChunk, kinds: Mapping[str, measure.MetricKind]
+) -> RowResults:
     columns = dict(zip(chunk.keys, zip(*chunk.values, strict=True), strict=True))
     found = measure_rows(
         base,
@@ -234,7 +228,7 @@ def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None
         names = list_row_metrics(run.declaration, chunk.metrics)
         condition = _parse_condition(chunk.records)
         asked = () if condition is None else _list_asked(condition)
-        found = measure_run(run, only=[*dict.fromkeys([*names, *asked])])
+        found = measure.measure_run(run, only=[*dict.fromkeys([*names, *asked])])
     except TurtlelogError as err:
         _enter_failure(results, err)
         return
@@ -259,8 +253,8 @@ def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -
     and identifying dead times from the log of each run would take most of the time.
     """
     if patterns is not None:
-        return choose_metrics(patterns, declaration)
-    essential = list_essential_metrics(declaration)
+        return measure.choose_metrics(patterns, declaration)
+    essential = measure.list_essential_metrics(declaration)
     return tuple(name for name in essential if not name.endswith(".dead_time"))
 
 
@@ -288,7 +282,7 @@ def _parse_condition(records: RowRecords | None) -> expressions.Expression | Non
 
 
 def _list_asked(condition: expressions.Expression) -> list[str]:
-    return [name for name in condition.names if find_metric_kind(name) is not None]
+    return [name for name in condition.names if measure.find_metric_kind(name) is not None]
 
 
 def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]) -> bool:

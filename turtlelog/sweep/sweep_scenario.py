@@ -28,20 +28,9 @@ from turtlelog.scenario import (
 )
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.sweep import sweep_rows
 from turtlelog.sweep.batch.measured_rows import find_batch
 from turtlelog.sweep.plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
-from turtlelog.sweep.sweep_rows import (
-    RowChunk,
-    RowRecords,
-    RowResults,
-    SweptRows,
-    assemble_table,
-    find_failure,
-    is_batch,
-    list_valueless,
-    require_condition,
-    simulate_rows,
-)
 from turtlelog.sweep.table.result_table import choose_type, open_result_table, write_result_table
 from turtlelog.sweep.table.stored_rows import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.table.swept_results import SweepTable, read_sweep_table
@@ -118,7 +107,7 @@ class Sweep:
     base: str
     plan: SweepPlan
     metrics: tuple[str, ...] | None = None
-    records: RowRecords | None = None
+    records: sweep_rows.RowRecords | None = None
     law_code: str = ""
     step_budget_s: float = STEP_BUDGET_S
 
@@ -134,11 +123,13 @@ class Sweep:
             "version": __version__,
         }
 
-    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
+    def cut_chunk(
+        self, first: int, count: int, *, ahead: int = 0, threads: int = 1
+    ) -> sweep_rows.RowChunk:
         """Return a range of rows as a chunk of work."""
         rows = range(first, first + count)
         columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
-        return RowChunk(
+        return sweep_rows.RowChunk(
             base=self.base,
             keys=self.plan.keys,
             first=first,
@@ -156,7 +147,7 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     plan: SweepPlan,
     *,
     metrics: Sequence[str] | None = None,
-    records: RowRecords | None = None,
+    records: sweep_rows.RowRecords | None = None,
     trust_law: bool = False,
     step_budget_s: float = STEP_BUDGET_S,
     source: str = "grid",
@@ -200,7 +191,7 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
         for one in found:
             choose_metrics(metrics, declare_scenario(one))
     first = dict(zip(plan.keys, plan.find_values(0), strict=True))
-    require_condition(records, {**known[0], **first})
+    sweep_rows.require_condition(records, {**known[0], **first})
     kinds = sorted({one.law.kind for one in found} | {str(one.get("law.kind")) for one in known})
     # Files of laws and the modules that they import from their folder, or the source text of a law
     # of this session; built-in laws and modules have neither.
@@ -311,20 +302,20 @@ def run_sweep(
     if has_results(output, facts):
         name_partial(output).unlink(missing_ok=True)
         return _summarise(output, sweep)
-    kept = KeptParts(output, facts, RowResults, require=partial(require_same, facts))
+    kept = KeptParts(output, facts, sweep_rows.RowResults, require=partial(require_same, facts))
     is_complete = False
     try:
         _begin_records(sweep, kept)
-        rows = SweptRows(kept)
+        rows = sweep_rows.SweptRows(kept)
         _simulate(sweep, rows, jobs, _Telling(watch, tell))
-        write_result_table(assemble_table(sweep.plan, facts, rows), output)
+        write_result_table(sweep_rows.assemble_table(sweep.plan, facts, rows), output)
         is_complete = True
     finally:
         kept.close(is_complete=is_complete)
     return _summarise(output, sweep)
 
 
-def _begin_records(sweep: Sweep, kept: KeptParts[RowResults]) -> None:
+def _begin_records(sweep: Sweep, kept: KeptParts[sweep_rows.RowResults]) -> None:
     """Create the folder of recordings, or remove a killed sweep's incomplete files from it.
 
     A folder with files is refused unless the sweep is resumed.
@@ -354,7 +345,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _simulate(
-    sweep: Sweep, rows: SweptRows, jobs: "int | Executor | None", watch: "_Telling"
+    sweep: Sweep, rows: sweep_rows.SweptRows, jobs: "int | Executor | None", watch: "_Telling"
 ) -> None:
     """Simulate the remaining rows; the first two run alone to measure the time per row."""
     watch(rows.count)
@@ -364,7 +355,7 @@ def _simulate(
             return
         first = sweep.cut_chunk(gaps[0][0], 1)
         begun = time.perf_counter()
-        found = simulate_rows(first)
+        found = sweep_rows.simulate_rows(first)
         row_s = time.perf_counter() - begun
         rows.add(found)
         watch(rows.count, found)
@@ -372,7 +363,7 @@ def _simulate(
     if jobs is None:
         jobs = count_cores() if rest * row_s > LONG_S else 1
     count, threads = (jobs if isinstance(jobs, int) else 1), 1
-    batch = find_batch(parse_scenario(sweep.base)) if is_batch(first) else None
+    batch = find_batch(parse_scenario(sweep.base)) if sweep_rows.is_batch(first) else None
     if batch is not None and batch.expect(rest, row_s / count) is not None:
         size = _MOST_IN_BATCH
         if isinstance(jobs, int):
@@ -383,7 +374,7 @@ def _simulate(
     laws = _list_given_laws(sweep)
     if laws and isinstance(jobs, int) and not CAN_FORK:
         jobs = 1
-    work = WorkWithLaws(simulate_rows, () if isinstance(jobs, int) else laws)
+    work = WorkWithLaws(sweep_rows.simulate_rows, () if isinstance(jobs, int) else laws)
     cut = partial(sweep.cut_chunk, ahead=rest // count, threads=threads)
     chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
     for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
@@ -391,7 +382,7 @@ def _simulate(
         watch(rows.count, results)
 
 
-def _name_chunk(chunk: RowChunk) -> str:
+def _name_chunk(chunk: sweep_rows.RowChunk) -> str:
     return f"rows {chunk.first} to {chunk.first + len(chunk.values) - 1}"
 
 
@@ -411,7 +402,7 @@ class _Telling:
         self._watch, self._tell = watch or (lambda _: None), tell or (lambda _: None)
         self._notes, self._has_told = set[str](), False
 
-    def __call__(self, done: int, results: RowResults | None = None) -> None:
+    def __call__(self, done: int, results: sweep_rows.RowResults | None = None) -> None:
         self._watch(done)
         if results is None:
             return
@@ -425,11 +416,14 @@ class _Telling:
             self._tell(late)
 
 
-class _Chunks(Sequence[RowChunk]):
+class _Chunks(Sequence[sweep_rows.RowChunk]):
     """Chunks of work on segments of rows, created on demand."""
 
     def __init__(
-        self, cut: Callable[[int, int], RowChunk], gaps: Sequence[tuple[int, int]], size: int
+        self,
+        cut: Callable[[int, int], sweep_rows.RowChunk],
+        gaps: Sequence[tuple[int, int]],
+        size: int,
     ) -> None:
         self._cut = cut
         self._cuts = [
@@ -457,8 +451,8 @@ def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
         failed=failed,
         samples=int(table.facts["samples"]),
         recorded=int(table.facts["recorded"]),
-        first_failure=find_failure(table) if failed else "",
-        valueless=list_valueless(table, sweep.metrics or ()),
+        first_failure=sweep_rows.find_failure(table) if failed else "",
+        valueless=sweep_rows.list_valueless(table, sweep.metrics or ()),
     )
 
 
@@ -480,10 +474,10 @@ def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
     count, jobs = sweep.plan.row_count, jobs or count_cores()
     probes = sweep.plan.list_probes()
     for row in probes:  # loading times are not counted for every row
-        found = simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
+        found = sweep_rows.simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
     begun = time.perf_counter()
     for row in probes:
-        simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
+        sweep_rows.simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
     row_s = (time.perf_counter() - begun) / len(probes)
     numbers = 1 + len(sweep.plan.keys) + len(found.metrics)
     return SweepEstimate(seconds=row_s * count / jobs, bytes=8 * numbers * count)

@@ -21,7 +21,7 @@ from turtlelog.run.path_pieces import PathPiece
 from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT, name_stop
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import collect, loop
+from turtlelog.simulate import collect, loop, loop_parts
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.compiled import compiled_entry
 from turtlelog.simulate.compiled.twins import (
@@ -32,23 +32,6 @@ from turtlelog.simulate.compiled.twins import (
     describe_numba_error,
     remove_others,
     stamp_functions,
-)
-from turtlelog.simulate.loop_parts import (
-    STREAMS,
-    Function,
-    NoNumbers,
-    Parts,
-    bind_parts,
-    bind_states,
-    bind_step,
-    bound_rows,
-    build_events,
-    build_settings,
-    draw_events,
-    find_law_numbers,
-    find_shape,
-    list_of,
-    list_streams,
 )
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event
 from turtlelog.simulate.step_budget import WatchedCode
@@ -121,9 +104,11 @@ class Kinds:
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
-_OF_TICKS, _OF_SAMPLES = (build_dtype(build_events(ticks=ticks)) for ticks in (True, False))
+_OF_TICKS, _OF_SAMPLES = (
+    build_dtype(loop_parts.build_events(ticks=ticks)) for ticks in (True, False)
+)
 
-_STEPS: Final[dict[str, Function]] = {
+_STEPS: Final[dict[str, loop_parts.Function]] = {
     "MOVE_PLANT": loop.move_plant,
     "ANSWER": loop.answer,
     "FINISH_TICK": loop.finish_tick,
@@ -135,13 +120,13 @@ _STEPS: Final[dict[str, Function]] = {
 def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds:
     """Return the types of the records of a loop."""
     state: Any = law.State
-    shape = find_shape(state, find_law_numbers(law), plant, states)
+    shape = loop_parts.find_shape(state, loop_parts.find_law_numbers(law), plant, states)
     rows: dict[str, type[Any]] = {
         "tick": TickRow,
         "sample": SampleRow,
         "event": EventRow,
         "states": shape.States,
-        "waiting": plant.Waiting or NoNumbers,
+        "waiting": plant.Waiting or loop_parts.NoNumbers,
     }
     fields = [(name, kind, field(default_factory=kind)) for name, kind in rows.items()]
     return Kinds(
@@ -171,9 +156,13 @@ class CompiledLoop:
 
 
 @cache
-def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kinds, Parts, str]:
+def _bind(
+    law: LawPart, plant: PlantPart, states: tuple[str, ...]
+) -> tuple[Kinds, loop_parts.Parts, str]:
     kinds = find_kinds(law, plant, states)
-    parts = bind_parts(plant, bind_step(law.step), bind_states(states), EFFECTS)
+    parts = loop_parts.bind_parts(
+        plant, loop_parts.bind_step(law.step), loop_parts.bind_states(states), EFFECTS
+    )
     from importlib.metadata import version
 
     stamp = stamp_functions(
@@ -199,7 +188,7 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
         twins = Twins(compiler)
         return {
             **{name: twins.compile(step) for name, step in _STEPS.items()},
-            "PARTS": Parts(*map(twins.compile, parts)),
+            "PARTS": loop_parts.Parts(*map(twins.compile, parts)),
             "STAMP": int(stamp[:12], 16),
         }
 
@@ -303,12 +292,12 @@ class CompiledRunner:
             StepBudgetError: If a step of a user law does not return within its budget.
         """
         law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
-        _, settings, start = build_settings(scenario, law, declaration, plant)
-        ticks, samples = bound_rows(scenario, plant)
+        _, settings, start = loop_parts.build_settings(scenario, law, declaration, plant)
+        ticks, samples = loop_parts.bound_rows(scenario, plant)
         rows = self._rows.get(loop)
         if rows is None or ticks > len(rows.ticks) or samples > len(rows.samples):
             rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)
-        draw_streams(rows, list_streams(scenario), scenario.seed, ticks, samples)
+        draw_streams(rows, loop_parts.list_streams(scenario), scenario.seed, ticks, samples)
         rows = rows._replace(table=build_table(scenario), pieces=build_pieces(scenario.path))
         state = as_record(start, loop.kinds.state)
         now = state[0]["now"]
@@ -357,8 +346,8 @@ def build_pieces(path: Path | None) -> NDArray[Any]:
 def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, samples: int) -> None:
     """Generate the random numbers of effects, event by event."""
     for name in names:
-        of_ticks = name in list_of(ticks=True)
+        of_ticks = name in loop_parts.list_of(ticks=True)
         table, count = (rows.drawn_ticks, ticks) if of_ticks else (rows.drawn_samples, samples)
-        drawn = draw_events(seed, STREAMS[name], count)
-        for place, column in enumerate(STREAMS[name].fields):
+        drawn = loop_parts.draw_events(seed, loop_parts.STREAMS[name], count)
+        for place, column in enumerate(loop_parts.STREAMS[name].fields):
             table[name][column][:count] = drawn[:, place]

@@ -28,17 +28,10 @@ from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import REFERENCES as REFERENCES_OF, ControlLoop
 from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario
+from turtlelog.simulate import declare_scenario, loop_parts
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled import compiled_loop
 from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
-from turtlelog.simulate.loop_parts import (
-    Function,
-    bound_rows,
-    build_settings,
-    compile_text,
-    list_streams,
-)
 from turtlelog.simulate.many import find_loop
 from turtlelog.sweep.batch import batch_kernel, path_kernel
 from turtlelog.sweep.batch.batch_entry import measure_row
@@ -105,7 +98,7 @@ class Coverage:
     name: str
     compiler: str
     curves: tuple[str, ...]
-    functions: Mapping[str, Function]
+    functions: Mapping[str, loop_parts.Function]
     uses: int
 
 
@@ -228,11 +221,11 @@ def type_measurement(coverage: Coverage) -> Any:
 
 
 @cache
-def _bind(coverage: Coverage) -> tuple[dict[str, Function], str]:
+def _bind(coverage: Coverage) -> tuple[dict[str, loop_parts.Function], str]:
     """Return the functions that the outermost function calls, and a stamp of all their sources."""
     from importlib.metadata import version
 
-    functions: dict[str, Function] = {
+    functions: dict[str, loop_parts.Function] = {
         "IS_ANY": batch_kernel.is_any,
         **coverage.functions,
         "MEASURE_CURVE": _chain("curve", {name: CURVES[name] for name in coverage.curves}),
@@ -242,7 +235,7 @@ def _bind(coverage: Coverage) -> tuple[dict[str, Function], str]:
     return functions, stamp_functions(functions.values(), *types, version("numba"), np.__version__)
 
 
-def _chain(what: str, kinds: Mapping[str, Any]) -> Function:
+def _chain(what: str, kinds: Mapping[str, Any]) -> loop_parts.Function:
     """Return a function that writes each requested metric."""
     lines = [f"def measure_{what}({what}, asked, values, reasons):"]
     names: dict[str, Any] = {}
@@ -261,7 +254,7 @@ def _chain(what: str, kinds: Mapping[str, Any]) -> Function:
             words = "elif"
         call = f"values[{place}], at_s, reasons[{place}] = find_{place}({what})"
         lines += ["    else:", f"        {call}"]
-    return called(compile_text(f"measure_{what}", [*lines, "    return"], names))
+    return called(loop_parts.compile_text(f"measure_{what}", [*lines, "    return"], names))
 
 
 FREE_KEYS: Final = frozenset(
@@ -337,13 +330,13 @@ class _Case:
     def __init__(self, scenario: Scenario, plant: Plant, kind: Kind) -> None:
         law, part, _ = kind
         declaration = declare_scenario(scenario)
-        _, settings, start = build_settings(scenario, law, declaration, plant)
+        _, settings, start = loop_parts.build_settings(scenario, law, declaration, plant)
         kinds = compiled_loop.find_kinds(*kind)
         self.settings = as_record(settings, kinds.settings)
         self.state, self.seed = as_record(start, kinds.state), scenario.seed
         self.table = compiled_loop.build_table(scenario)
-        self.streams = list_streams(scenario)
-        self.ticks, self.samples = bound_rows(scenario, plant)
+        self.streams = loop_parts.list_streams(scenario)
+        self.ticks, self.samples = loop_parts.bound_rows(scenario, plant)
         x_m, y_m = part.read(start.plant)[:2]
         exact = scenario.loop.pose_precision == "float64"
         start_xy_m = (x_m, y_m) if exact else (to_float32(x_m), to_float32(y_m))

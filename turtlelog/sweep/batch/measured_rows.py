@@ -24,19 +24,10 @@ from turtlelog.processes import count_cores
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate import declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, build_pieces, draw_streams
 from turtlelog.simulate.compiled.twins import is_kept
-from turtlelog.simulate.many import (
-    COST_S,
-    ENTRY,
-    FIRST_S,
-    CompiledCode,
-    call_beside,
-    describe_difference,
-    find_saving,
-)
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch import batch_arrays as arrays
 from turtlelog.sweep.batch.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
@@ -56,7 +47,7 @@ _STRETCH: Final = 32
 """Number of rows in one call: enough for a negligible overhead, few enough that all cores finish
 together."""
 
-_COMPARED: Final[set[CompiledCode]] = set()
+_COMPARED: Final[set[many.CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""
 
 
@@ -68,12 +59,12 @@ class Batch(NamedTuple):
 
 
 @cache
-def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> CompiledCode:
-    return CompiledCode(
+def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> many.CompiledCode:
+    return many.CompiledCode(
         partial(_load, kind, coverage),
         partial(_is_kept, kind, coverage),
-        cost_s=COST_S,
-        first_s=FIRST_S + _MEASURING_S,
+        cost_s=many.COST_S,
+        first_s=many.FIRST_S + _MEASURING_S,
         beside=(coverage.compiler,),
     )
 
@@ -82,7 +73,7 @@ def _load(kind: arrays.Kind, coverage: arrays.Coverage) -> Batch:
     from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
 
     loop = compile_loop(*kind)
-    measure = call_beside(coverage.compiler)
+    measure = many.call_beside(coverage.compiler)
     return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
 
 
@@ -94,10 +85,10 @@ def _is_kept(kind: arrays.Kind, coverage: arrays.Coverage) -> bool:
     except TypeError:  # not compilable; the compilation reports it
         return False
     is_measured = is_kept(_ENTRY, arrays.name_measurement(coverage))
-    return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
+    return is_measured and is_kept(many.ENTRY, name) and is_kept(many.ENTRY, f"rows_{name}")
 
 
-def find_batch(base: Scenario) -> CompiledCode | None:
+def find_batch(base: Scenario) -> many.CompiledCode | None:
     """Return the compiled code for rows that vary keys of a scenario; None if the law has none."""
     try:
         scenario = resolve_scenario(base)
@@ -168,7 +159,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
-            kernel = batch.expect(int(work.result.samples[0]) * rows, find_saving(base))
+            kernel = batch.expect(int(work.result.samples[0]) * rows, many.find_saving(base))
         if kernel is not None:
             threads = count_cores() if threads is None else threads
             rest = work.run_compiled(batch, kernel, rest, threads)
@@ -249,7 +240,7 @@ class _Work:
         return resolve_scenario(scenario)
 
     def run_compiled(
-        self, batch: CompiledCode, kernel: Batch, rows: Sequence[int], threads: int
+        self, batch: many.CompiledCode, kernel: Batch, rows: Sequence[int], threads: int
     ) -> Sequence[int]:
         """Simulate and measure compiled rows; return the rows that are not compiled."""
         self._is_own = not is_built_in(kernel.loop.law)
@@ -272,7 +263,7 @@ class _Work:
         runner = CompiledRunner(self._step_budget_s)
         compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
-            self.notes += describe_difference(scenario.law.kind, plain, compiled)
+            self.notes += many.describe_difference(scenario.law.kind, plain, compiled)
 
     def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
         base = resolve_scenario(self._base)

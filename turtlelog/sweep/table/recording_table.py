@@ -18,17 +18,7 @@ from turtlelog.log.parquet_file import list_cells
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
 from turtlelog.sweep.find_recordings import FoundRecording, hash_recording
-from turtlelog.sweep.table.result_table import (
-    STATUS,
-    ResultColumn,
-    ResultTable,
-    StoredTable,
-    cut_groups,
-    has_result_file,
-    open_result_table,
-    read_result_facts,
-    write_result_table,
-)
+from turtlelog.sweep.table import result_table
 from turtlelog.sweep.table.stored_rows import (
     Cell,
     CellType,
@@ -140,9 +130,9 @@ def describe_former(output: Path, table: RecordingTable) -> str | None:
         LogError: If the file is not such a table and must not be replaced.
         LibraryError: If pyarrow is not installed.
     """
-    if not has_result_file(output):
+    if not result_table.has_result_file(output):
         return None
-    found = read_result_facts(output)
+    found = result_table.read_result_facts(output)
     if found is None or found["kind"] != table.kind:
         other = "another Parquet file" if found is None else f"a table of {found['kind']}"
         raise LogError(f"{output}: expected a table of {table.kind} or a new name, found {other}")
@@ -182,8 +172,8 @@ def tabulate_recordings(
     """
     output = make_path(output)
     former = None
-    if describe_former(output, table) is None and has_result_file(output):
-        former = open_result_table(output, kind=table.kind)
+    if describe_former(output, table) is None and result_table.has_result_file(output):
+        former = result_table.open_result_table(output, kind=table.kind)
     facts = {**table.facts, "kind": table.kind, "version": __version__}
     kept = KeptParts(output, facts, ReadFiles)
     is_complete = False
@@ -198,7 +188,7 @@ def tabulate_recordings(
             rows.add(chunk)
         labels = [one.label for one in found]
         made, failed, errors = rows.assemble(labels, table.kind, table.facts, table.order)
-        write_result_table(made, output)
+        result_table.write_result_table(made, output)
         is_complete = True
     finally:
         kept.close(is_complete=is_complete or not kept.places)
@@ -294,7 +284,7 @@ def _measure_file(
 
 @lru_cache(maxsize=1024)  # of one folder: all metrics of some laws
 def _name_columns(name: str, unit: str) -> tuple[Key, Key]:
-    return Key(name, "real", unit), Key(f"{name}{STATUS}")
+    return Key(name, "real", unit), Key(f"{name}{result_table.STATUS}")
 
 
 def plan_metric_table(
@@ -326,13 +316,17 @@ def plan_metric_table(
 
 def _order(keys: Set[Key], used: Set[Key]) -> list[Key]:
     """Return the text columns, then value and status of each metric that a run has."""
-    ids = {key.name.removesuffix(STATUS) for key in used if key.name.endswith(STATUS)}
+    ids = {
+        key.name.removesuffix(result_table.STATUS)
+        for key in used
+        if key.name.endswith(result_table.STATUS)
+    }
     values = {
         name: sorted(key for key in keys if key.name == name and key.type == "real") for name in ids
     }
     chosen = [*_TEXTS]
     for name in order_ids(sorted(ids)):
-        chosen += [*values[name], Key(f"{name}{STATUS}")]
+        chosen += [*values[name], Key(f"{name}{result_table.STATUS}")]
     return chosen
 
 
@@ -356,7 +350,7 @@ _COLUMNS_LOOKED: Final = 512
 class FileRows:
     """Known facts of files. The rows of files are in the existing table and the partial file."""
 
-    def __init__(self, kept: KeptParts[ReadFiles], former: StoredTable | None) -> None:
+    def __init__(self, kept: KeptParts[ReadFiles], former: result_table.StoredTable | None) -> None:
         """Load the results of an interrupted call and the existing table."""
         self._kept, self._stored = kept, StoredRows()
         self._files: dict[str, FileState] = {}
@@ -367,7 +361,7 @@ class FileRows:
         for place in kept.places:
             self._enter(kept.read(place), place)
 
-    def _enter_former(self, former: StoredTable, group: int) -> None:
+    def _enter_former(self, former: result_table.StoredTable, group: int) -> None:
         row = self._stored.add(former.group_rows[group], partial(_load_group, former, group))
         columns = former.read([key.name for key in HEAD[:4]], group)
         heads = (list_cells(column.cells) for column in columns)
@@ -399,7 +393,7 @@ class FileRows:
 
     def assemble(
         self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
-    ) -> tuple[ResultTable, int, tuple[tuple[str, str], ...]]:
+    ) -> tuple[result_table.ResultTable, int, tuple[tuple[str, str], ...]]:
         """Return the table of files with these labels, whose rows are loaded on demand.
 
         Further results are the number of unreadable files, and label and reason of the first ones.
@@ -416,7 +410,7 @@ class FileRows:
             *(_repeat(key, [getattr(one, key.name) for one in states], which) for key in _STATE),
             *build_result_columns(rows, (ERROR, *order(keys, used))),
         )
-        table = ResultTable(kind=kind, columns=columns, facts=facts)
+        table = result_table.ResultTable(kind=kind, columns=columns, facts=facts)
         return table, failed, tuple((labels[file], text) for file, text in errors)
 
 
@@ -429,7 +423,7 @@ def _look_through(
     """
     keys, used, count = set[Key](), set[Key](), 0
     errors: list[tuple[int, str]] = []
-    for stretch in cut_groups(len(rows), _COLUMNS_LOOKED):
+    for stretch in result_table.cut_groups(len(rows), _COLUMNS_LOOKED):
         cells = rows.load(stretch).cells
         keys |= cells.keys()
         used |= {key for key in cells.keys() - used if cells[key].has_value.any()}
@@ -443,12 +437,14 @@ def _look_through(
     return keys - {*HEAD}, used - {*HEAD}, count, errors
 
 
-def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultColumn:
+def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> result_table.ResultColumn:
     packed = StoredCells.pack(key.type, cells).take(which)
-    return ResultColumn(name=key.name, type=key.type, cells=packed, unit=key.unit or None)
+    return result_table.ResultColumn(
+        name=key.name, type=key.type, cells=packed, unit=key.unit or None
+    )
 
 
-def _load_group(former: StoredTable, group: int) -> Columns:
+def _load_group(former: result_table.StoredTable, group: int) -> Columns:
     """Return the rows of a group of an existing table, without the facts of its files."""
     known, packed = {key.name for key in HEAD[:4]}, {}
     for column in former.read([name for name in former.names if name not in known], group):

@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError
 from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
-from turtlelog.sweep.table.result_table import (
-    ResultColumn,
-    build_numbers,
-    build_texts,
-    has_result_file,
-    read_result_facts,
-)
+from turtlelog.sweep.table import result_table
 
 Cell = str | int | float | None
 CellType = Literal["text", "real", "whole"]
@@ -111,9 +105,9 @@ class StoredCells(Sequence[Any]):
         if self._kind != "text":
             pa = load_library("pyarrow")
             kind = pa.int64() if self._kind == "whole" else pa.float64()
-            return build_numbers(self._numbers, has_value, kind)
+            return result_table.build_numbers(self._numbers, has_value, kind)
         texts = ["" if number < 0 else self._texts[number] for number in self._numbers.tolist()]
-        return build_texts(texts, has_value)
+        return result_table.build_texts(texts, has_value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,12 +177,14 @@ class _Column(Sequence[Any]):
         return found.cells.get(self._key) or StoredCells.fill(self._key.type, found.count)
 
 
-def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
+def build_result_columns(
+    rows: WindowedRows, keys: Sequence[Key]
+) -> Iterator[result_table.ResultColumn]:
     """Yield the columns of keys. If a name has several units, the unit is appended to the name."""
     names = [key.name for key in keys]
     for key in keys:
         is_alone = names.count(key.name) == 1
-        yield ResultColumn(
+        yield result_table.ResultColumn(
             name=key.name if is_alone else f"{key.name} [{key.unit}]",
             type=key.type,
             cells=_Column(rows, key),
@@ -226,9 +222,9 @@ def name_partial(output: Path) -> Path:
 
 def has_results(output: Path, facts: Mapping[str, str]) -> bool:
     """Return whether the results of this sweep already exist; SweepError for another content."""
-    if not has_result_file(output):
+    if not result_table.has_result_file(output):
         return False
-    found = read_result_facts(output)
+    found = result_table.read_result_facts(output)
     if found is None or found["kind"] != "sweep":
         raise SweepError(f"{output}: expected a new name, found a file that no sweep wrote")
     require_same(facts, output, found, what="the results")

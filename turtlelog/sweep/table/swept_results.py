@@ -23,17 +23,7 @@ from turtlelog.run.tables import Tabular
 from turtlelog.scenario import Scenario, build_scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.table.result_table import (
-    ROW,
-    STATUS,
-    ResultColumn,
-    ResultTable,
-    StoredTable,
-    build_result_arrow,
-    list_row_numbers,
-    open_result_table,
-    write_result_table,
-)
+from turtlelog.sweep.table import result_table
 
 Values = NDArray[np.float64]
 
@@ -196,13 +186,13 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         SweepError: If a metric does not exist, or the patterns match too many metrics.
         LibraryError: If pyarrow is not installed.
     """
-    stored = open_result_table(path, kind="sweep")
+    stored = result_table.open_result_table(path, kind="sweep")
     axes, is_sampled, base = _parse_facts(path, stored)
-    known = [name for name in stored.names if f"{name}{STATUS}" in stored.names]
+    known = [name for name in stored.names if f"{name}{result_table.STATUS}" in stored.names]
     asked = known if patterns is None else _match(path, patterns, known)
     wanted = [*(key for keys in axes for key in keys), *asked]
-    wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
-    wanted += [ROW] if ROW in stored.names else []
+    wanted += [*(f"{name}{result_table.STATUS}" for name in asked), "failed"]
+    wanted += [result_table.ROW] if result_table.ROW in stored.names else []
     columns = {one.name: one for one in stored.read(list(dict.fromkeys(wanted)))}
     count = stored.row_count
     if not count:
@@ -224,7 +214,7 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         is_sampled=is_sampled,
         failed=int(has_failed.sum()),
         row_count=count,
-        row_numbers=_list_row_numbers(columns.get(ROW), count),
+        row_numbers=_list_row_numbers(columns.get(result_table.ROW), count),
         base=base,
     )
     units = {loop.gain: loop.gain_unit for loop in list_declared_loops(results)}
@@ -262,7 +252,7 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
         ScenarioError: If the row's values are not a valid scenario, and the row failed for this
             reason.
     """
-    table = open_result_table(path, kind="sweep")
+    table = result_table.open_result_table(path, kind="sweep")
     place = table.find_row(row)
     try:
         keys, tables = json.loads(table.facts["varied"]), parse_toml(table.facts["base"])
@@ -274,7 +264,7 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
 
 
 def _parse_facts(
-    path: str | Path, stored: StoredTable
+    path: str | Path, stored: result_table.StoredTable
 ) -> tuple[list[tuple[str, ...]], bool, Scenario]:
     """Return the keys of each axis, whether rows were sampled at random, and the base scenario."""
     try:
@@ -317,20 +307,20 @@ def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
     return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
 
 
-def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
+def _list_row_numbers(column: result_table.ResultColumn | None, count: int) -> Sequence[int]:
     if column is None:
         return range(count)
     cells: Any = column.cells
     is_whole = column.type == "whole" and not cells.null_count
     if is_whole and np.array_equal(cells.to_numpy(), np.arange(count)):
         return range(count)
-    return list_row_numbers(list_cells(column.cells), count)
+    return result_table.list_row_numbers(list_cells(column.cells), count)
 
 
 def _build_metric(
-    columns: Mapping[str, ResultColumn], name: str, has_failed: NDArray[np.bool_]
+    columns: Mapping[str, result_table.ResultColumn], name: str, has_failed: NDArray[np.bool_]
 ) -> SweptMetric:
-    column, statuses = columns.get(name), columns.get(f"{name}{STATUS}")
+    column, statuses = columns.get(name), columns.get(f"{name}{result_table.STATUS}")
     if column is None or statuses is None or column.type != "real":
         raise LogError(f"{name}: no column of numbers with statuses")
     cells: Any = column.cells
@@ -355,7 +345,7 @@ def _tell_status(status: str | None) -> str:
     return "not a number" if status == "ok" else status.replace("_", " ")
 
 
-def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
+def _build_axis(columns: Sequence[result_table.ResultColumn]) -> SweptAxis:
     found, places = _list_distinct(columns[0])
     distinct = [(value,) for value in found]
     for column in columns[1:]:
@@ -380,7 +370,7 @@ def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
     )
 
 
-def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
+def _list_distinct(column: result_table.ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
     """Return the distinct values of a column in row order, and the index of each row's value.
 
     Only distinct cells are converted to Python values, because there may be a million rows.
@@ -422,7 +412,7 @@ class SweepTable(Tabular):
 
     name: str
     keys: tuple[str, ...]
-    table: ResultTable
+    table: result_table.ResultTable
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -442,7 +432,7 @@ class SweepTable(Tabular):
 
     def to_arrow(self) -> Any:
         """Return the table as the `pyarrow.Table` that its file contains."""
-        return build_result_arrow(self.table)
+        return result_table.build_result_arrow(self.table)
 
     def __repr__(self) -> str:
         return fit_line(f"<SweepTable of {self._describe()}>")
@@ -469,7 +459,7 @@ def read_sweep_table(path: str | Path) -> SweepTable:
         LogError: If the file is not a table of a sweep.
         LibraryError: If pyarrow is not installed.
     """
-    table = open_result_table(path, kind="sweep").load()
+    table = result_table.open_result_table(path, kind="sweep").load()
     name = parse_scenario(table.facts["base"]).name
     plan = json.loads(table.facts["plan"])
     return SweepTable(name=name, keys=(*plan["grid"], *plan["zip"]), table=table)
@@ -479,5 +469,5 @@ def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None)
     """Return the rows of a table in memory for charts, as `read_swept_results` does."""
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         file = Path(folder, "sweep.parquet")
-        write_result_table(table.table, file)
+        result_table.write_result_table(table.table, file)
         return replace(read_swept_results(file, patterns), path=f"sweep of {table.name}")
