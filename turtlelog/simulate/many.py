@@ -198,16 +198,18 @@ class ManyRuns(Iterator[Simulated]):
         self,
         scenarios: Iterable[Scenario],
         *,
-        plant: Plant | None,
+        plant: Plant | None = None,
         threads: int | None,
         step_budget_s: float | None,
+        expected: int | None = None,
     ) -> None:
+        """Begin as `simulate_many` does. `expected`: number of runs. Default: of the scenarios."""
         self.compiled = self.interpreted = 0
         self.notes: list[str] = []
         self._threads = count_cores() if threads is None else threads
         if self._threads < 1:
             raise SimulationError(f"threads: expected at least 1, found {threads}")
-        self._count = len(scenarios) if isinstance(scenarios, Sized) else 1
+        self._count = expected or (len(scenarios) if isinstance(scenarios, Sized) else 1)
         self._plant, self._step_budget_s = plant, step_budget_s
         self._scenarios = iter(scenarios)
         self._waiting: deque[Simulated | Future[Simulated]] = deque()

@@ -6,7 +6,7 @@ process on any machine with the same version of turtlelog returns the same resul
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
@@ -20,7 +20,7 @@ from turtlelog.measure.metric import Metric
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, simulate_many
+from turtlelog.simulate import ManyRuns, declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
 from turtlelog.sweep.batch.batch_arrays import OK, STATUSES, is_batched
 from turtlelog.sweep.batch.measured_rows import is_covered, measure_rows
@@ -112,28 +112,14 @@ class RowResults:
 
     def find_late(self) -> str | None:
         """Return the first row whose law exceeded its time, with the reason of the failure."""
-        late = [(row, one) for row, one in enumerate(self.failed) if one and is_late(one)]
-        return f"row {self.first + late[0][0]}: {late[0][1]}" if late else None
-
-
-class _Scenarios(Iterator[Scenario]):
-    """The scenarios of one chunk, and the number of rows that the later chunks contain."""
-
-    def __init__(self, scenarios: Sequence[Scenario], ahead: int) -> None:
-        self._rest, self._count = iter(scenarios), max(len(scenarios), ahead)
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __next__(self) -> Scenario:
-        return next(self._rest)
+        rows = enumerate(self.failed, start=self.first)
+        return next((f"row {row}: {one}" for row, one in rows if one and is_late(one)), None)
 
 
 def simulate_rows(chunk: RowChunk) -> RowResults:
     """Simulate and measure the rows of a chunk. A failed row gets a reason."""
     base = parse_scenario(chunk.base)
-    kinds = _list_batch_metrics(base, chunk)
-    if kinds:
+    if kinds := _list_batch_metrics(base, chunk):
         return _simulate_batch(base, chunk, kinds)
     scenarios: list[Scenario | TurtlelogError] = []
     for row, values in enumerate(chunk.values, start=chunk.first):
@@ -143,8 +129,8 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
         except TurtlelogError as err:
             scenarios.append(err)
     good = [one for one in scenarios if isinstance(one, Scenario)]
-    rows = _Scenarios(good, chunk.ahead)
-    runs = simulate_many(rows, threads=1, step_budget_s=chunk.step_budget_s)
+    expected, budget_s = max(len(good), chunk.ahead), chunk.step_budget_s
+    runs = ManyRuns(good, threads=1, step_budget_s=budget_s, expected=expected)
     results = RowResults(first=chunk.first)
     for row, one in enumerate(scenarios, start=chunk.first):
         found = next(runs) if isinstance(one, Scenario) else one

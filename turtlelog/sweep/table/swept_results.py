@@ -159,15 +159,10 @@ class SweptResults:
         Raises:
             ScenarioError: If the row's values are not a valid scenario.
         """
-        changes = [
-            (key, value)
-            for axis in self.axes
-            for key, value in zip(axis.keys, axis.values[axis.places[row]], strict=True)
-        ]
-        keys, values = [key for key, _ in changes], [value for _, value in changes]
-        return build_row_scenario(
-            self.base, keys, values, self.row_numbers[row], source=f"{self.path}", trust_law=False
-        )
+        keys = [key for axis in self.axes for key in axis.keys]
+        values = [value for axis in self.axes for value in axis.values[axis.places[row]]]
+        number, source = self.row_numbers[row], f"{self.path}"
+        return build_row_scenario(self.base, keys, values, number, source=source, trust_law=False)
 
     def tell_row(self, row: int) -> str:
         """Return the values of all varied keys in a row, in words."""
@@ -332,17 +327,11 @@ def _build_metric(
     without = np.flatnonzero(~is_drawn)
     told = list_cells(codes.take(without)) if len(without) else []
     for row, status in zip(without.tolist(), told, strict=True):
-        has_value = not math.isnan(values[row])
-        why = _BEYOND if has_value else _tell_status(status)
+        why = "no such loop" if status is None else status.replace("_", " ")
+        why = _BEYOND if not math.isnan(values[row]) else "not a number" if why == "ok" else why
         reasons[row] = "failed" if has_failed[row] else why
     values[~is_drawn] = math.nan
     return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
-
-
-def _tell_status(status: str | None) -> str:
-    if status is None:
-        return "no such loop"
-    return "not a number" if status == "ok" else status.replace("_", " ")
 
 
 def _build_axis(columns: Sequence[result_table.ResultColumn]) -> SweptAxis:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
@@ -137,7 +137,15 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         LawError: If `law` is not a law.
         ScenarioError: If the scenario does not exist, or the ranges contain no valid scenario.
     """
-    goal = _read_goal(minimise, maximise, subject_to)
+    if (minimise is None) == (maximise is None):
+        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
+    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
+    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
+    goal = TuningGoal(
+        objective=parse_expression(str(text), source=name),
+        is_maximised=maximise is not None,
+        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
+    )
     texts = [*_list_ranges(ranges)]
     most = FOR_EACH_KEY * len(texts) if evaluations is None else evaluations
     for name, number in (("evaluations", most), ("seed", seed)):
@@ -208,46 +216,27 @@ def complete_searched(
     return scenario, search.parse_searched_keys(texts, resolved, source=source)
 
 
-def _read_goal(minimise: str | None, maximise: str | None, subject_to: Sequence[str]) -> TuningGoal:
-    if (minimise is None) == (maximise is None):
-        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
-    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
-    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
-    return TuningGoal(
-        objective=parse_expression(str(text), source=name),
-        is_maximised=maximise is not None,
-        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
-    )
-
-
-def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
+def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
     example = '{"law.kp_linear": (1, 6)}'
     if not isinstance(ranges, Mapping) or not ranges:
         raise TuneError(f"ranges: expected bounds by key, as in {example}, found {ranges!r:.60}")
-    return [_write_range(key, bounds, example) for key, bounds in ranges.items()]
-
-
-def _write_range(key: str, bounds: Any, example: str) -> str:
-    try:
-        low, high = (unwrap_number(one) for one in bounds)
-        is_sound = math.isfinite(low) and math.isfinite(high)
-    except (TypeError, ValueError):
-        is_sound = False
-    if not is_sound:
-        expected = f"two finite numbers, as in {example}"
-        raise TuneError(f"ranges: {key}: expected {expected}, found {bounds!r:.60}")
-    return f"{key}={low!r}:{high!r}"
+    for key, bounds in ranges.items():
+        try:
+            low, high = (unwrap_number(one) for one in bounds)
+            is_sound = math.isfinite(low) and math.isfinite(high)
+        except (TypeError, ValueError):
+            is_sound = False
+        if not is_sound:
+            expected = f"two finite numbers, as in {example}"
+            raise TuneError(f"ranges: {key}: expected {expected}, found {bounds!r:.60}")
+        yield f"{key}={low!r}:{high!r}"
 
 
 _DELAY: Final = "loop.transport_delay_ticks"
 _SEED: Final = "seed"
 
-_PARTS: Final = {
-    **{
-        name: name for name in ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
-    },
-    "rate_limit": "acceleration",
-}
+_SAME: Final = ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
+_PARTS: Final = {**{name: name for name in _SAME}, "rate_limit": "acceleration"}
 _AXES: Final = {"speed": "speed", "turn_rate": "turn"}
 _MOST_BYTES: Final = 2**24
 """Largest output of `identify --json` that is read [bytes]; one robot has a few kB."""
@@ -353,10 +342,8 @@ def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
         if _is_number(low) and _is_number(high) and key in parameters
     }
     if not known:
-        expected = (
-            "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
-        )
-        raise TuneError(f"{path}: has no {expected}")
+        what = "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
+        raise TuneError(f"{path}: has no {what}")
     # The interval around a dead time of 0 is cut at 0, because a dead time is never negative.
     return tuple(
         Variation(key=key, low=max(low, 0.0), high=max(high, 0.0))
@@ -390,7 +377,16 @@ def simulate_variants(
         more: Further options, as in `Candidates`.
     """
     generator = np.random.default_rng(seed)
-    columns = [_draw(one, runs, generator) for one in variations]
+    columns: list[list[Any]] = []
+    for one in variations:
+        if one.key == _SEED:
+            first, count = int(one.low), round(one.high - one.low + 1)
+            columns.append([first + number % count for number in range(runs)])
+        elif one.is_whole:
+            drawn = generator.integers(int(one.low), int(one.high) + 1, runs)
+            columns.append(drawn.tolist())
+        else:
+            columns.append(generator.uniform(one.low, one.high, runs).tolist())
     points = [*zip(*columns, strict=True)]
     candidates = Candidates(
         scenario, [one.key for one in variations], goal, jobs=jobs, expected=runs, **more
@@ -411,12 +407,3 @@ def simulate_variants(
         worst=worst(values, default=None),
         varied=tuple(variations),
     )
-
-
-def _draw(one: Variation, count: int, generator: np.random.Generator) -> list[Any]:
-    if one.key == _SEED:
-        return [int(one.low) + number % round(one.high - one.low + 1) for number in range(count)]
-    if one.is_whole:
-        drawn: list[Any] = generator.integers(int(one.low), int(one.high) + 1, count).tolist()
-        return drawn
-    return generator.uniform(one.low, one.high, count).tolist()  # type: ignore[no-any-return]
