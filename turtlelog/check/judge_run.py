@@ -1,27 +1,37 @@
-"""Results of recordings against a specification, also of files one by one, and as JUnit XML."""
+"""Results of recordings against a specification: of runs, of files, in tables, as JUnit XML."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from sys import intern
 from time import perf_counter
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from turtlelog import sweep
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_formula import Grown, judge_check, measure_named
 from turtlelog.check.reference import MetricsFile, match_run, read_metrics_file
 from turtlelog.check.result import CheckResult, Verdict, describe_result, fail_recording
 from turtlelog.check.spec import TRAJECTORY_VALUES, Spec, TrajectoryJudge, list_formula_names
 from turtlelog.check.spec_file import count_parts, require_reference
-from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
+from turtlelog.errors import CheckError, CompareError, ExpressionError, LibraryError, LogError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
+from turtlelog.log.parquet_file import list_cells
 from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.ros2.bag import open_bag
 from turtlelog.log.ros2.pose_types import JOINTS, TRANSFORMS
 from turtlelog.measure import SIGNALS, Metric, find_metric_kind, measure_run
 from turtlelog.run import Run
+from turtlelog.sweep.table.result_table import open_result_table
+from turtlelog.sweep.table.stored_rows import ERROR, FILE, Cell, Key, Row
+
+if TYPE_CHECKING:
+    from turtlelog.sweep import RecordingTable
 
 _MOST_PART_ROWS: Final = 150_000_000
 """Largest product of formula parts and samples. A window takes about 10 ns for each of its four
@@ -388,3 +398,83 @@ def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
     # A turtlelog recording contains its own goal.
     changes |= {"goal": None} if is_own else {}
     return replace(choice, allow_partial=False, **changes)
+
+
+_KEYS: Final = (
+    *(Key(name) for name in ("check", "verdict", "expected")),
+    *(Key(name, "real") for name in ("value", "limit", "margin")),
+    Key("unit"),
+    Key("value_s", "real", "s"),
+    Key("decided_by"),
+    Key("first_violation_s", "real", "s"),
+    Key("reason"),
+)
+_DECIDED: Final = Key("decided", "whole")
+"""Column with 1 if the verdict is decided, otherwise 0."""
+
+_ROWS_AT_ONCE: Final = 4096
+"""Number of rows of a table that are converted to Python values at once."""
+
+_RECORDING: Final = "recording"
+"""Name of the check that fails if a recording cannot be read, or is incomplete."""
+
+Judge = Callable[[str], Sequence[CheckResult]]
+
+
+def _judge_file(path: str, *, judge: Judge) -> list[Row]:
+    try:
+        return [_build_row(result) for result in judge(path)]
+    except LibraryError as err:
+        raise CheckError(f"{path}: {err}") from err
+
+
+def _build_row(result: CheckResult) -> Row:
+    row: dict[Key, Cell] = {key: getattr(result, key.name, None) for key in _KEYS}
+    row |= {key: str(cell) or None for key, cell in row.items() if key.type == "text"}
+    is_lost = result.check == _RECORDING and not result.is_decided
+    return {**row, _DECIDED: int(result.is_decided), ERROR: result.reason if is_lost else None}
+
+
+def plan_verdict_table(
+    spec: Spec, judge: Judge, choice: ReadChoice, *, is_partial: bool
+) -> "RecordingTable":
+    """Return the plan of `tabulate_recordings` for a table with one row per file and check.
+
+    The judge of files must be picklable. `is_partial`: whether an incomplete recording may pass.
+    """
+    held = hashlib.sha256(sweep.describe_values(spec).encode()).hexdigest()
+    facts = {"specification": held, "reading": sweep.describe_values(choice)}
+    facts["partial"] = str(is_partial)
+    if spec.reference is not None:
+        facts["reference"] = sweep.hash_recording(spec.reference)
+    return sweep.RecordingTable(
+        kind="verdicts",
+        facts=facts,
+        work=partial(_judge_file, judge=judge),
+        order=lambda _keys, _used: (*_KEYS, _DECIDED),
+    )
+
+
+def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]:
+    """Yield the results in a table; `files` are their files' names, by label in the table."""
+    keys = (FILE, *_KEYS, _DECIDED)
+    names, texts = [key.name for key in keys], [key for key in _KEYS if key.type == "text"]
+    table = open_result_table(path, kind="verdicts")
+    for group, count in enumerate(table.group_rows):
+        columns = table.read(names, group)
+        for first in range(0, count, _ROWS_AT_ONCE):
+            part = {
+                one.name: list_cells(one.cells[first : first + _ROWS_AT_ONCE]) for one in columns
+            }
+            rows: Iterator[Any] = zip(*(part[name] for name in names), strict=True)
+            for row in rows:
+                cells = dict(zip(names, row, strict=True))
+                if cells["verdict"] is None:
+                    continue
+                # Texts repeat from file to file, and are stored once in memory.
+                cells |= {one.name: intern(cells[one.name] or "") for one in texts}
+                label, is_decided = cells.pop("file"), bool(cells.pop("decided"))
+                verdict = Verdict(cells.pop("verdict"))
+                yield CheckResult(
+                    **cells, file=files[label], verdict=verdict, is_decided=is_decided
+                )

@@ -317,7 +317,7 @@ def _check_into_table(
     topics: ReadingOptions,
 ) -> "Iterator[CheckResult]":
     """Return the results of files. The table provides the results of unchanged files."""
-    from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
+    from turtlelog.check.judge_run import plan_verdict_table, read_verdicts
 
     for name in ("junit", "artifacts", "report"):
         if getattr(reports, name) is not None:

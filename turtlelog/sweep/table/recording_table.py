@@ -20,6 +20,8 @@ from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
 from turtlelog.sweep.find_recordings import FoundRecording, hash_recording
 from turtlelog.sweep.table import result_table
 from turtlelog.sweep.table.stored_rows import (
+    ERROR,
+    FILE,
     Cell,
     CellType,
     Columns,
@@ -37,8 +39,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 
-FILE: Final = Key("file")
-ERROR: Final = Key("error")
 _STATE: Final = Key("size", "whole", "B"), Key("mtime_ns", "whole", "ns"), Key("sha256")
 HEAD: Final = (FILE, *_STATE, ERROR)
 """Columns of every table of recordings."""

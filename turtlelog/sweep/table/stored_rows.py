@@ -31,6 +31,10 @@ class Key(NamedTuple):
     unit: str = ""
 
 
+FILE: Final = Key("file")
+ERROR: Final = Key("error")
+"""First and last column about the file, in tables of recordings."""
+
 Row = Mapping[Key, Cell]
 _NONES: Final[Mapping[str, Any]] = {"text": -1, "real": np.nan, "whole": -(2**63)}
 _NUMBERS: Final = {"text": np.int32, "real": np.float64, "whole": np.int64}
