@@ -59,11 +59,13 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return the list of all rows that are simulated from here on, in this process."""
     rows: list[int] = []
 
+    simulate_rows = sweep_rows.simulate_rows
+
     def count_rows(chunk: sweep_rows.RowChunk) -> sweep_rows.RowResults:
         rows.extend(range(chunk.first, chunk.first + len(chunk.values)))
-        return sweep_rows.simulate_rows(chunk)
+        return simulate_rows(chunk)
 
-    monkeypatch.setitem(run_sweep.__globals__, "simulate_rows", count_rows)
+    monkeypatch.setattr(sweep_rows, "simulate_rows", count_rows)
     return rows
 
 

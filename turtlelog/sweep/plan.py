@@ -223,23 +223,6 @@ def _require_sound(plan: SweepPlan) -> None:
         )
 
 
-class PlannedCells(Sequence[Any]):
-    """The values of a key in all rows, computed on demand."""
-
-    def __init__(self, plan: SweepPlan, key: str) -> None:
-        """Take the plan, and the key of the column."""
-        self._plan, self._key = plan, key
-
-    def __len__(self) -> int:
-        return self._plan.row_count
-
-    def __getitem__(self, place: Any) -> Any:
-        if not isinstance(place, slice):
-            return self[place : place + 1][0]
-        begin, end, _ = place.indices(len(self))
-        return self._plan.list_values(range(begin, end), self._key)
-
-
 def build_row_scenario(
     base: Scenario,
     keys: Sequence[str],

@@ -24,8 +24,14 @@ from turtlelog.simulate import ManyRuns, declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
 from turtlelog.sweep.batch.batch_arrays import OK, STATUSES, is_batched
 from turtlelog.sweep.batch.measured_rows import is_covered, measure_rows
-from turtlelog.sweep.plan import PlannedCells, SweepPlan, build_row_scenario
-from turtlelog.sweep.table.result_table import STATUS, ResultColumn, ResultTable, StoredTable
+from turtlelog.sweep.plan import SweepPlan, build_row_scenario
+from turtlelog.sweep.table.result_table import (
+    STATUS,
+    ComputedItems,
+    ResultColumn,
+    ResultTable,
+    StoredTable,
+)
 from turtlelog.sweep.table.stored_rows import (
     Columns,
     KeptParts,
@@ -367,17 +373,17 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
         *(key for name in units for key in (Key(name, "real"), Key(f"{name}{STATUS}"))),
         *(_STOP_REASON, _FAILED),
     ]
+
+    def plan_column(key: str) -> ResultColumn:
+        cells = ComputedItems(
+            plan.row_count, lambda begin, end: plan.list_values(range(begin, end), key)
+        )
+        unit = find_key_unit(key)
+        return ResultColumn(name=key, type=plan.find_type(key), cells=cells, unit=unit)
+
     columns = [
         ResultColumn(name="row", type="whole", cells=range(plan.row_count)),
-        *(
-            ResultColumn(
-                name=key,
-                type=plan.find_type(key),
-                cells=PlannedCells(plan, key),
-                unit=find_key_unit(key),
-            )
-            for key in plan.keys
-        ),
+        *map(plan_column, plan.keys),
         *(
             replace(column, unit=units.get(column.name, column.unit))
             for column in build_result_columns(ordered, keys)

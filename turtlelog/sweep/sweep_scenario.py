@@ -31,7 +31,12 @@ from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep import sweep_rows
 from turtlelog.sweep.batch.measured_rows import find_batch
 from turtlelog.sweep.plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
-from turtlelog.sweep.table.result_table import choose_type, open_result_table, write_result_table
+from turtlelog.sweep.table.result_table import (
+    ComputedItems,
+    choose_type,
+    open_result_table,
+    write_result_table,
+)
 from turtlelog.sweep.table.stored_rows import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.table.swept_results import SweepTable, read_sweep_table
 from turtlelog.version import __version__
@@ -376,10 +381,18 @@ def _simulate(
         jobs = 1
     work = WorkWithLaws(sweep_rows.simulate_rows, () if isinstance(jobs, int) else laws)
     cut = partial(sweep.cut_chunk, ahead=rest // count, threads=threads)
-    chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
+    chunks = _cut_chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
     for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
         rows.add(results)
         watch(rows.count, results)
+
+
+def _cut_chunks(
+    cut: Callable[[int, int], sweep_rows.RowChunk], gaps: Sequence[tuple[int, int]], size: int
+) -> Sequence[sweep_rows.RowChunk]:
+    """Return chunks of work on segments of rows, created on demand."""
+    cuts = [(row, min(size, end - row)) for first, end in gaps for row in range(first, end, size)]
+    return ComputedItems(len(cuts), lambda first, end: [cut(*one) for one in cuts[first:end]])
 
 
 def _name_chunk(chunk: sweep_rows.RowChunk) -> str:
@@ -414,31 +427,6 @@ class _Telling:
         if late is not None:
             self._has_told = True
             self._tell(late)
-
-
-class _Chunks(Sequence[sweep_rows.RowChunk]):
-    """Chunks of work on segments of rows, created on demand."""
-
-    def __init__(
-        self,
-        cut: Callable[[int, int], sweep_rows.RowChunk],
-        gaps: Sequence[tuple[int, int]],
-        size: int,
-    ) -> None:
-        self._cut = cut
-        self._cuts = [
-            (first, min(size, end - first))
-            for begin, end in gaps
-            for first in range(begin, end, size)
-        ]
-
-    def __len__(self) -> int:
-        return len(self._cuts)
-
-    def __getitem__(self, place: Any) -> Any:
-        if isinstance(place, slice):
-            return [self._cut(*cut) for cut in self._cuts[place]]
-        return self._cut(*self._cuts[place])
 
 
 def _summarise(output: Path, sweep: Sweep) -> SweepSummary:

@@ -1,6 +1,6 @@
 """Tables of results in Parquet files: columns with units, and facts about the table."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -39,6 +39,23 @@ footer has 20 MB. Groups do not depend on how rows reach the writer, so equal ta
 files."""
 
 _WHOLE: Final = range(-(2**63), 2**63)
+
+
+class ComputedItems(Sequence[Any]):
+    """A sequence whose segments are computed on demand."""
+
+    def __init__(self, count: int, compute: Callable[[int, int], Sequence[Any]]) -> None:
+        """Take the number of items, and the function of the first item and the one after."""
+        self._count, self._compute = count, compute
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, place: Any) -> Any:
+        if not isinstance(place, slice):
+            return self[place : place + 1][0]
+        begin, end, _ = place.indices(self._count)
+        return self._compute(begin, end)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -165,34 +165,21 @@ class WindowedRows:
         return self._held
 
 
-class _Column(Sequence[Any]):
-    """The cells of a key, for rows in a given order."""
-
-    def __init__(self, rows: WindowedRows, key: Key) -> None:
-        self._rows, self._key = rows, key
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __getitem__(self, place: Any) -> Any:
-        if not isinstance(place, slice):
-            return self[place : place + 1][0]
-        found = self._rows.load(place)
-        return found.cells.get(self._key) or StoredCells.fill(self._key.type, found.count)
-
-
 def build_result_columns(
     rows: WindowedRows, keys: Sequence[Key]
 ) -> Iterator[result_table.ResultColumn]:
     """Yield the columns of keys. If a name has several units, the unit is appended to the name."""
     names = [key.name for key in keys]
     for key in keys:
-        is_alone = names.count(key.name) == 1
+
+        def load(begin: int, end: int, key: Key = key) -> StoredCells:
+            found = rows.load(slice(begin, end))
+            return found.cells.get(key) or StoredCells.fill(key.type, found.count)
+
+        name = key.name if names.count(key.name) == 1 else f"{key.name} [{key.unit}]"
+        cells = result_table.ComputedItems(len(rows), load)
         yield result_table.ResultColumn(
-            name=key.name if is_alone else f"{key.name} [{key.unit}]",
-            type=key.type,
-            cells=_Column(rows, key),
-            unit=key.unit or None,
+            name=name, type=key.type, cells=cells, unit=key.unit or None
         )
 
 
