@@ -311,21 +311,21 @@ class ManyRuns(Iterator[Simulated]):
             return err
 
 
-@cache
-def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledCode:
-    """Return the loop of a law and a plant, which is compiled when the work justifies this."""
-    load, find = partial(compile_loop, law, plant, states), partial(_is_kept, law, plant, states)
-    return CompiledCode(load, find, cost_s=COST_S, first_s=FIRST_S)
-
-
 ENTRY: Final = "turtlelog.simulate.compiled.compiled_entry"
 
 
-def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
+def is_loop_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
+    """Return whether numba's cache has the loop of a law and a plant."""
     try:
         return is_kept(ENTRY, name_loop(law, plant, states))
     except TypeError:  # not compilable; the compilation reports it
         return False
+
+
+@cache
+def _find_loop(*kind: Any) -> CompiledCode:
+    load, find = partial(compile_loop, *kind), partial(is_loop_kept, *kind)
+    return CompiledCode(load, find, cost_s=COST_S, first_s=FIRST_S)
 
 
 def find_loop(scenario: Scenario, plant: Plant) -> CompiledCode | None:

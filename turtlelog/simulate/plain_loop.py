@@ -1,7 +1,7 @@
 """The loop in ordinary Python, tick by tick, for a law in any Python, without a compiler."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from math import inf
@@ -311,31 +311,20 @@ def _list_rows(rows: dict[int, Any], first: int, end: int) -> Samples:
 
 
 @dataclass(slots=True)
-class _New:
-    """Factory of a row of each kind."""
-
-    tick: Callable[[], TickRow]
-    sample: Callable[[], SampleRow]
-    event: type[EventRow]
-    waiting: type[Any] | None
-    states: type[Any] | None
-
-
-@dataclass(slots=True)
 class _Rows:
     """The rows of a loop that are still needed, by number, like `compiled_loop.Rows`."""
 
-    ticks: dict[int, TickRow]
-    samples: dict[int, SampleRow]
-    states: dict[int, Any]
-    events: dict[int, EventRow]
-    waiting: dict[int, Any]
     table: Any
     pieces: Any
     drawn_ticks: loop_parts.DrawnEvents
     drawn_samples: loop_parts.DrawnEvents
-    new: tuple[_New]
-    forgotten: int
+    new: tuple[SimpleNamespace]  # what makes a row of each kind
+    ticks: dict[int, TickRow] = field(default_factory=dict)
+    samples: dict[int, SampleRow] = field(default_factory=dict)
+    states: dict[int, Any] = field(default_factory=dict)
+    events: dict[int, EventRow] = field(default_factory=dict)
+    waiting: dict[int, Any] = field(default_factory=dict)
+    forgotten: int = 0
 
 
 def _drop(rows: dict[int, Any], before: int) -> int:
@@ -350,29 +339,21 @@ def _drop(rows: dict[int, Any], before: int) -> int:
 
 
 def _build_rows(scenario: Scenario, law: laws.AnyLaw, declaration: Declaration) -> Any:
-    used = loop_parts.list_streams(scenario)
-    is_part = isinstance(law, laws.LawPart)
+    used, is_part = loop_parts.list_streams(scenario), isinstance(law, laws.LawPart)
     table = law.build_table if isinstance(law, laws.LawPart) else None
+    makers = SimpleNamespace(
+        tick=find_maker(TickRow),
+        sample=find_maker(SampleRow),
+        event=EventRow,
+        waiting=PLANTS[scenario.plant.kind].Waiting,
+        states=loop_parts.find_states(declaration.states) if is_part else None,
+    )
     return _Rows(
-        ticks={},
-        samples={},
-        states={},
-        events={},
-        waiting={},
         table=() if table is None else table(scenario.law.parameters),
         pieces=() if scenario.path is None else scenario.path.ways,
         drawn_ticks=loop_parts.DrawnEvents(scenario.seed, used, ticks=True),
         drawn_samples=loop_parts.DrawnEvents(scenario.seed, used, ticks=False),
-        new=(
-            _New(
-                tick=find_maker(TickRow),
-                sample=find_maker(SampleRow),
-                event=EventRow,
-                waiting=PLANTS[scenario.plant.kind].Waiting,
-                states=loop_parts.find_states(declaration.states) if is_part else None,
-            ),
-        ),
-        forgotten=0,
+        new=(makers,),
     )
 
 

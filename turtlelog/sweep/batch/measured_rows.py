@@ -26,7 +26,14 @@ from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, build_pieces, draw_streams
+from turtlelog.simulate.compiled.compiled_loop import (
+    CompiledRunner,
+    build_pieces,
+    compile_loop,
+    compile_rows,
+    draw_streams,
+    name_loop,
+)
 from turtlelog.simulate.compiled.twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch import batch_arrays as arrays
@@ -60,32 +67,22 @@ class Batch(NamedTuple):
 
 @cache
 def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> many.CompiledCode:
+    def load() -> Batch:
+        loop = compile_loop(*kind)
+        measure = many.call_beside(coverage.compiler)
+        return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
+
+    def is_batch_kept() -> bool:
+        names = many.ENTRY, f"rows_{name_loop(*kind)}"
+        return is_kept(_ENTRY, arrays.name_measurement(coverage)) and is_kept(*names)
+
     return many.CompiledCode(
-        partial(_load, kind, coverage),
-        partial(_is_kept, kind, coverage),
+        load,
+        lambda: many.is_loop_kept(*kind) and is_batch_kept(),
         cost_s=many.COST_S,
         first_s=many.FIRST_S + _MEASURING_S,
         beside=(coverage.compiler,),
     )
-
-
-def _load(kind: arrays.Kind, coverage: arrays.Coverage) -> Batch:
-    from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
-
-    loop = compile_loop(*kind)
-    measure = many.call_beside(coverage.compiler)
-    return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
-
-
-def _is_kept(kind: arrays.Kind, coverage: arrays.Coverage) -> bool:
-    from turtlelog.simulate.compiled.compiled_loop import name_loop
-
-    try:
-        name = name_loop(*kind)
-    except TypeError:  # not compilable; the compilation reports it
-        return False
-    is_measured = is_kept(_ENTRY, arrays.name_measurement(coverage))
-    return is_measured and is_kept(many.ENTRY, name) and is_kept(many.ENTRY, f"rows_{name}")
 
 
 def find_batch(base: Scenario) -> many.CompiledCode | None:

@@ -179,7 +179,7 @@ def tabulate_recordings(
     is_complete = False
     try:
         rows = FileRows(kept, former)
-        chunks = list(_cut(found, _list_tasks(found, rows)))
+        chunks = list(_cut(found, rows))
         if jobs is None:
             jobs = choose_jobs([one.path for chunk in chunks for one, _ in chunk], file_s=file_s)
         work = partial(_read_chunk, work=table.work)
@@ -201,22 +201,17 @@ _Task = tuple[FoundRecording, str | None]
 """A recording, with the known hash of its content."""
 
 
-def _list_tasks(found: Sequence[FoundRecording], rows: "FileRows") -> Iterator[_Task]:
-    """Yield the recordings to check, with the known hashes of their content."""
-    for one in found:
-        known = rows.find(one.label)
-        if known is None or known.sha256 is None:
-            yield one, None
-        elif (known.size, known.mtime_ns) != (one.size, one.mtime_ns):
-            yield one, known.sha256
-
-
-def _cut(found: Sequence[FoundRecording], tasks: Iterator[_Task]) -> Iterator[list[_Task]]:
-    """Yield chunks of work: a few large files, or many small files."""
+def _cut(found: Sequence[FoundRecording], rows: "FileRows") -> Iterator[list[_Task]]:
+    """Yield chunks of recordings to check: a few large files, or many small files."""
     most = max(1, min(_CHUNK_FILES, len(found) // _CHUNK_FILES))
     chunk: list[_Task] = []
-    for task in tasks:
-        chunk.append(task)
+    for one in found:
+        known = rows.find(one.label)
+        sha256 = None if known is None else known.sha256
+        state = None if known is None else (known.size, known.mtime_ns)
+        if sha256 is not None and state == (one.size, one.mtime_ns):
+            continue
+        chunk.append((one, sha256))
         if len(chunk) == most or sum(one.size for one, _ in chunk) > _CHUNK_BYTES:
             yield chunk
             chunk = []
