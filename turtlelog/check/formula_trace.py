@@ -329,9 +329,7 @@ def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
     return _slide_window(function, first_ns, last_ns)
 
 
-def compute_until(
-    left: Steps, right: Steps, first_ns: int = 0, last_ns: int | None = None
-) -> Steps:
+def compute_until(left: Steps, right: Steps, first_ns: int, last_ns: int | None) -> Steps:
     """Return the maximum over t' in [t + first, t + last] of min(right(t'), left on [t, t']).
 
     By the identity of Donzé et al., two conditions must hold: right becomes true within the window;

@@ -245,13 +245,6 @@ def _find_growth(
     return float(run.poses.time_ns[last] - run.start_ns) / 1e9
 
 
-def measure_margin(value: float, operator: str, limit: float) -> float:
-    """Return the distance of the value from the opposite verdict; positive for a pass."""
-    if operator in {"==", "!="}:
-        return abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
-    return limit - value if operator in {"<", "<="} else value - limit
-
-
 Note = Callable[[CheckResult], None]
 
 
@@ -352,7 +345,9 @@ class RecordedMetric:
         else:
             limit = self._read_limit(metric, operator, other)
             expected = format_number(limit, metric.unit)
-            margin = measure_margin(value, operator, limit)
+            margin = limit - value if operator in {"<", "<="} else value - limit
+            if operator in {"==", "!="}:
+                margin = abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
             holds = OPERATORS[operator](value, limit)
         judged, border = self._undo_sign(operator, limit)
         return CheckResult(

@@ -85,26 +85,21 @@ class Session:
         if result is not None:
             self._results.append((recording, result))
 
-    def list_properties(self) -> list[tuple[str, object]]:
-        """Return every metric of the used recordings; empty if no report needs them."""
-        if not self._config.getoption("xmlpath", None):
-            return []
-        return [found for name in self._used for found in self._list_metrics(name)]
+    def list_properties(self) -> Iterator[tuple[str, object]]:
+        """Yield every metric of the used recordings, if a report needs them."""
+        for name in self._used if self._config.getoption("xmlpath", None) else ():
+            from turtlelog.measure import measure_run
 
-    def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
-        from turtlelog.measure import measure_run
-
-        try:
-            metrics = measure_run(self._used[name].run)
-        except TurtlelogError:
-            # The test has failed because of it.
-            return
-        yield "recording", name
-        prefix = f"{name}: " if len(self._used) > 1 else ""
-        for metric in metrics.values():
-            unit = "" if metric.unit == "1" else f" [{metric.unit}]"
-            value = metric.status.value if metric.value is None else repr(metric.value)
-            yield f"{prefix}{metric.id}{unit}", value
+            try:
+                metrics = measure_run(self._used[name].run)
+            except TurtlelogError:  # the test has failed because of it
+                continue
+            yield "recording", name
+            prefix = f"{name}: " if len(self._used) > 1 else ""
+            for metric in metrics.values():
+                unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+                value = metric.status.value if metric.value is None else repr(metric.value)
+                yield f"{prefix}{metric.id}{unit}", value
 
     def complete_report(self, item: pytest.Item, report: pytest.TestReport) -> None:
         """Add the checks of a test to its report; for a failure, also message and artifacts."""

@@ -312,12 +312,7 @@ class Candidates:
         )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
-        """Refuse bounds if none of the bounds forms a valid scenario.
-
-        Raises:
-            ScenarioError: If the bounds are refused. The message gives the reason at the first
-                bound.
-        """
+        """Raise ScenarioError, with the reason at the first, if no bound forms a valid scenario."""
         errors = []
         for point in points:
             try:
