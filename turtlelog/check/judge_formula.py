@@ -321,10 +321,8 @@ class RecordedMetric:
         result = self.judge(metric, operator, other)
         if result.verdict is Verdict.FAIL and result.limit is not None:
             operator, limit = self._undo_sign(operator, result.limit)
-            violated_s = find_metric_violation(
-                self.run, self.measured, operator, limit, self.settings
-            )
-            result = replace(result, first_violation_s=violated_s)
+            at_s = find_metric_violation(self.run, self.measured, operator, limit, self.settings)
+            result = replace(result, first_violation_s=at_s)
         self.note(result)
         return result.verdict is Verdict.PASS
 

@@ -412,7 +412,7 @@ _KEYS: Final = (
 _DECIDED: Final = Key("decided", "whole")
 """Column with 1 if the verdict is decided, otherwise 0."""
 
-_ROWS_AT_ONCE: Final = 4096
+_AT_ONCE: Final = 4096
 """Number of rows of a table that are converted to Python values at once."""
 
 _RECORDING: Final = "recording"
@@ -462,10 +462,8 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]
     table = open_result_table(path, kind="verdicts")
     for group, count in enumerate(table.group_rows):
         columns = table.read(names, group)
-        for first in range(0, count, _ROWS_AT_ONCE):
-            part = {
-                one.name: list_cells(one.cells[first : first + _ROWS_AT_ONCE]) for one in columns
-            }
+        for first in range(0, count, _AT_ONCE):
+            part = {one.name: list_cells(one.cells[first : first + _AT_ONCE]) for one in columns}
             rows: Iterator[Any] = zip(*(part[name] for name in names), strict=True)
             for row in rows:
                 cells = dict(zip(names, row, strict=True))
@@ -473,8 +471,6 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]
                     continue
                 # Texts repeat from file to file, and are stored once in memory.
                 cells |= {one.name: intern(cells[one.name] or "") for one in texts}
-                label, is_decided = cells.pop("file"), bool(cells.pop("decided"))
-                verdict = Verdict(cells.pop("verdict"))
-                yield CheckResult(
-                    **cells, file=files[label], verdict=verdict, is_decided=is_decided
-                )
+                cells["is_decided"] = bool(cells.pop("decided"))
+                cells |= {"file": files[cells["file"]], "verdict": Verdict(cells["verdict"])}
+                yield CheckResult(**cells)

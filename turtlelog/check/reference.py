@@ -142,9 +142,8 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
         found = found[0]
     if not _has_metrics(found):
         return None
-    metrics = [
-        _parse_metric(entry, f"{path}: metrics[{i}]") for i, entry in enumerate(found["metrics"])
-    ]
+    entries = enumerate(found["metrics"])
+    metrics = [_parse_metric(entry, f"{path}: metrics[{number}]") for number, entry in entries]
     if not metrics:
         raise CheckError(f"{path}: metrics: must not be empty")
     return MetricsFile(

@@ -142,11 +142,10 @@ class Spec:
     source: str = "specification"
 
     def __repr__(self) -> str:
-        held = len(self.tolerances.signals) + len(self.tolerances.metrics)
         checks = describe_count(len(self.checks), "check")
-        return escape_controls(
-            f"<Spec {self.source}: {checks}, {describe_count(held, 'tolerance')}>"
-        )
+        count = len(self.tolerances.signals) + len(self.tolerances.metrics)
+        held = describe_count(count, "tolerance")
+        return escape_controls(f"<Spec {self.source}: {checks}, {held}>")
 
 
 def is_known(kind: str, name: str) -> bool:
@@ -273,9 +272,8 @@ def names_metrics_alone(formula: expressions.Expression) -> bool:
 
 def is_in_tables(name: str) -> bool:
     """Return whether a name is a signal, a metric or a key that every run may have."""
-    return name in {*SIGNALS, *OTHER_UNITS, *_list_parameters()} or (
-        find_metric_kind(name) is not None
-    )
+    tables = {*SIGNALS, *OTHER_UNITS, *_list_parameters()}
+    return name in tables or find_metric_kind(name) is not None
 
 
 def require_phase(phase: str, run: Run | None = None) -> None:

@@ -372,13 +372,9 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
     """
     tables = entry.items() if isinstance(entry, Mapping) else ()
     inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]
-    meant = [
-        found
-        for key in inner
-        for found in difflib.get_close_matches(key, list_nearby(kind, key), n=1)
-    ]
-    if meant:
-        return f'needs quotes around the id: {kind}."{meant[0]}"'
+    for key in inner:
+        if meant := difflib.get_close_matches(key, list_nearby(kind, key), n=1):
+            return f'needs quotes around the id: {kind}."{meant[0]}"'
     return describe_unknown_key(name, list_nearby(kind, name))
 
 

@@ -13,6 +13,7 @@ from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, Viola
 from turtlelog.check.formula import check_run, find_formula_unit
 from turtlelog.check.formula_trace import (
     FormulaTrace,
+    Signals,
     find_span,
     find_window,
     list_names,
@@ -383,9 +384,7 @@ class _Ends:
 class _BandReader:
     """Reader of a comparison's measured value and its limits, at the rows of the signals."""
 
-    def __init__(
-        self, run: Run, formula: Expression, leaf: _Leaf, signals: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, run: Run, formula: Expression, leaf: _Leaf, signals: Signals) -> None:
         self._run, self._formula, self._leaf = run, formula, leaf
         named = {name: signals.get(name) for name in list_names(leaf.node)}
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
@@ -396,7 +395,7 @@ class _BandReader:
         self._time_ns = longest if one else np.unique(np.concatenate(others))
         start_ns = max(int(time_ns[0]) for time_ns in others)
         self._time_ns = self._time_ns[self._time_ns >= start_ns]
-        self._values = {name: signals.get(name) for name in formula.names}
+        self._values: dict[str, Any] = {name: signals.get(name) for name in formula.names}
         for name, (time_ns, values) in columns.items():
             rows = np.searchsorted(time_ns, self._time_ns, side="right") - 1
             self._values[name] = values[rows]

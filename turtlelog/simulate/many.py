@@ -245,7 +245,7 @@ class ManyRuns(Iterator[Simulated]):
             return self._interpret(scenario, plant, loop)
         is_own = not is_built_in(find_law(scenario.law.kind))
         if is_own and loop not in self._compared:
-            return self._simulate_both_ways(loop, scenario, plant)
+            return self._simulate_twice(loop, scenario, plant)
         if self._threads == 1:
             return self._compile(loop, scenario, plant)
         if self._pool is None:
@@ -267,9 +267,7 @@ class ManyRuns(Iterator[Simulated]):
             self.interpreted += run is None
         return self._simulate(scenario, plant) if run is None else run
 
-    def _simulate_both_ways(
-        self, loop: CompiledCode, scenario: Scenario, plant: Plant
-    ) -> Simulated:
+    def _simulate_twice(self, loop: CompiledCode, scenario: Scenario, plant: Plant) -> Simulated:
         """Simulate a user law in ordinary Python and compiled, and record a difference as a note.
 
         The arithmetic of numba and Python may differ in the last bits: for `x**3` in a quarter of

@@ -357,9 +357,7 @@ def _build_rows(scenario: Scenario, law: laws.AnyLaw, declaration: Declaration) 
     )
 
 
-def describe_runaway(
-    time_ns: int, state: tuple[float, float, float, float, float]
-) -> SimulationError:
+def describe_runaway(time_ns: int, state: tuple[float, ...]) -> SimulationError:
     """Return a sentence on a plant that is further or faster than a pose can contain."""
     return SimulationError(
         f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"

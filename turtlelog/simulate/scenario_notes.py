@@ -46,15 +46,13 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     declaration = declare_scenario(scenario)
     parameters = flatten_scenario(scenario)
     unused = _describe_unused(scenario, declaration, parameters, given)
-    unstable = [*_describe_wrong_signs(declaration, parameters)]
+    unstable = [*_describe_signs(declaration, parameters)]
     unstable += _describe_unstable(declaration, parameters)
     idle = [one.notes(scenario) for one in EFFECTS if one.notes is not None]
     return (*unstable, *unused, *chain.from_iterable(idle))
 
 
-def _describe_wrong_signs(
-    declaration: Declaration, parameters: Mapping[str, Parameter]
-) -> Iterator[str]:
+def _describe_signs(declaration: Declaration, parameters: Mapping[str, Parameter]) -> Iterator[str]:
     """Yield the loops whose plant inverts the feedback.
 
     The open loop is real and negative for real z > 1, from minus infinity at 1 up to 0. For any

@@ -393,11 +393,8 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
     twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
     if twice is not None:
         raise SweepError(f"{twice}: expected one column of a name, found a key and a metric of it")
-    own = {
-        "varied": json.dumps(plan.keys),
-        "samples": str(rows.samples),
-        "recorded": str(rows.recorded),
-    }
+    own = {"varied": json.dumps(plan.keys), "samples": str(rows.samples)}
+    own["recorded"] = str(rows.recorded)
     return ResultTable(kind="sweep", columns=tuple(columns), facts={**facts, **own})
 
 

@@ -200,12 +200,8 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     kinds = sorted({one.law.kind for one in found} | {str(one.get("law.kind")) for one in known})
     # Files of laws and the modules that they import from their folder, or the source text of a law
     # of this session; built-in laws and modules have neither.
-    files = [
-        one
-        for kind in kinds
-        if ".py:" in kind
-        for one in list_law_files(Path(kind.rpartition(":")[0]))
-    ]
+    paths = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    files = [file for path in paths for file in list_law_files(path)]
     texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
     code = b"".join([*(path.read_bytes() for path in files), *(text.encode() for text in texts)])
     return Sweep(

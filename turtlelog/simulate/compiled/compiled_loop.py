@@ -104,9 +104,7 @@ class Kinds:
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
-_OF_TICKS, _OF_SAMPLES = (
-    build_dtype(loop_parts.build_events(ticks=ticks)) for ticks in (True, False)
-)
+_OF_TICKS, _OF_SAMPLES = (build_dtype(loop_parts.build_events(ticks=one)) for one in (True, False))
 
 _STEPS: Final[dict[str, loop_parts.Function]] = {
     "MOVE_PLANT": loop.move_plant,

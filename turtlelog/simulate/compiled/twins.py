@@ -55,12 +55,8 @@ def _find_globals(function: FunctionType) -> dict[str, Any]:
     codes = [function.__code__]
     for code in codes:
         codes += [one for one in code.co_consts if isinstance(one, CodeType)]
-    names = {
-        one.argval
-        for code in codes
-        for one in dis.get_instructions(code)
-        if one.opname == "LOAD_GLOBAL"
-    }
+    found = [one for code in codes for one in dis.get_instructions(code)]
+    names = {one.argval for one in found if one.opname == "LOAD_GLOBAL"}
     scope = function.__globals__
     return {name: scope[name] for name in sorted(names) if name in scope}
 

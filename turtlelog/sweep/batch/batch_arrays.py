@@ -475,8 +475,6 @@ def find_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -
     x_m, y_m = start_xy_m
     ahead_m, left_m = goal_xy_m[0] - x_m, goal_xy_m[1] - y_m
     bearing_rad = math.atan2(left_m, ahead_m)
-    turned, length_m = (
-        (float(np.cos(bearing_rad)), float(np.sin(bearing_rad))),
-        np.hypot(ahead_m, left_m),
-    )
-    return dict(zip(_LINE, (x_m, y_m, *turned, float(length_m), bearing_rad), strict=True))
+    cos, sin = float(np.cos(bearing_rad)), float(np.sin(bearing_rad))
+    length_m = float(np.hypot(ahead_m, left_m))
+    return dict(zip(_LINE, (x_m, y_m, cos, sin, length_m, bearing_rad), strict=True))

@@ -409,9 +409,5 @@ def find_column(name: str, declaration: Declaration, coverage: arrays.Coverage) 
 def is_angle(name: str, declaration: Declaration) -> bool:
     """Return whether a metric is computed in rad but reported in deg."""
     loop, _, plain = name.rpartition(".")
-    unit = (
-        ""
-        if name in arrays.COURSES
-        else arrays.CURVES[plain].describe_unit(declaration.find_loop(loop))
-    )
-    return unit == "deg"
+    kind = None if name in arrays.COURSES else arrays.CURVES[plain]
+    return kind is not None and kind.describe_unit(declaration.find_loop(loop)) == "deg"

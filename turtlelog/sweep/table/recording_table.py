@@ -19,6 +19,7 @@ from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
 from turtlelog.sweep.find_recordings import FoundRecording, hash_recording
 from turtlelog.sweep.table import result_table
+from turtlelog.sweep.table.result_table import STATUS, ResultColumn
 from turtlelog.sweep.table.stored_rows import (
     ERROR,
     FILE,
@@ -279,7 +280,7 @@ def _measure_file(
 
 @lru_cache(maxsize=1024)  # of one folder: all metrics of some laws
 def _name_columns(name: str, unit: str) -> tuple[Key, Key]:
-    return Key(name, "real", unit), Key(f"{name}{result_table.STATUS}")
+    return Key(name, "real", unit), Key(f"{name}{STATUS}")
 
 
 def plan_metric_table(
@@ -311,17 +312,11 @@ def plan_metric_table(
 
 def _order(keys: Set[Key], used: Set[Key]) -> list[Key]:
     """Return the text columns, then value and status of each metric that a run has."""
-    ids = {
-        key.name.removesuffix(result_table.STATUS)
-        for key in used
-        if key.name.endswith(result_table.STATUS)
-    }
-    values = {
-        name: sorted(key for key in keys if key.name == name and key.type == "real") for name in ids
-    }
-    chosen = [*_TEXTS]
+    ids = {key.name.removesuffix(STATUS) for key in used if key.name.endswith(STATUS)}
+    chosen, values = [*_TEXTS], sorted(key for key in keys if key.type == "real")
     for name in order_ids(sorted(ids)):
-        chosen += [*values[name], Key(f"{name}{result_table.STATUS}")]
+        own = [key for key in values if key.name == name]
+        chosen += [*own, Key(f"{name}{STATUS}")]
     return chosen
 
 
@@ -432,11 +427,9 @@ def _look_through(
     return keys - {*HEAD}, used - {*HEAD}, count, errors
 
 
-def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> result_table.ResultColumn:
+def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultColumn:
     packed = StoredCells.pack(key.type, cells).take(which)
-    return result_table.ResultColumn(
-        name=key.name, type=key.type, cells=packed, unit=key.unit or None
-    )
+    return ResultColumn(name=key.name, type=key.type, cells=packed, unit=key.unit or None)
 
 
 def _load_group(former: result_table.StoredTable, group: int) -> Columns:

@@ -18,6 +18,7 @@ from turtlelog.errors import SweepError
 from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
 from turtlelog.sweep.table import result_table
+from turtlelog.sweep.table.result_table import ResultColumn
 
 Cell = str | int | float | None
 CellType = Literal["text", "real", "whole"]
@@ -165,9 +166,7 @@ class WindowedRows:
         return self._held
 
 
-def build_result_columns(
-    rows: WindowedRows, keys: Sequence[Key]
-) -> Iterator[result_table.ResultColumn]:
+def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
     """Yield the columns of keys. If a name has several units, the unit is appended to the name."""
     names = [key.name for key in keys]
     for key in keys:
@@ -178,11 +177,10 @@ def build_result_columns(
 
         name = key.name if names.count(key.name) == 1 else f"{key.name} [{key.unit}]"
         cells = result_table.ComputedItems(len(rows), load)
-        yield result_table.ResultColumn(
-            name=name, type=key.type, cells=cells, unit=key.unit or None
-        )
+        yield ResultColumn(name=name, type=key.type, cells=cells, unit=key.unit or None)
 
 
+Require = Callable[[Path, Mapping[str, str]], None]
 T = TypeVar("T")
 U = TypeVar("U")
 
@@ -258,7 +256,7 @@ class KeptParts(Generic[T]):
         facts: Mapping[str, str],
         kind: type[T],
         *,
-        require: Callable[[Path, Mapping[str, str]], None] | None = None,
+        require: Require | None = None,
     ) -> None:
         """Open the file for parts of a type, or create the file.
 
@@ -293,9 +291,7 @@ class KeptParts(Generic[T]):
                 return stream
             stream.close()
 
-    def _begin(
-        self, facts: dict[str, str], require: Callable[[Path, Mapping[str, str]], None] | None
-    ) -> None:
+    def _begin(self, facts: dict[str, str], require: Require | None) -> None:
         head = self._stream.read(len(_MAGIC))
         # A truncated head belongs to nobody; a file with other content must not be replaced.
         if not _MAGIC.startswith(head):

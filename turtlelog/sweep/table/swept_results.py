@@ -213,10 +213,8 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         base=base,
     )
     units = {loop.gain: loop.gain_unit for loop in list_declared_loops(results)}
-    axes_with_units = (
-        replace(axis, unit=axis.unit or units.get(axis.keys[0])) for axis in results.axes
-    )
-    return replace(results, axes=tuple(axes_with_units))
+    with_units = (replace(axis, unit=axis.unit or units.get(axis.keys[0])) for axis in results.axes)
+    return replace(results, axes=tuple(with_units))
 
 
 def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
