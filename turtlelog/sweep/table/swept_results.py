@@ -1,4 +1,4 @@
-"""The table of a sweep prepared for charts: axes with places for its rows, and metrics."""
+"""The table of a sweep: in memory, and for charts as axes with places for its rows, and metrics."""
 
 import json
 import math
