@@ -140,15 +140,13 @@ class CompiledLoop:
 
     Attributes:
         law: Law for which it is compiled.
-        plant: Plant for which it is compiled.
-        states: States that the law declares.
+        name: Name in numba's cache.
         kinds: Types of the loop's records.
         run: Function of settings, state and rows.
     """
 
     law: LawPart
-    plant: PlantPart
-    states: tuple[str, ...]
+    name: str
     kinds: Kinds
     run: Any
 
@@ -157,12 +155,11 @@ class CompiledLoop:
 def _bind(
     law: LawPart, plant: PlantPart, states: tuple[str, ...]
 ) -> tuple[Kinds, loop_parts.Parts, str]:
-    kinds = find_kinds(law, plant, states)
-    parts = loop_parts.bind_parts(
-        plant, loop_parts.bind_step(law.step), loop_parts.bind_states(states), EFFECTS
-    )
     from importlib.metadata import version
 
+    kinds = find_kinds(law, plant, states)
+    decide, record = loop_parts.bind_step(law.step), loop_parts.bind_states(states)
+    parts = loop_parts.bind_parts(plant, decide, record, EFFECTS)
     stamp = stamp_functions(
         [*_STEPS.values(), *parts, compiled_entry.run_loop, compiled_entry.run_rows],
         *(kinds.settings, kinds.state, kinds.new.dtype, PIECE, _OF_TICKS, _OF_SAMPLES),
@@ -196,7 +193,7 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
         run = compile_entry(compiled_entry.run_loop, name, bind, signature)
     except NumbaError as err:
         raise TwinError(describe_numba_error(str(err))) from err
-    return CompiledLoop(law, plant, states, kinds, run)
+    return CompiledLoop(law, name, kinds, run)
 
 
 def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
@@ -216,8 +213,7 @@ def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
         types.Tuple([facts, loops, memory]),
         types.Tuple([asked, values.copy(ndim=2), reasons.copy(ndim=2)]),
     )
-    name = name_loop(loop.law, loop.plant, loop.states)
-    stops = loop.law.stops
+    name, stops = loop.name, loop.law.stops
     timeout = stops.index(TIMEOUT) + 1 if TIMEOUT in stops else 0
     scope = {"STAMP": int(name.rpartition("_")[2][:12], 16), "TIMEOUT": timeout}
     made = compile_entry(compiled_entry.run_rows, f"rows_{name}", lambda _: scope, signature)
