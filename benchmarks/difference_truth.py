@@ -24,8 +24,8 @@ import turtlelog as tl
 from tests.explain.changed_pairs import Pair, draw_pair
 from tests.explain.robot_pairs import CHANGES, METRICS, draw_robot_pair
 from turtlelog.explain import Depth, explain_difference
+from turtlelog.explain.answers import SEED
 from turtlelog.explain.difference_report import choose_told
-from turtlelog.explain.explained_difference import SEED
 from turtlelog.scenario import get_preset, override_scenario
 
 NEAR = 1e-9

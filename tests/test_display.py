@@ -11,7 +11,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.display import NamedValues, cut_name, format_html, format_range, parse_utc
-from turtlelog.explain.attribution import ValueSet
+from turtlelog.explain.answers import ValueSet
 from turtlelog.explain.scenario_from_log.identification import Certainty
 from turtlelog.laws.loading import LAWS
 

@@ -10,7 +10,7 @@ from tests.cli.test_commands_alone import say_twist
 from tests.log.ros2.bags import Said
 from tests.log.ros2.robots import say_odometry, say_transform, turn, write_robot
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.ros2.bag_robots import find_robots
+from turtlelog.log.ros2.bag_topics import find_robots
 
 ODOMETRY, TWIST = "nav_msgs/msg/Odometry", "geometry_msgs/msg/Twist"
 

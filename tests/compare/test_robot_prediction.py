@@ -12,7 +12,7 @@ from tests.log.runs import find_shared
 from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.driven_commands import _find_delay, cut_pieces
 from turtlelog.compare.robot_comparison import Quantity
-from turtlelog.replay.commanded_plant import sense_driven
+from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import Scenario
 

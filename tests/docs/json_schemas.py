@@ -65,7 +65,7 @@ def find_answer(typed: str) -> Any:
 
 
 _OTHERS: Final = (
-    "explain.attribution",
+    "explain.answers",
     "cli.theory_gains",
     "cli.theory_loops",
     "cli.replay_answer",

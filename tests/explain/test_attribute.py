@@ -18,8 +18,7 @@ from turtlelog.explain import (
     identify_run,
     simulate_without,
 )
-from turtlelog.explain.attribution import find_resolution
-from turtlelog.explain.causes import FINER, is_present, list_effects
+from turtlelog.explain.causes import FINER, find_resolution, is_present, list_effects
 from turtlelog.explain.contributions import find_steady_span, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log

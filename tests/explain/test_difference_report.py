@@ -14,8 +14,7 @@ from turtlelog.explain import (
     Side,
     explain_difference,
 )
-from turtlelog.explain.attribution import Together
-from turtlelog.explain.explained_difference import SEED
+from turtlelog.explain.answers import SEED, Together
 from turtlelog.run import PoseColumns, Run
 from turtlelog.scenario import get_preset
 

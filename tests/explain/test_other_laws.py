@@ -22,8 +22,11 @@ from turtlelog.explain import (
     simulate_without,
     write_sentences,
 )
-from turtlelog.explain.scenario_from_log.identification import LAW_KEYS
-from turtlelog.explain.scenario_from_log.other_law import find_dead_times, require_noise
+from turtlelog.explain.scenario_from_log.identification import (
+    LAW_KEYS,
+    find_dead_times,
+    require_noise,
+)
 from turtlelog.measure import DeadTime, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration

@@ -16,7 +16,7 @@ from turtlelog.explain import (
     identify_run,
     write_sentences,
 )
-from turtlelog.explain.attribution import is_clear
+from turtlelog.explain.answers import is_clear
 from turtlelog.explain.causes import draws_random
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario

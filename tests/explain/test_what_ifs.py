@@ -12,7 +12,7 @@ from turtlelog.explain import (
     identify_run,
     simulate_what_ifs,
 )
-from turtlelog.explain.luck import name_without
+from turtlelog.explain.game import name_without
 from turtlelog.measure import measure_run
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.log.importers.paper_log import build_paper_run, parse_paper_json
+from turtlelog.log.paper_log import parse_paper_json
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 PI = 3.14159265
@@ -117,7 +117,7 @@ class Log:
 
     def to_run(self) -> Run:
         """Return the log as it is imported."""
-        return build_paper_run(parse_paper_json(self.to_text(), Path("truth.json")), sort=False)
+        return parse_paper_json(self.to_text(), Path("truth.json"), sort=False)
 
     def to_recording(self) -> Run:
         """Return it with a pose per tick and simulated time, as a recording without a scenario."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tests.log.ros2.bags import START_NS, Said, make_vector, write_mcap
 from tests.log.ros2.robots import say_odometry, turn
-from turtlelog.log.ros2.bag_clock import time_rows
+from turtlelog.log.ros2.bag_rows import time_rows
 from turtlelog.log.ros2.stamps import Stamps
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 

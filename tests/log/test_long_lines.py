@@ -15,7 +15,7 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.escapes import guard_cell
 from turtlelog.log.engine.idl import convert_idl
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.ros2.bag_metadata import parse_bag_metadata
+from turtlelog.log.ros2.bag_files import parse_bag_metadata
 
 SIZES = {100_000: 0.7, 4 * 10**6: 3.0}
 """Letters, and how long a text of so many takes at most [s]: ten times what it takes on a quiet

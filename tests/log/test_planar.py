@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from turtlelog.log.spatial_poses import compute_tilt, describe_height
+from turtlelog.log.planar_poses import compute_tilt, describe_height
 
 
 def test_floor_is_a_plane() -> None:

@@ -8,8 +8,7 @@ from typing import Final, Literal
 from turtlelog.charts import palette
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Contribution, ExplainedDifference
-from turtlelog.explain.attribution import THIS_SEED
-from turtlelog.explain.explained_difference import SEED, Side
+from turtlelog.explain.answers import SEED, THIS_SEED, Side
 
 _SAME: Final = 1e-6
 """Share of the largest value below which a step counts as 0: two platforms differ by less."""

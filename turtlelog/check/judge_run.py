@@ -22,9 +22,9 @@ from turtlelog.errors import CheckError, CompareError, ExpressionError, LibraryE
 from turtlelog.escapes import escape_controls
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
 from turtlelog.log.parquet_file import list_cells
+from turtlelog.log.planar_poses import JOINTS, TRANSFORMS
 from turtlelog.log.recording.head import LOSS_NOTES
-from turtlelog.log.ros2.bag import open_bag
-from turtlelog.log.ros2.pose_types import JOINTS, TRANSFORMS
+from turtlelog.log.ros2.bag_rows import open_bag
 from turtlelog.measure import SIGNALS, Metric, find_metric_kind, measure_run
 from turtlelog.run import Run
 from turtlelog.sweep.table.result_table import open_result_table

@@ -253,7 +253,7 @@ def _read(file: Path, tables: TableOptions, topics: ReadingOptions | None) -> "R
 
 def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
     """Write one output and read it back."""
-    from turtlelog.log.importers.exported_tables import require_read_back, require_same_poses
+    from turtlelog.log.exported_tables import require_read_back, require_same_poses
 
     run = _flatten_run(run) if kind not in {"csv", "parquet"} else run
     with show_progress("writing"):

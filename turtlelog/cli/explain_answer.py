@@ -299,7 +299,7 @@ def format_identification(found: "Identification") -> str:
 
 def format_causes(found: "Attribution") -> str:
     """Return a table of the causes that change the value; empty if there are none."""
-    from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
+    from turtlelog.explain.answers import THIS_SEED, THIS_SEED_MEANS
 
     unit, parts = f" [{found.unit}]" if found.unit else "", found.changing
     if all(one.contribution is None and one.alone is None for one in parts):

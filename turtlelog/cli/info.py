@@ -256,7 +256,7 @@ def _list_absent(recording: "RecordingInfo", summary: Summary) -> tuple[str, ...
 def _list_missing_types(recording: "RecordingInfo") -> list[str]:
     """Return whether no message has a type of poses, and whether none has one of commands."""
     held = {topic.type for topic in recording.topics if topic.count}
-    kinds = {"poses": tl.log.ros2.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
+    kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
     return [name for name, types in kinds.items() if not held.intersection(types)]
 
 

@@ -206,7 +206,7 @@ def _find_large(path: Path, info: "RecordingInfo") -> str:
     if transforms <= _MOST_TRANSFORMS:
         return ""  # which kinds of poses there are is not asked: it would load the room of bags
     kinds = {topic.type for topic in info.topics if topic.count > 0} - {_TRANSFORMS}
-    others = kinds.intersection(tl.log.ros2.POSE_TYPES)
+    others = kinds.intersection(tl.log.POSE_TYPES)
     return "" if others else f"{transforms:,} messages of transforms"
 
 
@@ -301,7 +301,7 @@ def _list_options(info: "RecordingInfo") -> "Iterator[str]":
     """Yield the options that derive poses and commands from other messages."""
     bags = tl.log.ros2
     held = {topic.type for topic in info.topics if topic.count}
-    if bags.JOINTS in held:
+    if tl.log.JOINTS in held:
         yield bags.NEEDS_WHEELS
     if held & {*bags.ACKERMANN_TYPES}:
         yield bags.NEEDS_WHEELBASE

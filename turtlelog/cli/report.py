@@ -190,7 +190,7 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
         return None
     from turtlelog.draw.report import Explanation
     from turtlelog.explain import require_trust
-    from turtlelog.explain.luck import simulate_what_ifs
+    from turtlelog.explain.game import simulate_what_ifs
 
     try:
         require_trust(run, trust_law=False)

@@ -37,7 +37,7 @@ from turtlelog.identify.axis_motion import (
     measure_axis_steps,
     read_axis_motion,
 )
-from turtlelog.replay.commanded_plant import sense_driven
+from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.columns import take_rows

@@ -6,45 +6,42 @@ from .answer_words import (
     write_reasons as write_reasons,
     write_sentences as write_sentences,
 )
-from .attribute import (
-    attribute_run as attribute_run,
-    attribute_scenario as attribute_scenario,
-    require_causes as require_causes,
-)
-from .attribution import (
+from .answers import (
     Attribution as Attribution,
     CausePart as CausePart,
+    Change as Change,
     Contribution as Contribution,
+    Departure as Departure,
+    DifferenceRange as DifferenceRange,
+    EffectShift as EffectShift,
+    ExplainedDifference as ExplainedDifference,
     Resolution as Resolution,
     SeedRange as SeedRange,
+    Side as Side,
     StartRange as StartRange,
     Together as Together,
     ValueSet as ValueSet,
-    choose_metric as choose_metric,
 )
-from .causes import find_causes as find_causes, simulate_without as simulate_without
+from .attribute import (
+    Luck as Luck,
+    LuckCurve as LuckCurve,
+    attribute_run as attribute_run,
+    attribute_scenario as attribute_scenario,
+    measure_luck as measure_luck,
+)
+from .causes import (
+    choose_metric as choose_metric,
+    find_causes as find_causes,
+    require_causes as require_causes,
+    simulate_without as simulate_without,
+)
 from .difference_report import (
     format_change as format_change,
     format_magnitude as format_magnitude,
     name_change as name_change,
 )
-from .explained_difference import (
-    Change as Change,
-    Departure as Departure,
-    DifferenceRange as DifferenceRange,
-    EffectShift as EffectShift,
-    ExplainedDifference as ExplainedDifference,
-    Side as Side,
-    find_departure as find_departure,
-)
-from .game import Work as Work
-from .luck import (
-    Luck as Luck,
-    LuckCurve as LuckCurve,
-    measure_luck as measure_luck,
-    simulate_what_ifs as simulate_what_ifs,
-)
-from .motion_facts import (
+from .game import Work as Work, simulate_what_ifs as simulate_what_ifs
+from .robot_log import (
     Delays as Delays,
     Largest as Largest,
     MotionFacts as MotionFacts,
@@ -55,6 +52,7 @@ from .run_difference import (
     Depth as Depth,
     choose_common_metric as choose_common_metric,
     explain_difference as explain_difference,
+    find_departure as find_departure,
 )
 from .scenario_from_log.identification import (
     Certainty as Certainty,

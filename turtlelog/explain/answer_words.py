@@ -1,21 +1,13 @@
 """An attribution in sentences that hold for the run."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
+from html import escape
 from typing import Final
 
-from turtlelog.display import join_words
-from turtlelog.explain.attribution import (
-    SAME,
-    Attribution,
-    Contribution,
-    SeedRange,
-    StartRange,
-    Together,
-    ValueSet,
-    is_clear,
-)
+from turtlelog.display import format_html, format_notebook, join_words
+from turtlelog.explain import answers
+from turtlelog.explain.answers import Attribution, Contribution, Together, ValueSet
 from turtlelog.explain.causes import RANDOM_EFFECTS
 
 NAMED: Final = 0.1
@@ -51,23 +43,20 @@ def write_headline(found: Attribution) -> str:
     known = [one for one in (found.as_logged, found.resimulated) if one is not None]
     sizes = [*dict.fromkeys(_format_value(found, one) for one in known)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
-    main = _write_main(found) if choose_named(found) else _write_no_cause(found)
+    if choose_named(found):
+        main = _write_main(found)
+    elif not found.acting:
+        main = "no effect changes it"
+    elif _is_negligible(found):
+        added = _sum_effects(found)
+        does = "add" if added >= 0.0 else "lower it by"
+        main = f"effects {does} only {_format_value(found, abs(added))}"
+    else:
+        main = "no effect is distinguishable from chance"
     return f"{found.metric} is {sizes[0]}{again}: {main}"
 
 
-def _write_no_cause(found: Attribution) -> str:
-    """Return that no effect changes the value, or none by more than the resolution or chance."""
-    if not found.acting:
-        return "no effect changes it"
-    if _is_negligible(found):
-        added = _sum_effects(found)
-        does = "add" if added >= 0.0 else "lower it by"
-        return f"effects {does} only {_format_value(found, abs(added))}"
-    return "no effect is distinguishable from chance"
-
-
 def _write_value(found: Attribution) -> str:
-    """Return the value of the log, and the re-simulated value if it differs."""
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
@@ -78,7 +67,7 @@ def _write_value(found: Attribution) -> str:
     size = _format_value(found, logged)
     if built is None:
         return f"{found.metric} is {size} in the log; re-simulated it has no value."
-    if abs(logged - built) <= SAME * abs(built):
+    if abs(logged - built) <= answers.SAME * abs(built):
         return f"{found.metric} is {size}, in the log and re-simulated."
     if size == _format_value(found, built):
         apart = _format_value(found, abs(logged - built))
@@ -89,13 +78,16 @@ def _write_value(found: Attribution) -> str:
 def write_cause_head(found: Attribution) -> str:
     """Return how many effects and design parameters cause the value, as the title of a list."""
     named = choose_named(found)
-    sizes = [one.contribution or 0.0 for one in named]
+    sizes = [one.size for one in named]
     count = _COUNTS[len(named)] if len(named) < len(_COUNTS) else str(len(named))
     left = max(found.resolution.size, NAMED * abs(found.divided))
     is_whole = min(sizes) > 0.0 and abs(found.without_all or 0.0) <= left
     does = "cause" if is_whole else "change"
-    head = f"{count} {_name_kinds(found, named)} {does}"
-    head += "s it" if len(named) == 1 else " it"
+    many, effects = "s" * (len(named) > 1), [one for one in named if one.cause in found.effects]
+    kinds = "effects and design parameters" if effects else f"design parameter{many}"
+    if len(effects) == len(named):
+        kinds = f"effect{many} of the implementation"
+    head = f"{count} {kinds} {does}{'s' * (len(named) == 1)} it"
     if found.seeds is not None:
         return f"{head} in the mean over seeds"
     # Other start headings divide the value otherwise.
@@ -113,7 +105,7 @@ def _need_each_other(found: Attribution, named: list[Contribution]) -> bool:
     """
     names = {one.cause for one in named}
     joint = sum(case.value for case in found.together if {*case.causes} == names)
-    return len(names) > 1 and joint > 0.5 * abs(sum(one.contribution or 0.0 for one in named))
+    return len(names) > 1 and joint > 0.5 * abs(sum(one.size for one in named))
 
 
 def _is_wide(found: Attribution) -> bool:
@@ -123,24 +115,16 @@ def _is_wide(found: Attribution) -> bool:
 def _write_main(found: Attribution) -> str:
     """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
-    largest = abs(named[0].contribution or 0.0)
-    main = [one for one in named if largest <= _ALIKE * abs(one.contribution or 0.0)]
+    largest = abs(named[0].size)
+    main = [one for one in named if largest <= _ALIKE * abs(one.size)]
     label = "mainly " if len(main) < len(named) else ""
     mean = " in the mean over seeds" if found.seeds is not None else ""
-    added = math.fsum(one.contribution or 0.0 for one in named)
+    added = math.fsum(one.size for one in named)
     if added > 0.0 and len(named) == len(found.acting) and _need_each_other(found, named):
         # Parts of what only arises together would read as if each cause alone added its part.
         names = join_words([one.cause for one in named])
         return f"{names} add {_format_value(found, added)}{mean}"
     return label + ", ".join(write_part(found, one) for one in main) + mean
-
-
-def _name_kinds(found: Attribution, named: list[Contribution]) -> str:
-    many = "s" * (len(named) > 1)
-    effects = [one for one in named if one.cause in found.effects]
-    if len(effects) == len(named):
-        return f"effect{many} of the implementation"
-    return "effects and design parameters" if effects else f"design parameter{many}"
 
 
 def choose_named(found: Attribution) -> list[Contribution]:
@@ -157,7 +141,7 @@ def write_part(found: Attribution, one: Contribution) -> str:
 
 def format_contribution(found: Attribution, one: Contribution) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
-    value = one.contribution or 0.0
+    value = one.size
     return f"{'+' if value >= 0.0 else ''}{_format_value(found, value, one.standard_error)}"
 
 
@@ -167,7 +151,9 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         names = join_words(found.causes, "or")
         never = f"It has no value without {names} either." if found.causes else ""
         is_never = not found.with_value and found.without_all is None
-        missing = write_missing(found.without_value, found.with_value, partial(_name_set, found))
+        sets, nothing = (found.without_value, found.with_value), join_words(found.causes)
+        known = dict(zip(found.causes, found.causes, strict=True))
+        missing = write_missing(*sets, known, f"without {nothing}")
         sentences = [never if is_never else missing]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
@@ -176,7 +162,12 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         last = [_write_together(found), _write_starts(found)]
         last = last[::-1] if _is_wide(found) else last
         sentences = [_write_seeds(found), _write_rest(found), *last]
-        sentences += [_write_unclear(found), _write_this_seed(found)]
+        sentences += [_write_unclear(found)]
+        if found.this_seed is not None and found.seeds is not None and found.seeds.varies:
+            size = _format_value(found, abs(found.this_seed))
+            where = "above" if found.this_seed >= 0.0 else "below"
+            mean = "the mean over the seeds"
+            sentences += [f"With this run's seed, the value is {size} {where} {mean}."]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         be = "is" if len(found.left) == 1 else "are"
@@ -186,24 +177,26 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
 
 
 def write_missing(
-    without: Iterable[ValueSet], having: Iterable[ValueSet], name_set: Callable[[ValueSet], str]
+    without: Iterable[ValueSet], having: Iterable[ValueSet], names: Mapping[str, str], nothing: str
 ) -> str:
-    """Return the named sets that leave a metric without a value, and those that give it one."""
+    """Return the sets that leave a metric without a value, and those that give it one, in words.
+
+    `names` are the words for all causes, and `nothing` those for a run without them.
+    """
+
+    def name_set(case: ValueSet) -> str:
+        alone = " alone" if len(case.causes) < len(names) else ""
+        words = join_words([names.get(name, name) for name in case.causes])
+        return f"with {words}{alone}" if case.causes else nothing
+
     parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
     parts += [f"{name_set(case)} it has a value" for case in having]
     return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
 
 
-def _name_set(found: Attribution, case: ValueSet) -> str:
-    if not case.causes:
-        return f"without {join_words(found.causes)}"
-    alone = " alone" if len(found.causes) > len(case.causes) else ""
-    return f"with {join_words(case.causes)}{alone}"
-
-
 def _is_negligible(found: Attribution) -> bool:
     """Return whether each effect, and their total, is within the resolution."""
-    largest = max((abs(one.contribution or 0.0) for one in found.contributions), default=0.0)
+    largest = max((abs(one.size) for one in found.contributions), default=0.0)
     return max(largest, abs(_sum_effects(found))) <= found.resolution.size
 
 
@@ -263,35 +256,52 @@ def _write_bound(found: Attribution) -> str:
 
 
 def _list_large(found: Attribution) -> list[Contribution]:
-    ordered = sorted(found.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    ordered = sorted(found.contributions, key=lambda one: -abs(one.size))
     least = NAMED * _sum_contributions(found)
-    return [one for one in ordered if abs(one.contribution or 0.0) > least]
+    return [one for one in ordered if abs(one.size) > least]
 
 
 def _sum_contributions(found: Attribution) -> float:
-    return math.fsum(abs(one.contribution or 0.0) for one in found.contributions)
+    return math.fsum(abs(one.size) for one in found.contributions)
 
 
 def _write_together(found: Attribution) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
-    return " ".join(
-        write_joint(
-            case.causes, case.value, _format_value(found, abs(case.value), case.standard_error)
-        )
-        for case in choose_joint(found.together, _sum_contributions(found))
-    )
+
+    def write_size(case: Together) -> str:
+        return _format_value(found, abs(case.value), case.standard_error)
+
+    return write_joint_parts(found.together, _sum_contributions(found), {}, write_size)
 
 
-def choose_joint(together: Iterable[Together], total: float) -> list[Together]:
-    """Return the largest joint parts, if clear and large beside the contributions' total."""
-    largest = sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
-    return [
-        case
-        for case in largest
-        if abs(case.value) > NAMED * total and is_clear(case.value, case.standard_error)
-    ]
+def write_joint_parts(
+    together: Iterable[Together],
+    total: float,
+    names: Mapping[str, str],
+    write_size: Callable[[Together], str],
+) -> str:
+    """Return the parts that arise only if several causes act, if clear and not small.
+
+    `total` is that of the contributions' magnitudes, `names` have causes in other words, and
+    `write_size` returns a size with its unit.
+    """
+    sentences = []
+    for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
+        is_clear = answers.is_clear(case.value, case.standard_error)
+        if not is_clear or abs(case.value) <= NAMED * total:
+            continue
+        of, size = [names.get(name, name) for name in case.causes], write_size(case)
+        them, is_pair = _capitalise(join_words(of)), len(of) == 2
+        both = "both" if is_pair else "all of them"
+        text = f"{them} act together: {size} of what they add arises only if {both} act."
+        if case.value <= 0.0:
+            apart = "their parts, alone and in smaller groups"
+            apart = f"{of[0]} alone plus {of[1]} alone" if is_pair else apart
+            text = f"{them} overlap: together they add {size} less than {apart}."
+        sentences.append(text)
+    return " ".join(sentences)
 
 
 def _write_singles(found: Attribution) -> str:
@@ -307,25 +317,18 @@ def _write_singles(found: Attribution) -> str:
     )
 
 
-def write_joint(names: Sequence[str], value: float, size: str) -> str:
-    """Return the part that arises only if several causes act, of this size with its unit."""
-    them = _capitalise(join_words(names))
-    if value > 0.0:
-        both = "both" if len(names) == 2 else "all of them"
-        return f"{them} act together: {size} of what they add arises only if {both} act."
-    apart = "their parts, alone and in smaller groups"
-    if len(names) == 2:
-        apart = f"{names[0]} alone plus {names[1]} alone"
-    return f"{them} overlap: together they add {size} less than {apart}."
-
-
 def _write_seeds(found: Attribution) -> str:
-    """Return the value with other seeds."""
     seeds = found.seeds
     if seeds is None:
         return ""
     if not seeds.varies:
-        return _write_equal_seeds(found, seeds)
+        idle = _list_idle(found)
+        if seeds.used < seeds.count:
+            return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
+        if not idle:
+            return f"All {seeds.count} seeds give the same value."
+        them = f"The {idle[0]} does" if len(idle) == 1 else f"{_capitalise(join_words(idle))} do"
+        return f"{them} not change this metric."
     of = f"{seeds.count} seeds"
     if seeds.used < seeds.count:
         of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
@@ -341,25 +344,12 @@ def _write_seeds(found: Attribution) -> str:
     )
 
 
-def _write_equal_seeds(found: Attribution, seeds: SeedRange) -> str:
-    """Return a sentence that no seed changes the value, with the random effects that do not act."""
-    idle = _list_idle(found)
-    if seeds.used < seeds.count:
-        return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
-    if not idle:
-        return f"All {seeds.count} seeds give the same value."
-    if len(idle) == 1:
-        return f"The {idle[0]} does not change this metric."
-    return f"{_capitalise(join_words(idle))} do not change this metric."
-
-
 def _list_idle(found: Attribution) -> list[str]:
     """Return the random effects that never change the value, in any combination."""
     return [name for name in found.causes if name in RANDOM_EFFECTS - {*found.acting}]
 
 
 def _write_unclear(found: Attribution) -> str:
-    """Return the contributions that chance alone may explain, because they are close to 0."""
     unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
@@ -368,15 +358,6 @@ def _write_unclear(found: Attribution) -> str:
         for one in unclear
     ]
     return f"The contribution of {join_words(parts)} may be chance."
-
-
-def _write_this_seed(found: Attribution) -> str:
-    value = found.this_seed
-    if value is None or found.seeds is None or not found.seeds.varies:
-        return ""
-    size = _format_value(found, abs(value))
-    where = "above" if value >= 0.0 else "below"
-    return f"With this run's seed, the value is {size} {where} the mean over the seeds."
 
 
 def _write_starts(found: Attribution) -> str:
@@ -392,57 +373,44 @@ def _write_starts(found: Attribution) -> str:
     rest = ""
     if starts.without_all is not None:
         rest = f", without {_name_acting(found)} {_format_span(found, *starts.without_all)}"
-    return f"It depends on single samples: f{where} {span}{rest}{missing}.{_write_parts(starts)}"
-
-
-def _write_parts(starts: StartRange) -> str:
-    """Return each cause's part of the total; the last part follows from the others."""
+    # Each cause's part of the total; the last part follows from the others.
     names = [part.cause for part in starts.parts]
     parts = [
         f"{part.cause} contributes {100.0 * part.low:.2g} to {100.0 * part.high:.2g} %"
-        for part in starts.parts[: len(names) - 1]
+        for part in starts.parts[:-1]
     ]
     total = f"of the total that {join_words(names)} add."
-    return f" {_capitalise(join_words(parts))} {total}" if parts else ""
+    divided = f" {_capitalise(join_words(parts))} {total}" if parts else ""
+    return f"It depends on single samples: f{where} {span}{rest}{missing}.{divided}"
 
 
 def _format_span(found: Attribution, low: float, high: float) -> str:
-    """Return a range with one unit."""
     least, most = f"{low:.4g}", _format_value(found, high)
     return most if _format_value(found, low) == most else f"{least} to {most}"
 
 
 def _write_others(found: Attribution) -> list[str]:
     """Return the causes that change the value alone, except those that lower a large value."""
-    told = [one for one in found.others if _is_told(found, one)]
-    lowering = [one for one in told if _lowers(found, one)]
-    others = [_write_alone(found, one) for one in told if one not in lowering]
-    return [_write_lowering(found, lowering), *others] if lowering else others
-
-
-def _write_lowering(found: Attribution, lowering: list[Contribution]) -> str:
-    names = join_words([one.cause for one in lowering])
+    told, lowering = [], []
     mean = "" if found.seeds is None else " in the mean"
+    for one in found.others:
+        change = math.inf if one.alone is None else abs(one.alone - found.divided)
+        least = max(found.resolution.size, NAMED * abs(found.divided))
+        if change <= least or not answers.is_clear(change, one.standard_error):
+            continue
+        is_design = one.cause not in found.effects and one.alone is not None and not one.ending
+        if is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found):
+            lowering.append(one)
+        else:
+            told.append(_write_alone(found, one))
+    if not lowering:
+        return told
+    names = join_words([one.cause for one in lowering])
+    each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
     if len(lowering) == 1:
         value = _format_value(found, lowering[0].alone)
-        return f"Not a cause: {names}. Without it the value is larger{mean}: {value}."
-    each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
-    return f"Not a cause: {names}. The value is larger{mean} {join_words(each)}."
-
-
-def _is_told(found: Attribution, one: Contribution) -> bool:
-    """Return whether a cause alone changes the value by more than the resolution and chance."""
-    if one.alone is None:
-        return True
-    change = abs(one.alone - found.divided)
-    is_large = change > found.resolution.size and change > NAMED * abs(found.divided)
-    return is_large and is_clear(change, one.standard_error)
-
-
-def _lowers(found: Attribution, one: Contribution) -> bool:
-    """Return whether the value is larger without a design parameter than without the effects."""
-    is_design = one.cause not in found.effects and one.alone is not None and not one.ending
-    return is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found)
+        return [f"Not a cause: {names}. Without it the value is larger{mean}: {value}.", *told]
+    return [f"Not a cause: {names}. The value is larger{mean} {join_words(each)}.", *told]
 
 
 def _write_alone(found: Attribution, one: Contribution) -> str:
@@ -466,3 +434,21 @@ def _format_value(
 
 def _capitalise(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
+
+
+def tabulate_attribution(found: Attribution) -> str:
+    """Return an attribution as a table with its sentences, for a notebook."""
+    unit, changing = found.unit, found.changing
+    heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
+    rows: list[list[object]] = [
+        [one.cause, one.contribution, one.alone, one.ending or one.meaning] for one in changing
+    ]
+    if found.seeds is not None:
+        heads.insert(2, f"s.e. [{unit}]")
+        for row, one in zip(rows, changing, strict=True):
+            row.insert(2, one.standard_error)
+        if found.contributions and found.seeds.varies:
+            row = [answers.THIS_SEED, found.this_seed, None, None, answers.THIS_SEED_MEANS]
+            rows.insert(sum(one.contribution is not None for one in changing), row)
+    rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
+    return format_notebook(write_headline(found), format_html(rows, heads=heads), *rest)

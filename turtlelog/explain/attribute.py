@@ -1,39 +1,44 @@
-"""Attribute a value to its causes: Shapley values from simulations without them."""
+"""Attribute a value to its causes, by simulations without them; the effect of chance on it.
+
+A sampling controller reaches its tolerance at a random point within the turn of one sample. Luck is
+measured over the starts of an attribution's range, four times as dense. For a run with random
+effects, the seeds of its contributions are varied instead.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribution import (
-    SAME,
-    Attribution,
-    Contribution,
-    Together,
-    ValueSet,
-    choose_metric,
-    find_resolution,
-)
+from turtlelog.explain import contributions
+from turtlelog.explain.answers import SAME, Attribution
 from turtlelog.explain.causes import (
-    LOOP_CAUSES,
-    PLANT_CAUSES,
     SAMPLING,
+    choose_metric,
     describe_no_sampling,
     find_cause,
     find_causes,
+    find_resolution,
     list_effects,
+    require_causes,
+    require_distinct,
+    require_metric,
 )
-from turtlelog.explain.contributions import (
-    Worth,
-    compute_contributions,
-    compute_dividends,
-    describe_alone,
-    divide_over_seeds,
-    find_smallest,
-    vary_start,
+from turtlelog.explain.game import (
+    SEEDS,
+    Game,
+    Outcome,
+    Play,
+    ScenarioGame,
+    Work,
+    iterate_outcomes,
+    list_coalitions,
 )
-from turtlelog.explain.game import Coalition, Game, Outcome, ScenarioGame, Work, list_coalitions
 from turtlelog.explain.scenario_from_log.identification import (
     LOOP_KEYS,
     Certainty,
@@ -42,12 +47,11 @@ from turtlelog.explain.scenario_from_log.identification import (
 )
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import require_trust
-from turtlelog.laws import LAWS, find_law, list_causes
-from turtlelog.measure import describe_no_metric, list_metrics, measure_run
+from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run, require_run
-from turtlelog.run.loops import Cause, Declaration
+from turtlelog.run.loops import Cause
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario
+from turtlelog.simulate import declare_scenario, simulate_run
 
 _MOST: Final = 6
 """Largest number of causes that take part: 64 simulations, a second or two for the paper's runs.
@@ -56,10 +60,6 @@ Random effects need 32 times as many simulations; each further cause doubles the
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the effects' total. With a larger
 difference, the re-simulation does not represent the log."""
-
-_OUTSIDE: Final = (
-    "the log's value lies outside of the central 95 % over seeds, its own is not known"
-)
 
 
 def attribute_run(
@@ -102,8 +102,15 @@ def attribute_run(
     found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason or None)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
     if is_identified:
-        others = tuple(_withhold_alone(other, identified.findings) for other in found.others)
-        found = replace(found, others=others)
+        others = []
+        for other in found.others:
+            # A property has no value if the value depends on a gain that the log hides.
+            gains = [
+                key for key in _list_gains(other.cause) if identified.findings[key].value is None
+            ]
+            ending = f"the log does not show {' and '.join(gains)}"
+            others.append(replace(other, alone=None, ending=ending) if gains else other)
+        found = replace(found, others=tuple(others))
     obstacle = found.withheld or _compare_with_log(found, knows_seed=identified.is_recorded)
     if obstacle:
         return replace(found, withheld=obstacle, contributions=())
@@ -138,8 +145,8 @@ def attribute_scenario(
     metric = metric or choose_metric(declaration)
     game = ScenarioGame(scenario, metric, work)
     table = game.causes
-    _require_metric(declaration, metric)
-    _require_distinct(causes)
+    require_metric(declaration, metric)
+    require_distinct(causes)
     for name in causes or ():
         find_cause(name, table, scenario)
     present = game.present
@@ -158,17 +165,17 @@ def attribute_scenario(
         without_all=game.take_out(chosen).value,
         causes=tuple(chosen),
         contributions=(),
-        others=tuple(describe_alone(game, name) for name in others),
+        others=tuple(contributions.describe_alone(game, name) for name in others),
         resolution=find_resolution(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason or None,
         left=tuple(name for name in causes if name in others),
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (f"{obstacle[:1].upper()}{obstacle[1:]}.",),
     )
-    found = divide_game(found, game)
+    found = contributions.divide_game(found, game)
     if found.seeds is not None or found.withheld:
         return found
-    starts = vary_start(
+    starts = contributions.vary_start(
         scenario,
         metric,
         added=(found.resimulated or 0.0) - (found.without_all or 0.0),
@@ -176,55 +183,6 @@ def attribute_scenario(
         acting=found.acting,
     )
     return replace(found, starts=starts)
-
-
-def divide_game(found: Attribution, game: Game) -> Attribution:
-    """Return an attribution with the contributions of its causes, or why these are missing."""
-    if game.is_random and found.resimulated is not None:
-        return divide_over_seeds(found, game)
-    # If a run has no value, the reason comes from its own seed.
-    outcomes = {
-        inside: game.play_as_recorded({*found.causes} - inside)
-        for inside in list_coalitions(found.causes)
-    }
-    worth = {key: one.value for key, one in outcomes.items() if one.value is not None}
-    found = replace(found, without_all=outcomes[frozenset()].value)
-    if len(worth) < len(outcomes):
-        return _tell_what_has_no_value(found, outcomes)
-    return _divide(found, game, worth)
-
-
-def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
-    """Require a metric of the run and distinct causes that the run may have; no code is loaded.
-
-    Causes of a law that is not built in are known only when it runs.
-
-    Raises:
-        ExplainError: If the metric or a cause is wrong. The message contains the nearest names.
-    """
-    _require_metric(run.declaration, metric)
-    _require_distinct(causes)
-    kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
-    if kind not in LAWS:
-        return
-    plant = str(run.parameters.get("plant.kind"))
-    known = [*LOOP_CAUSES, *PLANT_CAUSES.get(plant, ()), *list_causes(find_law(kind))]
-    table = {cause.name: cause for cause in known}
-    for name in causes or ():
-        find_cause(name, table, Scenario())
-
-
-def _require_metric(declaration: Declaration, metric: str) -> None:
-    known = list_metrics(declaration)
-    if metric not in known:
-        raise ExplainError(describe_no_metric(metric, known))
-
-
-def _require_distinct(causes: Sequence[str] | None) -> None:
-    if causes is None:
-        return
-    if not causes or len({*causes}) < len(causes):
-        raise ExplainError(f"causes: expected different ones, found {', '.join(causes)}")
 
 
 def _choose_causes(game: Game, causes: Sequence[str]) -> list[str]:
@@ -249,40 +207,6 @@ def _compare(left: Outcome, right: Outcome) -> float:
     return abs(left.value - right.value)
 
 
-def _divide(found: Attribution, game: Game, worth: Worth) -> Attribution:
-    contributions = compute_contributions(worth, found.causes)
-    dividends = compute_dividends(worth, found.causes)
-    return replace(
-        found,
-        contributions=tuple(
-            describe_alone(game, name, contribution) for name, contribution in contributions.items()
-        ),
-        together=tuple(Together(causes=names, value=value) for names, value in dividends.items()),
-    )
-
-
-def _tell_what_has_no_value(
-    found: Attribution, outcomes: Mapping[Coalition, Outcome]
-) -> Attribution:
-    """Return the smallest sets of causes that decide whether there is a value."""
-    missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
-    present = [inside for inside in outcomes if inside not in missing]
-
-    def describe(inside: Coalition) -> ValueSet:
-        names = tuple(name for name in found.causes if name in inside)
-        return ValueSet(causes=names, reason=outcomes[inside].reason or None)
-
-    is_empty = frozenset() in missing
-    return replace(
-        found,
-        withheld="with some of the causes it has a value, with others none"
-        if present
-        else "it has no value",
-        without_value=tuple(describe(inside) for inside in find_smallest(missing)),
-        with_value=tuple(describe(inside) for inside in find_smallest(present) if is_empty),
-    )
-
-
 def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     """Return why the re-simulation does not represent the log; empty if it does represent it."""
     logged, built, without = found.as_logged, found.resimulated, found.without_all
@@ -292,7 +216,8 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
         return "the re-simulation has no value"
     if found.seeds is not None and not knows_seed:
         is_central = found.seeds.low <= logged <= found.seeds.high
-        return "" if is_central else _OUTSIDE
+        outside = "the log's value lies outside of the central 95 % over seeds"
+        return "" if is_central else f"{outside}, its own is not known"
     added, apart, same = abs(built - without), abs(logged - built), SAME * abs(logged)
     if apart <= (same if added <= same else _AGREEMENT * added):
         return ""
@@ -300,13 +225,6 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     if added <= same:
         limit = f"{100.0 * SAME:g} % of the value, and the effects add less"
     return f"log and re-simulation differ by more than {limit}"
-
-
-def _withhold_alone(contribution: Contribution, findings: Mapping[str, Finding]) -> Contribution:
-    """Return a property without its value if the value depends on a gain that the log hides."""
-    unknown = [key for key in _list_gains(contribution.cause) if findings[key].value is None]
-    ending = f"the log does not show {' and '.join(unknown)}"
-    return replace(contribution, alone=None, ending=ending) if unknown else contribution
 
 
 def _list_gains(cause: str) -> tuple[str, ...]:
@@ -335,3 +253,197 @@ def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> It
         unknown = [key for key in keys if findings[key].certainty is Certainty.UNKNOWN]
         assumed = ", ".join(f"{key} {findings[key].used}" for key in unknown)
         yield f"Assumed, because the log does not show them: {assumed}."
+
+
+Values = NDArray[np.float64]
+
+_COUNT: Final = 65
+"""Number of starts; every fourth start belongs to the range of an attribution."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LuckCurve:
+    """A value from each start, or with each seed, without some causes.
+
+    Attributes:
+        without: Causes that are removed; empty with all effects.
+        values: Values of the metric, in its unit, shape (n,); NaN for a missing value.
+        reasons: Reason why the value is missing, shape (n,); empty if there is a value.
+        ends_xy_m: The last pose in the world frame [m], shape (n, 2); NaN if the law failed.
+    """
+
+    without: tuple[str, ...]
+    values: Values
+    reasons: tuple[str, ...]
+    ends_xy_m: Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Luck:
+    """Values that a metric of a run would have with other starts or seeds.
+
+    Attributes:
+        metric: Id of the metric.
+        unit: Unit of the metric.
+        varied: Varied quantity: start headings, or the seed of a run with random effects.
+        starts_rad: Angle between each start and the recorded start [rad], shape (n,); empty for
+            seeds.
+        seeds: Varied seeds; empty for starts.
+        causes: Causes that take part, in the order of the attribution.
+        curves: Curves with all effects, then without each single cause that changes the value. With
+            several causes, the last curve is without all of them.
+        recorded: Value of the run; None without a value.
+        recorded_end_xy_m: Position of the run's last pose in the world frame [m].
+        goal_xy_m: Position of the run's goal [m]; None without a goal.
+        dependence: `wide` if the value depends on single samples or on the seed: if the ranges of
+            the value and of the effects' total are both large, as in `StartRange`, or if some
+            starts have no value. `follows` if only the range of the value is large. Otherwise
+            `steady`.
+    """
+
+    metric: str
+    unit: str
+    varied: Literal["start", "seed"]
+    starts_rad: Values
+    seeds: tuple[int, ...]
+    causes: tuple[str, ...]
+    curves: tuple[LuckCurve, ...]
+    recorded: float | None
+    recorded_end_xy_m: tuple[float, float]
+    goal_xy_m: tuple[float, float] | None
+    dependence: Literal["wide", "follows", "steady"]
+
+    @property
+    def acting(self) -> tuple[str, ...]:
+        """Causes that change the value. The last curve is without them."""
+        return self.curves[-1].without
+
+    def __repr__(self) -> str:
+        return fit_line(f"<Luck of {self.metric}: {len(self.curves[0].values)} {self.varied}s>")
+
+
+def measure_luck(
+    run: Run,
+    *,
+    metric: str | None = None,
+    identified: Identification | None = None,
+    found: Attribution | None = None,
+    trust_law: bool = False,
+    work: Work | None = None,
+) -> Luck:
+    """Measure the values that a run would have from other starts, or with other seeds.
+
+    Args:
+        run: Run whose value is explained.
+        metric: Id of the metric. Default: the choice of `choose_metric`.
+        identified: Result of `identify_run`, if already known.
+        found: Result of `attribute_run` for this metric, if already known.
+        trust_law: Whether to run the code of a recorded law that is not built in.
+        work: Number of processes, and a function that receives the progress.
+
+    Raises:
+        ExplainError: If no scenario reproduces the run, if the re-simulation disagrees with the
+            log, if the starts do not differ because the robot does not turn, or if no start has a
+            value.
+        ScenarioError: If the recorded law is neither built in nor trusted, or does not exist.
+    """
+    work = work or Work()
+    identified = identified or identify_run(run, trust_law=trust_law)
+    if found is None:
+        metric = metric or choose_metric(run.declaration)
+        if identified.scenario is None:
+            reason = next(iter(identified.notes), "too little is known").rstrip(".")
+            raise ExplainError(f"no scenario stands for it: {reason}")
+        found = attribute_run(
+            run, metric=metric, identified=identified, trust_law=trust_law, work=work
+        )
+    if found.withheld and not found.without_value:
+        raise ExplainError(found.withheld)
+    scenario = resolve_scenario(identified.build_scenario())
+    game = ScenarioGame(scenario, found.metric)
+    offsets_rad = np.zeros(0)
+    if not game.is_random:
+        offsets_rad = contributions.spread_starts(scenario, simulate_run(scenario), _COUNT)
+        if not len(offsets_rad):
+            raise ExplainError("the robot does not turn: no start meets its samples elsewhere")
+    cases = [(), *((name,) for name in found.causes)]
+    whole, *alone = _simulate_curves(game, found.metric, offsets_rad, work, cases)
+    curves = [
+        whole,
+        *(
+            one
+            for one in alone
+            if one.without[0] in found.deciding
+            or not np.array_equal(one.values, whole.values, equal_nan=True)
+        ),
+    ]
+    if len(curves) > 2:
+        cases = [tuple(one.without[0] for one in curves[1:])]
+        curves += _simulate_curves(game, found.metric, offsets_rad, work, cases)
+    if np.isnan(curves[0].values).all():
+        raise ExplainError(f"{found.metric} has no value: {curves[0].reasons[0]}")
+    return Luck(
+        metric=found.metric,
+        unit=found.unit,
+        varied="seed" if game.is_random else "start",
+        starts_rad=offsets_rad,
+        seeds=SEEDS if game.is_random else (),
+        causes=found.causes,
+        curves=tuple(curves),
+        recorded=found.resimulated if found.as_logged is None else found.as_logged,
+        recorded_end_xy_m=(float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1])),
+        goal_xy_m=run.goal_xy_m,
+        dependence=_judge(curves, found),
+    )
+
+
+def _simulate_curves(
+    game: ScenarioGame,
+    metric: str,
+    offsets_rad: Values,
+    work: Work,
+    cases: Sequence[tuple[str, ...]],
+) -> list[LuckCurve]:
+    """Return a curve over the starts or seeds for each set of removed causes."""
+    plays: list[list[Play]] = []
+    for case in cases:
+        out = frozenset(case).intersection(game.present)
+        if not len(offsets_rad):
+            plays.append([game.build_play(out, seed) for seed in game.list_seeds(out)])
+            continue
+        play = game.build_play(out)
+        turned = (contributions.turn_start(play.scenario, by) for by in offsets_rad.tolist())
+        plays.append([replace(play, scenario=one, may_fail=True) for one in turned])
+    every = [play for row in plays for play in row]
+    outcomes: list[Outcome] = []
+    for outcome in iterate_outcomes(metric, every, work.jobs):
+        outcomes.append(outcome)
+        if work.report is not None:
+            work.report(len(outcomes), len(every))
+    curves, count, nowhere = [], len(offsets_rad) or len(SEEDS), (math.nan, math.nan)
+    for case, row in zip(cases, plays, strict=True):
+        own, outcomes = outcomes[: len(row)], outcomes[len(row) :]
+        own *= count // len(row)  # without random numbers, a case is simulated once for all seeds
+        curve = LuckCurve(
+            without=case,
+            values=np.array([math.nan if one.value is None else one.value for one in own]),
+            reasons=tuple(one.reason for one in own),
+            ends_xy_m=np.array([one.end_xy_m or nowhere for one in own]),
+        )
+        curves.append(curve)
+    return curves
+
+
+def _judge(curves: Sequence[LuckCurve], found: Attribution) -> Literal["wide", "follows", "steady"]:
+    values, without = (
+        [None if math.isnan(value) else value for value in curve.values.tolist()]
+        for curve in (curves[0], curves[-1])
+    )
+    added = (found.resimulated or 0.0) - (found.without_all or 0.0)
+    span = contributions.find_steady_span(values, added, found.resolution.size)
+    if 0 < values.count(None) < len(values):
+        return "wide"
+    if not contributions.ranges_over(values, span):
+        return "steady"
+    is_wide = contributions.ranges_over(contributions.subtract_values(values, without), span)
+    return "wide" if is_wide else "follows"

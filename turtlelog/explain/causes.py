@@ -4,20 +4,28 @@ The causes of an effect are in its file, those of a law in the law. Each cause d
 without it. Sampling belongs to the clock: without sampling, the same scenario is simulated with a
 finer clock. The differences between two scenarios are causes as well: a group of settings that
 belong together is a cause of the second one, and its neutral values are those of the first.
+
+The metric to explain is chosen and checked here as well, and its resolution is found.
 """
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from types import MappingProxyType
 from typing import Any, Final
 
+from turtlelog import measure
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
-from turtlelog.laws import find_law, list_causes, list_sample_counters, name_law
+from turtlelog.explain.answers import Resolution
+from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
-from turtlelog.run.loops import Cause
+from turtlelog.run.angles import wrap_angle
+from turtlelog.run.goal_end import allow_position
+from turtlelog.run.loops import Cause, Declaration
 from turtlelog.scenario import (
+    DEFAULT_LAW,
     Scenario,
     build_scenario,
     flatten_scenario,
@@ -235,7 +243,12 @@ def find_changes(first: Scenario, second: Scenario) -> dict[str, Cause]:
 
 def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
     """Return the names of the groups of tables and keys; any other key is a group of its own."""
-    names = {key: name for name, found in _list_effect_keys() for key in found}
+    names: dict[str, str] = {}
+    for effect in EFFECTS:  # keys without a cause of their own belong to the first cause
+        first_cause = effect.causes[0].name if effect.causes else effect.name
+        for table, kind in effect.tables.items():
+            names |= {f"{table}.{field.name}": first_cause for field in fields(kind)}
+        names |= {key: one.name for one in effect.causes for key in one.neutral}
     names |= {table: table for table in _WHOLE}
     if second.plant.kind != first.plant.kind:
         names["plant"] = "plant"
@@ -253,19 +266,6 @@ def _name_groups(first: Scenario, second: Scenario) -> dict[str, str]:
     return names
 
 
-def _list_effect_keys() -> Iterable[tuple[str, tuple[str, ...]]]:
-    """Yield the causes of the loop with their keys; other keys belong to the first cause."""
-    for effect in EFFECTS:
-        keys = tuple(
-            f"{table}.{field.name}"
-            for table, kind in effect.tables.items()
-            for field in fields(kind)
-        )
-        names = [one.name for one in effect.causes] or [effect.name]
-        yield names[0], keys
-        yield from ((one.name, tuple(one.neutral)) for one in effect.causes)
-
-
 def undo_changes(second: Scenario, changes: Iterable[Cause]) -> Scenario:
     """Return a scenario with some groups of settings taken from another scenario."""
     values = {key: value for one in changes for key, value in one.neutral.items()}
@@ -281,3 +281,106 @@ def set_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     tables = nest_parameters({key: value for key, value in found.items() if value is not None})
     # Both laws run already: the user of the comparison has named them.
     return resolve_scenario(build_scenario(tables, source="both runs", trust_law=True))
+
+
+def require_causes(run: Run, metric: str, causes: Sequence[str] | None) -> None:
+    """Require a metric of the run and distinct causes that the run may have; no code is loaded.
+
+    Causes of a law that is not built in are known only when it runs.
+
+    Raises:
+        ExplainError: If the metric or a cause is wrong. The message contains the nearest names.
+    """
+    require_metric(run.declaration, metric)
+    require_distinct(causes)
+    kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
+    if kind not in LAWS:
+        return
+    plant = str(run.parameters.get("plant.kind"))
+    known = [*LOOP_CAUSES, *PLANT_CAUSES.get(plant, ()), *list_causes(find_law(kind))]
+    table = {cause.name: cause for cause in known}
+    for name in causes or ():
+        find_cause(name, table, Scenario())
+
+
+def require_metric(declaration: Declaration, metric: str) -> None:
+    """Refuse a metric that a run of these loops does not have, with the nearest names."""
+    known = measure.list_metrics(declaration)
+    if metric not in known:
+        raise ExplainError(measure.describe_no_metric(metric, known))
+
+
+def require_distinct(causes: Sequence[str] | None) -> None:
+    """Refuse an empty list of causes, or one that names a cause twice."""
+    if causes is not None and (not causes or len({*causes}) < len(causes)):
+        raise ExplainError(f"causes: expected different ones, found {', '.join(causes)}")
+
+
+def choose_metric(declaration: Declaration) -> str:
+    """Return the default metric to explain: the most important one for the run's law.
+
+    With a goal, the metric is the final position error. Without a goal, it is the rms error of the
+    last declared loop; for a law that tracks a path, the cross-track error; without loops, the path
+    length.
+    """
+    if declaration.uses_goal:
+        return "final.position_error"
+    loops = [loop.name for loop in declaration.loops]
+    return f"{loops[-1]}.rms_error" if loops else "run.path_length"
+
+
+_SHARE: Final = 0.01
+"""Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
+paper's runs has at least a hundred samples, so this is about one sample's effect on an integral."""
+
+_HALF_A_COUNT: Final = 0.5
+"""Negligible change of a count; counts change by at least one."""
+
+_COUNTS: Final = (
+    *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),
+)
+
+
+def find_resolution(
+    scenario: Scenario, declaration: Declaration, metric: str, value: float
+) -> Resolution:
+    """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
+    unit = measure.list_metrics(declaration)[metric].unit
+    if unit == "s":
+        return Resolution(size=find_sample_period_s(scenario), reason="one sample period")
+    if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
+        return _find_tolerated(scenario, declaration, metric, unit)
+    kind = metric.rpartition(".")[2]
+    if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
+        return Resolution(size=_HALF_A_COUNT, reason="half a count")
+    return Resolution(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
+
+
+def find_sample_period_s(scenario: Scenario) -> float:
+    """Return the usual time between two answers [s]."""
+    loop = scenario.loop
+    period_s: float = loop.period_s or loop.period_ticks * scenario.plant.facts.period_s
+    return period_s
+
+
+def _find_tolerated(
+    scenario: Scenario, declaration: Declaration, metric: str, unit: str
+) -> Resolution:
+    """Return the errors that the tolerances of the sequential law allow."""
+    heading_rad = scenario.law.parameters.heading_tolerance_rad
+    position_m = scenario.law.parameters.position_tolerance_m
+    start, goal = scenario.start, scenario.goal
+    x_m, y_m = goal.x_m - start.x_m, goal.y_m - start.y_m
+    turn_rad = math.atan2(y_m, x_m) - start.heading_rad
+    if scenario.law.parameters.wrap_error:
+        turn_rad = wrap_angle(turn_rad)
+    distance_m, turn_rad = (max(abs(s), math.ulp(1.0)) for s in (math.hypot(x_m, y_m), turn_rad))
+    if unit == "m":
+        reach = "heading tolerance times distance plus position tolerance"
+        return Resolution(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
+    if unit == "deg":
+        return Resolution(size=math.degrees(heading_rad), reason="the heading tolerance")
+    loop = declaration.find_loop(metric.rpartition(".")[0])
+    turns = loop is not None and loop.signal == "heading"
+    tolerance, step = (heading_rad, turn_rad) if turns else (position_m, distance_m)
+    return Resolution(size=100.0 * tolerance / step, reason="the tolerance over the step")

@@ -17,16 +17,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.attribution import (
-    Attribution,
-    CausePart,
-    Contribution,
-    SeedRange,
-    StartRange,
-    Together,
-    find_sample_period_s,
+from turtlelog.explain import answers
+from turtlelog.explain.answers import Attribution, CausePart, Contribution, StartRange, Together
+from turtlelog.explain.causes import find_sample_period_s
+from turtlelog.explain.game import (
+    SEEDS,
+    Coalition,
+    Game,
+    Outcome,
+    Play,
+    ScenarioGame,
+    iterate_outcomes,
+    list_coalitions,
 )
-from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, ScenarioGame, list_coalitions
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
@@ -42,9 +45,23 @@ def compute_contributions(worth: Worth, causes: Sequence[str]) -> dict[str, floa
     the last bit. If contributions cancel, it may differ by a float step of the smallest
     contribution.
     """
-    exact = [_compute_share(worth, cause, causes) for cause in causes]
+    count, exact = len(causes), [Fraction()] * len(causes)
+    for row, cause in enumerate(causes):
+        for others in list_coalitions([other for other in causes if other != cause]):
+            orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
+            adds = Fraction(worth[others | {cause}]) - Fraction(worth[others])
+            exact[row] += Fraction(orders, math.factorial(count)) * adds
+    # The smallest nonzero contribution, whose float steps are finest, absorbs the rounding of the
+    # others; in a tie between two floats, the next smallest does.
     total = worth[frozenset(causes)] - worth[frozenset()]
-    return dict(zip(causes, _round_contributions(exact, total), strict=True))
+    rounded = [float(one) for one in exact]
+    rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda row: abs(exact[row]))
+    tried = [[*rounded] for _ in rows] or [rounded]
+    for row, found in zip(rows, tried, strict=False):
+        rest = sum((Fraction(one) for at, one in enumerate(rounded) if at != row), Fraction())
+        found[row] = float(Fraction(total) - rest)
+    chosen = next((found for found in tried if math.fsum(found) == total), tried[0])
+    return dict(zip(causes, chosen, strict=True))
 
 
 def compute_dividends(worth: Worth, causes: Sequence[str]) -> dict[tuple[str, ...], float]:
@@ -66,38 +83,6 @@ def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
     return [inside for inside in found if not any(other < inside for other in found)]
 
 
-def _compute_share(worth: Worth, cause: str, causes: Sequence[str]) -> Fraction:
-    count = len(causes)
-    contribution = Fraction(0)
-    for others in list_coalitions([other for other in causes if other != cause]):
-        orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
-        adds = Fraction(worth[others | {cause}]) - Fraction(worth[others])
-        contribution += Fraction(orders, math.factorial(count)) * adds
-    return contribution
-
-
-def _round_contributions(exact: list[Fraction], total: float) -> list[float]:
-    """Return the contributions as floats whose exact sum rounds to the total.
-
-    The smallest nonzero contribution, whose float steps are finest, absorbs the rounding of the
-    others; in a tie between two floats, the next smallest does.
-    """
-    rounded = [float(one) for one in exact]
-    rows = sorted((row for row, one in enumerate(rounded) if one), key=lambda r: abs(exact[r]))
-    tried = [_absorb(rounded, row, total) for row in rows] or [rounded]
-    return next((found for found in tried if math.fsum(found) == total), tried[0])
-
-
-def _absorb(contributions: list[float], row: int, total: float) -> list[float]:
-    others = sum(
-        (Fraction(contribution) for at, contribution in enumerate(contributions) if at != row),
-        Fraction(),
-    )
-    return [
-        float(Fraction(total) - others) if at == row else s for at, s in enumerate(contributions)
-    ]
-
-
 _PAIRS: Final = 4 * len(SEEDS)
 """Number of sampled orders, each used together with its reverse: about 6 s for the paper's runs
 with fourteen groups."""
@@ -112,7 +97,10 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
     Each order is paired with its reverse, which cancels the effect of the position in an order. If
     the game is random, every seed has the same number of pairs, and the errors are over seeds.
     """
-    orders = _list_orders(found.causes)
+    # The same orders at each call; each order is followed by its reverse.
+    draw, names = random.Random(0), found.causes
+    drawn = (tuple(draw.sample(names, len(names))) for _ in range(_PAIRS))
+    orders = [order for one in drawn for order in (one, one[::-1])]
     seeds = SEEDS if game.is_random else (None,)
     added: dict[str, list[float]] = {name: [] for name in found.causes}
     plays = [
@@ -129,33 +117,20 @@ def sample_game(found: Attribution, game: Game) -> Attribution:
         steps = pairwise(values[row * width : (row + 1) * width])
         for name, (before, after) in zip(order, steps, strict=True):
             added[name].append(after - before)
-    return replace(
-        found,
-        contributions=tuple(
-            Contribution(
-                cause=name,
-                contribution=fmean(sizes),
-                alone=game.take_out([name]).value,
-                meaning=game.causes[name].meaning,
-                standard_error=_find_order_error(sizes, len(seeds)),
-            )
-            for name, sizes in added.items()
-        ),
-    )
-
-
-def _list_orders(names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the orders, the same ones at each call; each order is followed by its reverse."""
-    draw = random.Random(0)
-    drawn = (tuple(draw.sample(names, len(names))) for _ in range(_PAIRS))
-    return [order for one in drawn for order in (one, one[::-1])]
-
-
-def _find_order_error(sizes: Sequence[float], seeds: int) -> float:
-    parts = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
-    if seeds > 1:  # all pairs of a seed contain its effect
-        parts = [fmean(parts[seed::seeds]) for seed in range(seeds)]
-    return _find_error(parts)
+    contributions = []
+    for name, sizes in added.items():
+        parts = [fmean(pair) for pair in zip(sizes[::2], sizes[1::2], strict=True)]
+        if len(seeds) > 1:  # all pairs of a seed contain its effect
+            parts = [fmean(parts[seed :: len(seeds)]) for seed in range(len(seeds))]
+        contribution = Contribution(
+            cause=name,
+            contribution=fmean(sizes),
+            alone=game.take_out([name]).value,
+            meaning=game.causes[name].meaning,
+            standard_error=_find_error(parts),
+        )
+        contributions.append(contribution)
+    return replace(found, contributions=tuple(contributions))
 
 
 _COUNT: Final = 17
@@ -250,6 +225,34 @@ def vary_start(
     )
 
 
+def vary_both_starts(
+    scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
+) -> answers.DifferenceRange | None:
+    """Return the range of the difference over starts within one sample's turn of the faster run."""
+    spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
+    offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
+    if not offsets_rad:
+        return None
+    plays = [
+        [Play(turn_start(scenario, by), is_finer=False, may_fail=True) for by in offsets_rad]
+        for scenario in scenarios
+    ]
+    values = [[one.value for one in iterate_outcomes(metric, side, jobs=1)] for side in plays]
+    apart = subtract_values(values[1], values[0])
+    known = [[value for value in one if value is not None] for one in (apart, *values)]
+    if not all(known):
+        return None
+    spans = [(min(one), max(one)) for one in known]
+    return answers.DifferenceRange(
+        count=len(offsets_rad),
+        within_rad=offsets_rad[-1],
+        difference=spans[0],
+        first=spans[1],
+        second=spans[2],
+        is_wide=ranges_over(apart, find_steady_span(apart, difference, resolution)),
+    )
+
+
 def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple[CausePart, ...]:
     """Return the lowest and highest part of each cause; empty unless all parts are positive."""
     parts = []
@@ -271,6 +274,50 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
     )
 
 
+def divide_game(found: Attribution, game: Game) -> Attribution:
+    """Return an attribution with the contributions of its causes, or why these are missing."""
+    if game.is_random and found.resimulated is not None:
+        return divide_over_seeds(found, game)
+    # If a run has no value, the reason comes from its own seed.
+    outcomes = {
+        inside: game.play_as_recorded({*found.causes} - inside)
+        for inside in list_coalitions(found.causes)
+    }
+    worth = {key: one.value for key, one in outcomes.items() if one.value is not None}
+    found = replace(found, without_all=outcomes[frozenset()].value)
+    if len(worth) < len(outcomes):
+        return _tell_what_has_no_value(found, outcomes)
+    contributions = compute_contributions(worth, found.causes)
+    dividends = compute_dividends(worth, found.causes)
+    return replace(
+        found,
+        contributions=tuple(describe_alone(game, *one) for one in contributions.items()),
+        together=tuple(Together(causes=names, value=value) for names, value in dividends.items()),
+    )
+
+
+def _tell_what_has_no_value(
+    found: Attribution, outcomes: Mapping[Coalition, Outcome]
+) -> Attribution:
+    """Return the smallest sets of causes that decide whether there is a value."""
+    missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
+    present = [inside for inside in outcomes if inside not in missing]
+
+    def describe(inside: Coalition) -> answers.ValueSet:
+        names = tuple(name for name in found.causes if name in inside)
+        return answers.ValueSet(causes=names, reason=outcomes[inside].reason or None)
+
+    is_empty = frozenset() in missing
+    return replace(
+        found,
+        withheld="with some of the causes it has a value, with others none"
+        if present
+        else "it has no value",
+        without_value=tuple(describe(inside) for inside in find_smallest(missing)),
+        with_value=tuple(describe(inside) for inside in find_smallest(present) if is_empty),
+    )
+
+
 _FEWEST: Final = 0.5
 """Smallest share of seeds with a value. With fewer seeds, those without a value would be the
 majority."""
@@ -284,9 +331,12 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     names = found.causes
     coalitions = list_coalitions(names)
     played = {inside: game.take_out_each(set(names) - inside) for inside in coalitions}
-    count = max(map(len, played.values()))
-    worths = _list_worths(played, count)
-    known = [worth for worth in worths if worth is not None]
+    count, known = max(map(len, played.values())), []
+    for number in range(count):
+        row = {key: found[min(number, len(found) - 1)].value for key, found in played.items()}
+        worth = {inside: value for inside, value in row.items() if value is not None}
+        if len(worth) == len(row):
+            known.append(worth)
     if len(known) <= _FEWEST * count:
         reason = f"only with {len(known)} of {count} seeds every combination has a value"
         return replace(found, withheld=reason)
@@ -295,10 +345,30 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
     dividends = [compute_dividends(one, names) for one in known]
     means = compute_contributions(worth, names)
     together = compute_dividends(worth, names)
+    values = [one[frozenset(names)] for one in known]
+    low, high = np.quantile(values, _CENTRAL).tolist()
+    built, others = game.take_out_each(), []
+    for other in found.others:
+        without = game.take_out_each([other.cause])
+        pairs = [(one, without[min(row, len(without) - 1)]) for row, one in enumerate(built)]
+        changes = [
+            after.value - before.value
+            for before, after in pairs
+            if before.value is not None and after.value is not None
+        ]
+        error = _find_error(changes) if len(changes) > 1 else other.standard_error
+        others.append(replace(other, standard_error=error))
     return replace(
         found,
         without_all=worth[frozenset()],
-        seeds=_describe_seeds([one[frozenset(names)] for one in known], count),
+        seeds=answers.SeedRange(
+            count=count,
+            used=len(values),
+            mean=fmean(values),
+            standard_error=_find_error(values),
+            low=low,
+            high=high,
+        ),
         contributions=tuple(
             replace(
                 describe_alone(game, name, contribution),
@@ -306,7 +376,7 @@ def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
             )
             for name, contribution in means.items()
         ),
-        others=tuple(_add_error(game, other) for other in found.others),
+        others=tuple(others),
         together=tuple(
             Together(
                 causes=case,
@@ -327,42 +397,6 @@ def describe_alone(game: Game, name: str, contribution: float | None = None) -> 
         ending=game.describe_ending(name) or None,
         meaning=game.causes[name].meaning,
     )
-
-
-def _list_worths(played: Mapping[Coalition, Sequence[Outcome]], count: int) -> list[Worth | None]:
-    """Return the values of all combinations by seed; None if a value is missing."""
-    found: list[Worth | None] = []
-    for number in range(count):
-        row = {
-            inside: outcomes[min(number, len(outcomes) - 1)].value
-            for inside, outcomes in played.items()
-        }
-        worth = {inside: value for inside, value in row.items() if value is not None}
-        found.append(worth if len(worth) == len(row) else None)
-    return found
-
-
-def _describe_seeds(values: Sequence[float], count: int) -> SeedRange:
-    low, high = np.quantile(values, _CENTRAL).tolist()
-    return SeedRange(
-        count=count,
-        used=len(values),
-        mean=fmean(values),
-        standard_error=_find_error(values),
-        low=low,
-        high=high,
-    )
-
-
-def _add_error(game: Game, other: Contribution) -> Contribution:
-    """Return a property with the standard error of the change by removing the cause, over seeds."""
-    built, without = game.take_out_each(), game.take_out_each([other.cause])
-    pairs = [
-        (one.value, without[min(number, len(without) - 1)].value)
-        for number, one in enumerate(built)
-    ]
-    changes = [right - left for left, right in pairs if left is not None and right is not None]
-    return replace(other, standard_error=_find_error(changes)) if len(changes) > 1 else other
 
 
 def _find_error(values: Sequence[float]) -> float:

@@ -1,16 +1,23 @@
 """Sentences that say why a metric differs between two runs, true for these runs only."""
 
 import math
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from html import escape
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.display import describe_count, format_pair, join_words
-from turtlelog.explain.answer_words import NAMED, choose_joint, write_joint, write_missing
-from turtlelog.explain.attribution import SAME, ValueSet, is_clear
-from turtlelog.explain.explained_difference import ROBOT, SEED, Change, ExplainedDifference, Side
-from turtlelog.explain.robot_parts import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
+from turtlelog.explain.answer_words import NAMED, write_joint_parts, write_missing
+from turtlelog.explain.answers import (
+    ROBOT,
+    SAME,
+    SEED,
+    Change,
+    ExplainedDifference,
+    Side,
+    is_clear,
+)
+from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
@@ -48,16 +55,12 @@ _PARTS: Final = {
     "sensor": "Until then the robot moves equally, so the cause lies in the sensor",
     "controller": "Until then the controller reads equal poses, so the cause lies in the"
     " controller: its code, its version or its state",
+    "code": "Until then the controller reads equal poses, so the cause lies in the controller,"
+    " whose code differs",
     "timing": "Until then all values are equal, so the cause lies in the timing",
     "end": "All that both contain is equal",
 }
 """Meaning of the first difference between two runs, by the part that differs."""
-
-
-_CODE: Final = (
-    "Until then the controller reads equal poses, so the cause lies in the controller, whose code"
-    " differs"
-)
 
 
 def write_difference_sentences(
@@ -67,26 +70,76 @@ def write_difference_sentences(
 
     `are_recorded`: whether both runs have recorded samples, which their scenarios can reproduce.
     """
-    is_seed_alone = bool(found.contributions) and not _list_divided(found)
-    orders = f"{found.orders} orders of the changes were sampled"
-    sampled = f"{orders}: each contribution has a standard error."
-    idle = f"Different, but without effect on this metric: {join_words(found.idle)}."
-    sentences = [
-        write_difference_headline(found),
-        _write_resimulated(found),
-        *_write_departure(found),
-        *_write_obstacle(found),
-        _write_starts(found),
-        _write_together(found),
-        "No setting differs but the seed of the random effects." * is_seed_alone,
-        sampled if found.orders is not None and found.contributions else "",
-        _write_unclear(found),
-        _write_effects(found),
-        idle if found.idle else "",
-        _write_basis(found, are_recorded=are_recorded),
-        *_write_robot_basis(found),
+    sides = (found.first, found.second)
+    pairs = [(one.as_logged, one.resimulated) for one in sides]
+    known = [(a, b) for a, b in pairs if a is not None and b is not None]
+    sentences = [write_difference_headline(found)]
+    if len(known) == 2 and any(abs(a - b) > SAME * abs(a) for a, b in known):
+        first, second = (format_magnitude(found, value) for _, value in known)
+        if found.unexplained is None:
+            sentences.append(f"Simulated again it is {first} and {second}.")
+        else:
+            left = format_magnitude(found, abs(found.unexplained))
+            sentences.append(
+                f"The robots' models have {first} and {second}: {left} is not explained."
+            )
+    sentences += [*_write_departure(found), *_write_obstacle(found), *_write_dependences(found)]
+    if found.idle:
+        idle = join_words(found.idle)
+        sentences.append(f"Different, but without effect on this metric: {idle}.")
+    if found.contributions and all(side.basis == "recorded" for side in sides):
+        basis = "The recorded scenarios reproduce all samples of both runs."
+        sentences += [basis] * are_recorded
+    else:
+        identified = (side for side in sides if side.basis == "identified")
+        sentences.append(" ".join(map(_write_identified, identified)))
+    return tuple(filter(None, [*sentences, *_write_robot_basis(found)]))
+
+
+def _write_dependences(found: ExplainedDifference) -> Iterator[str]:
+    """Yield what the contributions depend on: starts, each other, seeds, orders and effects."""
+    if found.starts is not None and found.starts.is_wide:
+        within = f"{math.degrees(found.starts.within_rad):.3g} deg"
+        spans = []
+        for span in (found.starts.first, found.starts.second):
+            least, most = (format_magnitude(found, end) for end in span)
+            spans.append(most if least == most else f"{least} to {most}")
+        yield (
+            "The difference depends on single samples. For"
+            f" {found.starts.count} start headings within +-{within}, {found.metric} is"
+            f" {spans[0]} in the first run and {spans[1]} in the second."
+        )
+    yield _write_together(found)
+    if found.contributions and not _list_divided(found):
+        yield "No setting differs but the seed of the random effects."
+    if found.orders is not None and found.contributions:
+        orders = f"{found.orders} orders of the changes were sampled"
+        yield f"{orders}: each contribution has a standard error."
+    sizes = [(one, one.size, one.standard_error) for one in found.contributions]
+    unclear = [
+        name_change(one) for one, size, error in sizes if error and not is_clear(size, error)
     ]
-    return tuple(filter(None, sentences))
+    if unclear:
+        yield f"May be chance: what {join_words(unclear)} {'adds' if len(unclear) == 1 else 'add'}."
+    large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
+    parts = [
+        f"{format_magnitude(found, abs(one.shift))} {'more' if one.shift >= 0.0 else 'less'} from"
+        f" the {one.cause}"
+        for one in large[:_FEW]
+    ]
+    if parts:
+        head = "By effect instead of by setting (turtlelog explain), the second run has"
+        yield f"{head} {join_words(parts)}."
+
+
+def _write_identified(side: Side) -> str:
+    unknown = f" Not identified, so taken as equal: {join_words(side.unknown)}."
+    reason, _, _ = side.note.partition(":")
+    return (
+        f"The scenario of {side.name} is identified from its samples: {reason}."
+        f" It {'reproduces all samples' if side.is_exact else 'does not reproduce every sample'}."
+        f"{unknown if side.unknown else ''}"
+    )
 
 
 def write_difference_headline(found: ExplainedDifference) -> str:
@@ -103,21 +156,26 @@ def write_difference_headline(found: ExplainedDifference) -> str:
     if _is_negligible(found) and found.contributions:
         size = f"{format_magnitude(found, found.resolution.size)} ({found.resolution.reason})"
         return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
-    told = "; ".join(filter(None, (_write_parts(found), *_write_chance(found))))
+    least = _TINY * _sum(found.contributions)
+    chance = [
+        f"{_CHANCE[one.name]} {_write_move(found, one.size, is_many=True)}"
+        for one in found.contributions
+        if _is_chance(found, one) and (one.name == SEED or _is_large(one, least))
+    ]
+    told = "; ".join(filter(None, (_write_parts(found), *chance)))
     return f"{found.metric} {moves}{f': {told}' if told else ''}."
 
 
 def _write_parts(found: ExplainedDifference) -> str:
     """Return the contributions of the changes; those not in the headline are added up."""
     parts = [
-        f"{name_change(one)}"
-        f" {_write_move(found, one.contribution or 0.0, is_many=one.name in _PLURALS)}"
+        f"{name_change(one)} {_write_move(found, one.size, is_many=one.name in _PLURALS)}"
         for one in choose_told(found)
     ]
     if found.unexplained is not None:
         return join_words(parts) or ("no cause is certain" if found.contributions else "")
     rest = [one for one in _list_divided(found) if one not in choose_told(found)]
-    size = math.fsum(one.contribution or 0.0 for one in rest)
+    size = math.fsum(one.size for one in rest)
     if parts and abs(size) > _TINY * _sum(_list_divided(found)):
         parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
     told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
@@ -133,34 +191,10 @@ def _is_chance(found: ExplainedDifference, one: Change) -> bool:
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 
-def _write_chance(found: ExplainedDifference) -> list[str]:
-    """Return the parts of the difference that chance adds."""
-    least = _TINY * _sum(found.contributions)
-    return [
-        f"{_CHANCE[one.name]} {_write_move(found, one.contribution or 0.0, is_many=True)}"
-        for one in found.contributions
-        if _is_chance(found, one) and (one.name == SEED or _is_large(one, least))
-    ]
-
-
 def _write_side(found: ExplainedDifference, side: Side) -> str:
     if side.as_logged is None:
         return f"{side.name} has no value ({side.reason})"
     return f"{side.name} has {format_magnitude(found, side.as_logged)}"
-
-
-def _write_resimulated(found: ExplainedDifference) -> str:
-    """Return the re-simulated values, which contributions divide, if they differ from the log's."""
-    sides = (found.first, found.second)
-    pairs = [(one.as_logged, one.resimulated) for one in sides]
-    known = [(a, b) for a, b in pairs if a is not None and b is not None]
-    if len(known) < 2 or all(abs(a - b) <= SAME * abs(a) for a, b in known):
-        return ""
-    values = [format_magnitude(found, value) for _, value in known]
-    if found.unexplained is not None:
-        left = format_magnitude(found, abs(found.unexplained))
-        return f"The robots' models have {values[0]} and {values[1]}: {left} is not explained."
-    return f"Simulated again it is {values[0]} and {values[1]}."
 
 
 def choose_told(found: ExplainedDifference) -> list[Change]:
@@ -170,18 +204,18 @@ def choose_told(found: ExplainedDifference) -> list[Change]:
         return [one for one in divided if _is_large(one, _TINY * _sum(divided))]
     if len(divided) <= _FEW:
         tiny = _TINY * _sum(divided)
-        return [one for one in divided if abs(one.contribution or 0.0) > tiny]
+        return [one for one in divided if abs(one.size) > tiny]
     least = NAMED * _sum(divided)
     told = [one for one in divided if _is_large(one, least)]
     return divided if len(told) == len(divided) - 1 else told
 
 
 def _sum(changes: Sequence[Change]) -> float:
-    return math.fsum(abs(one.contribution or 0.0) for one in changes)
+    return math.fsum(abs(one.size) for one in changes)
 
 
 def _is_large(one: Change, least: float) -> bool:
-    size = one.contribution or 0.0
+    size = one.size
     return abs(size) > least and is_clear(size, one.standard_error)
 
 
@@ -192,7 +226,7 @@ def _write_move(found: ExplainedDifference, size: float, *, is_many: bool) -> st
 
 def format_change(found: ExplainedDifference, one: Change) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
-    size = one.contribution or 0.0
+    size = one.size
     if one.low is not None and one.high is not None:
         low, high = (format_magnitude(found, end) for end in (one.low, one.high))
         spread = f" ({low} to {high})"
@@ -203,32 +237,27 @@ def format_change(found: ExplainedDifference, one: Change) -> str:
 
 def name_change(one: Change) -> str:
     """Return a group of settings in words: `the gains`, `the shorter pause`, or its key."""
-    if one.keys[0].partition(".")[0] in AXES:
-        return f"the robot's {_describe_robot_part(one)}"
+    if one.keys[0].partition(".")[0] in AXES:  # `dead time turning (70 -> 110 ms)`
+        for key, before, after in zip(one.keys, one.first, one.second, strict=False):
+            if before != after and not isinstance(before or after, str):
+                return f"the robot's {one.name} ({_format_pair(key, before, after)})"
+        return f"the robot's {one.name}"
     if one.name in _WORDS:
         return _WORDS[one.name]
     if "." in one.name:
         return one.name
-    return f"the {_compare_spans(one)}{one.name}"
-
-
-def _compare_spans(one: Change) -> str:
-    """Return `longer `, `shorter ` or `missing ` for a changed duration or queue; else nothing."""
-    if len(one.keys) != 1 or one.name not in _SPANS:
-        return ""
-    before, after = one.first[0] or 0, one.second[0] or 0
-    if isinstance(before, str) or isinstance(after, str):
-        return ""  # a policy is not longer than another
-    if not after:
-        return "missing "
-    if not before:
-        return ""
-    return "longer " if after > before else "shorter "
+    change = ""
+    before, after = ((*values, 0)[0] or 0 for values in (one.first, one.second))
+    is_span = len(one.keys) == 1 and one.name in _SPANS
+    if is_span and not isinstance(before or after, str):  # a policy is not longer than another
+        change = "longer " if after > before else "shorter "
+        if not (before and after):
+            change = "" if after else "missing "
+    return f"the {change}{one.name}"
 
 
 def _is_negligible(found: ExplainedDifference) -> bool:
-    """Return whether all contributions, and the difference, are within the resolution."""
-    sizes = [abs(one.contribution or 0.0) for one in found.contributions]
+    sizes = [abs(one.size) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
@@ -254,9 +283,9 @@ def _count_decimals(found: ExplainedDifference) -> int:
 
 def _write_obstacle(found: ExplainedDifference) -> list[str]:
     if found.without_value:
-        changes = {one.name: one for one in found.changes}
-        name_set = partial(_name_set, changes)
-        return [write_missing(found.without_value, found.with_value, name_set)]
+        words = {one.name: name_change(one) for one in found.changes}
+        sets = (found.without_value, found.with_value)
+        return [write_missing(*sets, words, "without all changes")]
     if not found.withheld:
         return []
     if found.has_same_settings:
@@ -274,52 +303,14 @@ def _write_obstacle(found: ExplainedDifference) -> list[str]:
     return [f"Why is not known: {found.withheld}.{differ}{software}"]
 
 
-def _name_set(changes: dict[str, Change], case: ValueSet) -> str:
-    if not case.causes:
-        return "without all changes"
-    alone = " alone" if len(case.causes) < len(changes) else ""
-    return f"with {join_words([name_change(changes[name]) for name in case.causes])}{alone}"
-
-
 def _write_together(found: ExplainedDifference) -> str:
-    """Return the part that arises only if several changes act together; empty if it is small."""
     if not found.contributions or _is_negligible(found):
         return ""
     names = {one.name: name_change(one) for one in found.contributions}
-    return " ".join(
-        write_joint(
-            [names[name] for name in one.causes], one.value, format_magnitude(found, abs(one.value))
-        )
-        for one in choose_joint(found.together, _sum(_list_divided(found)))
+    total = _sum(_list_divided(found))
+    return write_joint_parts(
+        found.together, total, names, lambda one: format_magnitude(found, abs(one.value))
     )
-
-
-def _write_unclear(found: ExplainedDifference) -> str:
-    unclear = [
-        name_change(one)
-        for one in found.contributions
-        if one.standard_error and not is_clear(one.contribution or 0.0, one.standard_error)
-    ]
-    if not unclear:
-        return ""
-    return f"May be chance: what {join_words(unclear)} {'adds' if len(unclear) == 1 else 'add'}."
-
-
-def _write_starts(found: ExplainedDifference) -> str:
-    starts = found.starts
-    if starts is None or not starts.is_wide:
-        return ""
-    within = f"{math.degrees(starts.within_rad):.3g} deg"
-    first, second = (_format_span(found, *span) for span in (starts.first, starts.second))
-    return (
-        f"The difference depends on single samples. For {starts.count} start headings within"
-        f" +-{within}, {found.metric} is {first} in the first run and {second} in the second."
-    )
-
-
-def _format_span(found: ExplainedDifference, low: float, high: float) -> str:
-    least, most = format_magnitude(found, low), format_magnitude(found, high)
-    return most if least == most else f"{least} to {most}"
 
 
 def _write_departure(found: ExplainedDifference) -> list[str]:
@@ -328,23 +319,18 @@ def _write_departure(found: ExplainedDifference) -> list[str]:
         return []
     if one is None:
         return ["The runs are equal: no setting differs, and no sample."]
+    codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
+    has_other_code = None not in codes and codes[0] != codes[1]
     values = join_words(format_pair(one.first, one.second, one.unit), "then")
     samples = describe_count(one.samples, "equal sample")
     return [
         f"{_write_software(found)} The runs depart at {one.time_s:.3f} s, after {samples}, in"
         f" {one.signal.replace('_', ' ')}: {values}.",
-        f"{_CODE if one.part == 'controller' and _has_other_code(found) else _PARTS[one.part]}.",
+        f"{_PARTS['code' if one.part == 'controller' and has_other_code else one.part]}.",
     ]
 
 
-def _has_other_code(found: ExplainedDifference) -> bool:
-    """Return whether both recordings contain a digest of the law's code, and the digests differ."""
-    codes = [side.simulated_by.get(LAW) for side in (found.first, found.second)]
-    return None not in codes and codes[0] != codes[1]
-
-
 def _write_software(found: ExplainedDifference) -> str:
-    """Return differences other than settings before the runs differ: versions, platform or code."""
     first, second = found.first.simulated_by, found.second.simulated_by
     silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
     if silent:
@@ -359,49 +345,11 @@ def _write_software(found: ExplainedDifference) -> str:
     return f"No setting differs: both ran with {describe_software(first)}{code}."
 
 
-def _write_effects(found: ExplainedDifference) -> str:
-    """Return how the contributions of `explain` differ; empty if the differences are negligible."""
-    large = [one for one in found.effects if abs(one.shift) > found.resolution.size]
-    parts = [
-        f"{format_magnitude(found, abs(one.shift))} {'more' if one.shift >= 0.0 else 'less'} from"
-        f" the {one.cause}"
-        for one in large[:_FEW]
-    ]
-    head = "By effect instead of by setting (turtlelog explain), the second run has"
-    return f"{head} {join_words(parts)}." if parts else ""
-
-
-def _write_basis(found: ExplainedDifference, *, are_recorded: bool) -> str:
-    """Return the basis of the contributions."""
-    sides: Sequence[Side] = (found.first, found.second)
-    if found.contributions and all(side.basis == "recorded" for side in sides):
-        return "The recorded scenarios reproduce all samples of both runs." * are_recorded
-    return " ".join(_write_identified(side) for side in sides if side.basis == "identified")
-
-
-def _write_identified(side: Side) -> str:
-    unknown = f" Not identified, so taken as equal: {join_words(side.unknown)}."
-    reason, _, _ = side.note.partition(":")
-    return (
-        f"The scenario of {side.name} is identified from its samples: {reason}."
-        f" It {'reproduces all samples' if side.is_exact else 'does not reproduce every sample'}."
-        f"{unknown if side.unknown else ''}"
-    )
-
-
 _MS: Final = ("dead_time_s", "lag_s")
 """Fields of values that are printed in milliseconds."""
 
 _AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
 """Text after a value: instead of the axis's unit, or after this unit."""
-
-
-def _describe_robot_part(one: Change) -> str:
-    """Return a robot parameter with its values in both logs: `dead time turning (70 -> 110 ms)`."""
-    for key, before, after in zip(one.keys, one.first, one.second, strict=False):
-        if before != after and not isinstance(before or after, str):
-            return f"{one.name} ({_format_pair(key, before, after)})"
-    return one.name
 
 
 def _format_pair(key: str, before: Any, after: Any) -> str:
@@ -427,7 +375,7 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
     if not sides or not found.contributions:
         return said
     answers = any(
-        one.name == COMMANDS and is_clear(one.contribution or 0.0, one.standard_error)
+        one.name == COMMANDS and is_clear(one.size, one.standard_error)
         for one in found.contributions
     )
     return [
@@ -436,3 +384,16 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
         f" {found.seeds} draws of the identified parameters and the noise.",
         *said,
     ]
+
+
+def tabulate_difference(found: ExplainedDifference) -> str:
+    """Return an explained difference as a table with its sentences, for a notebook."""
+    heads = ["settings", f"contribution [{found.unit}]", "first run", "second run"]
+    rows: list[list[object]] = []
+    for one in found.contributions:
+        pairs = (zip(one.keys, values, strict=False) for values in (one.first, one.second))
+        texts = (", ".join(f"{key} = {value}" for key, value in pair) for pair in pairs)
+        rows.append([one.name, one.contribution, *texts])
+    table = format_html(rows, heads=heads) if rows else ""
+    rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
+    return format_notebook(found.sentences[0], table, *rest)

@@ -14,16 +14,20 @@ from itertools import chain, combinations, islice
 from statistics import fmean
 from typing import Any, Final
 
+from turtlelog.display import join_words
 from turtlelog.errors import ExplainError, ScenarioError, SimulationError
+from turtlelog.explain.answers import Attribution
 from turtlelog.explain.causes import (
     SAMPLING,
     draws_random,
     find_causes,
     is_present,
     simulate_finer,
+    simulate_without,
     take_out,
     undo_changes,
 )
+from turtlelog.explain.scenario_from_log.identification import Identification
 from turtlelog.explain.scenario_from_log.law_identification import describe_phase
 from turtlelog.laws import LAWS
 from turtlelog.measure import measure_run
@@ -129,8 +133,19 @@ class Game(ABC):
 
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these causes; for a random game, the majority over seeds."""
-        found = self.take_out_each(names)
-        return found[0] if len(found) == 1 else _average(found)
+        outcomes = self.take_out_each(names)
+        if len(outcomes) == 1:
+            return outcomes[0]
+        most = len(outcomes) / 2.0
+        values = [found.value for found in outcomes if found.value is not None]
+        ended = Counter(phase for found in outcomes for phase in found.ended)
+        phases = tuple(phase for phase, count in ended.items() if count > most)
+        if len(values) > most:
+            return Outcome(value=fmean(values), reason="", ended=phases)
+        reasons = Counter(found.reason for found in outcomes if found.value is None)
+        ((reason, count),) = reasons.most_common(1)
+        reason = f"{reason} (with {count} of {len(outcomes)} seeds)"
+        return Outcome(value=None, reason=reason, ended=phases)
 
     def take_out_each(self, names: Iterable[str] = ()) -> list[Outcome]:
         """Return the outcomes without these causes, by seed; one outcome if nothing is random."""
@@ -172,12 +187,14 @@ class ScenarioGame(Game):
         metric: str,
         work: Work | None = None,
         *,
-        causes: Mapping[str, Cause] | None = None,
+        changes: Mapping[str, Cause] | None = None,
     ) -> None:
-        """Store the scenario with all causes. Default of the causes: those of `find_causes`."""
+        """Store the scenario with all causes, or else with changes from another scenario."""
         self._scenario, self._metric = scenario, metric
-        causes = find_causes(scenario) if causes is None else causes
-        super().__init__(causes, self._list_present(causes), work, is_random=draws_random(scenario))
+        self._undo = take_out if changes is None else undo_changes
+        causes = find_causes(scenario) if changes is None else changes
+        present = [name for name, one in causes.items() if changes or is_present(scenario, one)]
+        super().__init__(causes, present, work, is_random=draws_random(scenario))
         self._without: dict[Coalition, Scenario] = {}
 
     def describe_ending(self, name: str) -> str:
@@ -197,14 +214,8 @@ class ScenarioGame(Game):
     def _take_out(self, out: Coalition) -> Scenario:
         if out not in self._without:
             causes = [found for name, found in self.causes.items() if name in out]
-            self._without[out] = self._build_without(causes)
+            self._without[out] = self._undo(self._scenario, causes)
         return self._without[out]
-
-    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
-        return tuple(name for name, cause in causes.items() if is_present(self._scenario, cause))
-
-    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
-        return take_out(self._scenario, causes)
 
     def list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
         """Return the seeds for a simulation; only None if the remaining scenario is not random."""
@@ -280,27 +291,9 @@ def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
     if is_finer and metric.endswith(_OF_DEAD_TIME):
         value, reason = None, "dead times are not measured on a finer clock"
     end_xy_m = (float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1]))
-    return Outcome(value=value, reason=reason, ended=_find_ended(run), end_xy_m=end_xy_m)
-
-
-def _find_ended(run: Run) -> tuple[str, ...]:
     spans = run.find_phase_spans()
-    ended = (span.phase for span in (spans if run.is_complete else spans[:-1]))
-    return tuple(dict.fromkeys(ended))
-
-
-def _average(outcomes: Sequence[Outcome]) -> Outcome:
-    """Return the majority outcome: the mean of the values, and the phases that ended."""
-    most = len(outcomes) / 2.0
-    values = [found.value for found in outcomes if found.value is not None]
-    ended = Counter(phase for found in outcomes for phase in found.ended)
-    phases = tuple(phase for phase, count in ended.items() if count > most)
-    if len(values) > most:
-        return Outcome(value=fmean(values), reason="", ended=phases)
-    reasons = Counter(found.reason for found in outcomes if found.value is None)
-    ((reason, count),) = reasons.most_common(1)
-    reason = f"{reason} (with {count} of {len(outcomes)} seeds)"
-    return Outcome(value=None, reason=reason, ended=phases)
+    ended = dict.fromkeys(span.phase for span in (spans if run.is_complete else spans[:-1]))
+    return Outcome(value=value, reason=reason, ended=tuple(ended), end_xy_m=end_xy_m)
 
 
 def list_coalitions(causes: Sequence[str]) -> list[Coalition]:
@@ -324,7 +317,7 @@ class ChangeGame(ScenarioGame):
         work: Work | None = None,
     ) -> None:
         """Store the scenario with all changes."""
-        super().__init__(second, metric, work, causes=changes)
+        super().__init__(second, metric, work, changes=changes)
         self.is_random = draws_random(second) or draws_random(first)
         self._impossible: dict[Coalition, str] = {}
 
@@ -352,8 +345,55 @@ class ChangeGame(ScenarioGame):
                 self._impossible[out] = f"these settings contradict each other ({err})"
         return self._impossible[out]
 
-    def _list_present(self, causes: Mapping[str, Cause]) -> tuple[str, ...]:
-        return tuple(causes)
 
-    def _build_without(self, causes: Iterable[Cause]) -> Scenario:
-        return undo_changes(self._scenario, causes)
+_MOST_NAMED: Final = 3
+"""Largest number of causes in a name. A name for more causes gives their number, because a legend
+has little space."""
+
+
+def simulate_what_ifs(
+    identified: Identification,
+    found: Attribution,
+    *,
+    report: Callable[[int, int], None] | None = None,
+) -> Mapping[str, Run]:
+    """Simulate the run without each acting cause, and without all of them.
+
+    Acting causes change the value, or decide whether there is a value. If there is never a value,
+    every cause that takes part is used. The result is None if re-simulation and log disagree,
+    because the runs would not represent the log.
+
+    Args:
+        identified: Scenario that reproduces the run.
+        found: Attribution of the run's value, with the causes.
+        report: Function called with the numbers of simulations done and in total.
+
+    Returns:
+        Runs by removed causes, named by `name_without`: one cause each, in the order of the
+        attribution. With several causes, the last run is without all.
+
+    Raises:
+        ExplainError: If no scenario reproduces the run.
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the law fails in a simulation without some cause.
+    """
+    if found.withheld and not found.without_value:
+        return {}
+    names = found.deciding
+    chosen: list[tuple[str, ...]] = [(name,) for name in names]
+    if len(names) > 1:
+        chosen.append(tuple(names))
+    scenario = identified.build_scenario()
+    runs: dict[str, Run] = {}
+    for number, taken in enumerate(chosen, start=1):
+        runs[name_without(taken)] = simulate_without(scenario, taken)
+        if report is not None:
+            report(number, len(chosen))
+    return runs
+
+
+def name_without(causes: tuple[str, ...]) -> str:
+    """Return the removed causes in words: `queue`, `queue and pause`, `all 5 effects`."""
+    if len(causes) > _MOST_NAMED:
+        return f"all {len(causes)} effects"
+    return join_words(causes)

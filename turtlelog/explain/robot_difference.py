@@ -10,28 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import join_words
-from turtlelog.explain.attribute import divide_game
-from turtlelog.explain.attribution import SAME, Attribution, Contribution, Resolution
-from turtlelog.explain.contributions import ORDERS, sample_game
-from turtlelog.explain.explained_difference import ROBOT, Change, ExplainedDifference, Side
+from turtlelog.explain import answers, robot_log
+from turtlelog.explain.answers import ROBOT, Change, Contribution, ExplainedDifference, Side
+from turtlelog.explain.contributions import ORDERS, divide_game, sample_game
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
-from turtlelog.explain.robot_parts import (
-    COMMANDS,
-    MOTIONS,
-    NOISE,
-    PATH,
-    TIMES,
-    RobotLog,
-    differs_surely,
-    draw_model,
-    find_parts,
-    get_axis,
-    list_axes,
-    list_part_fields,
-    list_part_values,
-    read_robot_log,
-    share_unseen_bounds,
-)
+from turtlelog.explain.robot_log import COMMANDS, RobotLog
 from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
 from turtlelog.identify.robot_model import AxisModel
@@ -78,29 +61,40 @@ def explain_robots(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=Resolution(size=0.0, reason="no scenario is known"),
+        resolution=answers.Resolution(size=0.0, reason="no scenario is known"),
     )
     one, other = (side.as_logged for side in sides)
     if one is None or other is None:
         return replace(found, withheld="one log has no value")
     found = replace(found, difference=other - one)
-    if abs(other - one) <= SAME * max(abs(one), abs(other)):
+    if abs(other - one) <= answers.SAME * max(abs(one), abs(other)):
         return found
     lacking = [run.name for run in runs if not len(run.commands)]
     if lacking:
         reason = f"{join_words(lacking)}: no commands are recorded, so no robot can be identified"
         return replace(found, withheld=reason)
-    logs = share_unseen_bounds([read_robot_log(run) for run in runs])
-    axes = list_axes(metric)
+    logs = robot_log.share_unseen_bounds([robot_log.read_robot_log(run) for run in runs])
+    axes = robot_log.list_axes(metric)
+    models = [{axis: robot_log.get_axis(log.model, axis) for axis in axes} for log in logs]
+    # Axes that are commanded in only one of the logs.
+    first_idle, second_idle = (
+        tuple(axis for axis in axes if own[axis].is_idle and other[axis].is_known)
+        for own, other in (models, models[::-1])
+    )
     found = replace(
         found,
-        first=replace(found.first, unknown=_list_idle(logs, axes, 0)),
-        second=replace(found.second, unknown=_list_idle(logs, axes, 1)),
+        first=replace(found.first, unknown=first_idle),
+        second=replace(found.second, unknown=second_idle),
     )
-    obstacles = [text for log in logs for axis in axes if (text := _find_obstacle(log, axis))]
+    obstacles = [
+        f"the {NAMES[axis]} of {log.run.name} cannot be identified: {model.reason}"
+        for log, own in zip(logs, models, strict=True)
+        for axis, model in own.items()
+        if not (model.is_known or model.is_idle)
+    ]
     if obstacles:
         return replace(found, withheld="; ".join(obstacles))
-    parts = find_parts(logs[0], logs[1], axes)
+    parts = robot_log.find_parts(logs[0], logs[1], axes)
     return _divide(found, logs, parts, work)
 
 
@@ -118,22 +112,6 @@ def _leave_controller(run: Run) -> Run:
     )
 
 
-def _list_idle(logs: Sequence[RobotLog], axes: Sequence[Axis], row: int) -> tuple[str, ...]:
-    """Return the axes that are commanded in only one of the logs."""
-    one, other = logs[row].model, logs[1 - row].model
-    return tuple(
-        axis for axis in axes if get_axis(one, axis).is_idle and get_axis(other, axis).is_known
-    )
-
-
-def _find_obstacle(log: RobotLog, axis: Axis) -> str:
-    """Return why a commanded axis is unknown; empty if the axis is known or idle."""
-    model = get_axis(log.model, axis)
-    if model.is_known or model.is_idle:
-        return ""
-    return f"the {NAMES[axis]} of {log.run.name} cannot be identified: {model.reason}"
-
-
 def _divide(
     found: ExplainedDifference,
     logs: Sequence[RobotLog],
@@ -144,7 +122,7 @@ def _divide(
     difference = found.difference or 0.0
     acting = _find_acting(found, logs, parts)
     game = RobotGame(logs[0], logs[1], found.metric, acting, work)
-    base = Attribution(
+    base = answers.Attribution(
         metric=found.metric,
         unit=found.unit,
         resimulated=game.play_as_recorded().value,
@@ -160,15 +138,21 @@ def _divide(
     divided = divide_game(base, game) if is_exact else sample_game(base, game)
     played = [game.take_out_each(out) for out in (acting, ())]
     ends = [[one.value for one in side if one.value is not None] for side in played]
-    changes = [_describe(one, logs) for one in parts.values()]
-    surely = tuple(one for one in changes if differs_surely(one.name, one.keys, logs))
+    changes = []
+    for part in parts.values():
+        first, second = (
+            tuple(robot_log.list_part_values(log, part.neutral).values()) for log in logs
+        )
+        keys = tuple(part.neutral)
+        changes.append(Change(name=part.name, keys=keys, first=first, second=second))
+    surely = tuple(one for one in changes if robot_log.differs_surely(one.name, one.keys, logs))
     found = replace(found, changes=surely, seeds=len(SEEDS))
     if divided.withheld:
         return replace(found, withheld=divided.withheld)
     listed = {one.name: one for one in changes}
-    shares = sorted(divided.contributions, key=lambda one: -abs(one.contribution or 0.0))
+    shares = sorted(divided.contributions, key=lambda one: -abs(one.size))
     contributions = tuple(_complete(listed[one.cause], one) for one in shares)
-    explained = math.fsum(one.contribution or 0.0 for one in contributions)
+    explained = math.fsum(one.size for one in contributions)
     found = replace(
         found,
         first=replace(found.first, resimulated=fmean(ends[0])),
@@ -186,18 +170,13 @@ def _divide(
         return replace(found, withheld=reason)
     idle = tuple(key for name in parts if name not in acting for key in listed[name].keys)
     return replace(
-        found,
-        contributions=contributions,
-        changes=(),
-        idle=idle,
-        together=divided.together,
+        found, contributions=contributions, changes=(), idle=idle, together=divided.together
     )
 
 
 def _find_acting(
     found: ExplainedDifference, logs: Sequence[RobotLog], parts: Mapping[str, Cause]
 ) -> dict[str, Cause]:
-    """Return the parts that alone change the metric in one of the logs."""
     game = RobotGame(logs[0], logs[1], found.metric, parts)
     least = _ACTS * abs(found.difference or 0.0)
 
@@ -213,19 +192,13 @@ def _find_acting(
     }
 
 
-def _describe(part: Cause, logs: Sequence[RobotLog]) -> Change:
-    keys = tuple(part.neutral)
-    first, second = (tuple(list_part_values(log, keys).values()) for log in logs)
-    return Change(name=part.name, keys=keys, first=first, second=second)
-
-
 def _complete(change: Change, share: Contribution) -> Change:
     """Return a change with its contribution, with the standard error of a single draw.
 
     That of the mean over draws would be too small by the root of their number.
     """
     error = (share.standard_error or 0.0) * math.sqrt(len(SEEDS))
-    size = share.contribution or 0.0
+    size = share.size
     return replace(
         change,
         contribution=size,
@@ -280,8 +253,8 @@ class RobotGame(Game):
 
     def drive(self, out: Coalition, seed: int | None = None) -> Run:
         """Return the recording of the commands, with the poses of the robot without some parts."""
-        base, places = self._get(COMMANDS, out).run, self._get(PATH, out).run
-        noise = self._get(NOISE, out).noise
+        base, places = self._get(COMMANDS, out).run, self._get(robot_log.PATH, out).run
+        noise = self._get(robot_log.NOISE, out).noise
         rng = np.random.default_rng(0 if seed is None else seed)
         time_ns = self._find_times(out)
         root_s = np.sqrt(np.diff(time_ns) / 1e9)
@@ -294,13 +267,19 @@ class RobotGame(Game):
         poses = _integrate(speed, turn_rate, places)
         sizes = noise.position_m, noise.position_m, noise.heading_rad
         poses += rng.standard_normal(poses.shape) * sizes
+        timed = self._get(robot_log.TIMES, out).run.poses
+        rates = zip(("measured_speed_m_s", "measured_turn_rate_rad_s"), AXES, strict=True)
         return replace(
             base,
             poses=PoseColumns(
                 time_ns=time_ns,
                 xy_m=poses[:, :2],
                 heading_rad=wrap_angle(poses[:, 2]),
-                **{name: motions[axis][1] for name, axis in self._list_reported(out)},
+                **{
+                    name: motions[axis][1]
+                    for name, axis in rates
+                    if getattr(timed, name) is not None
+                },
             ),
             goal_xy_m=places.goal_xy_m,
             goal_heading_rad=places.goal_heading_rad,
@@ -308,26 +287,32 @@ class RobotGame(Game):
         )
 
     def _get(self, part: str, out: Coalition) -> RobotLog:
-        """Return the log from which a part is taken."""
         return self._logs[part not in out]
 
-    def _list_reported(self, out: Coalition) -> list[tuple[str, Axis]]:
-        """Return the rates that a robot reports in addition to its poses."""
-        poses = self._get(TIMES, out).run.poses
-        names: dict[str, Axis] = {
-            "measured_speed_m_s": "speed",
-            "measured_turn_rate_rad_s": "turn_rate",
-        }
-        return [pair for pair in names.items() if getattr(poses, pair[0]) is not None]
-
     def _find_times(self, out: Coalition) -> Times:
-        return _place_times(self._get(COMMANDS, out).run, self._get(TIMES, out).run)
+        """Return times for the poses of a recording [ns], taken from those of another recording.
+
+        The first commands of both are at one time. Beyond the end of the other recording, its times
+        repeat. Half a period at either end is ignored.
+        """
+        base, timed = self._get(COMMANDS, out).run, self._get(robot_log.TIMES, out).run
+        time_ns = timed.poses.time_ns
+        if timed is base or len(time_ns) < 2:
+            return base.poses.time_ns
+        period_ns = int(np.median(np.diff(time_ns)))
+        first_ns = int(base.poses.time_ns[0]) - period_ns // 2
+        last_ns = int(base.poses.time_ns[-1]) + period_ns // 2
+        time_ns = time_ns - timed.commands.time_ns[0] + base.commands.time_ns[0]
+        again_ns = int(time_ns[-1] - time_ns[0]) + period_ns
+        low, high = (int((end_ns - time_ns[0]) // again_ns) for end_ns in (first_ns, last_ns))
+        repeated = (time_ns + np.arange(low, high + 1)[:, None] * again_ns).ravel()
+        return np.asarray(repeated[(repeated >= first_ns) & (repeated <= last_ns)])
 
     def _predict(self, axis: Axis, out: Coalition, seed: int | None) -> tuple[Values, Values]:
         """Return the distance or turn, and the rate, at each pose of the recording."""
-        parts = frozenset(name for name in out if name.endswith(MOTIONS[axis]))
+        parts = frozenset(name for name in out if name.endswith(robot_log.MOTIONS[axis]))
         log = self._get(COMMANDS, out)
-        key = axis, parts, COMMANDS in out, TIMES in out, seed
+        key = axis, parts, COMMANDS in out, robot_log.TIMES in out, seed
         if key not in self._ways:
             time_s = self._find_times(out) / 1e9
             model = self._exchange(axis, parts, seed)
@@ -343,43 +328,26 @@ class RobotGame(Game):
     def _exchange(self, axis: Axis, parts: Coalition, seed: int | None) -> AxisModel:
         """Return an axis of the second robot with some parts from the first."""
         if seed not in self._models:
-            self._models[seed] = _draw_models(self._logs, seed)
-        first, second = (models[axis] for models in self._models[seed])
+            models = [
+                {name: robot_log.get_axis(log.model, name) for name in AXES} for log in self._logs
+            ]
+            if seed is not None:  # drawn from the intervals
+                number = SEEDS.index(seed)
+                rng = np.random.default_rng(number % _MIRRORED)
+                sign = 1.0 if number < _MIRRORED else -1.0
+                models = [
+                    {name: robot_log.draw_model(a, rng, sign) for name, a in one.items()}
+                    for one in models
+                ]
+            self._models[seed] = models
+        first, second = (one[axis] for one in self._models[seed])
         if not second.is_known or not first.is_known:
             return second if second.is_known else first
-        motion = f" {MOTIONS[axis]}"
-        fields = [name for part in parts for name in list_part_fields(part.removesuffix(motion))]
+        motion = f" {robot_log.MOTIONS[axis]}"
+        fields = [
+            name for part in parts for name in robot_log.list_part_fields(part.removesuffix(motion))
+        ]
         return replace(second, **{name: getattr(first, name) for name in fields})
-
-
-def _draw_models(logs: Sequence[RobotLog], seed: int | None) -> list[dict[Axis, AxisModel]]:
-    """Return the axes of both robots, as identified or sampled from their intervals."""
-    models = [{axis: get_axis(log.model, axis) for axis in AXES} for log in logs]
-    if seed is None:
-        return models
-    number = SEEDS.index(seed)
-    rng = np.random.default_rng(number % _MIRRORED)
-    sign = 1.0 if number < _MIRRORED else -1.0
-    return [{axis: draw_model(model, rng, sign) for axis, model in one.items()} for one in models]
-
-
-def _place_times(base: Run, timed: Run) -> Times:
-    """Return times for the poses of a recording [ns], taken from those of another recording.
-
-    The first commands of both are at one time. Beyond the end of the other recording, its times
-    repeat. Half a period at either end is ignored.
-    """
-    time_ns = timed.poses.time_ns
-    if timed is base or len(time_ns) < 2:
-        return base.poses.time_ns
-    period_ns = int(np.median(np.diff(time_ns)))
-    first_ns = int(base.poses.time_ns[0]) - period_ns // 2
-    last_ns = int(base.poses.time_ns[-1]) + period_ns // 2
-    time_ns = time_ns - timed.commands.time_ns[0] + base.commands.time_ns[0]
-    again_ns = int(time_ns[-1] - time_ns[0]) + period_ns
-    low, high = (int((end_ns - time_ns[0]) // again_ns) for end_ns in (first_ns, last_ns))
-    repeated = (time_ns + np.arange(low, high + 1)[:, None] * again_ns).ravel()
-    return np.asarray(repeated[(repeated >= first_ns) & (repeated <= last_ns)])
 
 
 def _integrate(ways_m: Values, turns_rad: Values, places: Run) -> Values:

@@ -5,36 +5,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribute import attribute_scenario, divide_game
-from turtlelog.explain.attribution import (
-    SAME,
-    Attribution,
-    Resolution,
+from turtlelog.explain import answers
+from turtlelog.explain.answers import SEED, Attribution, Change, ExplainedDifference, Side
+from turtlelog.explain.attribute import attribute_scenario
+from turtlelog.explain.causes import (
     choose_metric,
+    draws_random,
+    find_changes,
     find_resolution,
+    set_values,
 )
-from turtlelog.explain.causes import draws_random, find_changes, set_values
-from turtlelog.explain.contributions import (
-    ORDERS,
-    find_steady_span,
-    ranges_over,
-    sample_game,
-    spread_starts,
-    subtract_values,
-    turn_start,
-)
-from turtlelog.explain.explained_difference import (
-    SEED,
-    Change,
-    DifferenceRange,
-    EffectShift,
-    ExplainedDifference,
-    Side,
-    find_departure,
-)
-from turtlelog.explain.game import SEEDS, ChangeGame, Play, Work, iterate_outcomes
+from turtlelog.explain.contributions import ORDERS, divide_game, sample_game, vary_both_starts
+from turtlelog.explain.game import SEEDS, ChangeGame, Work
 from turtlelog.explain.robot_difference import explain_robots
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
 from turtlelog.explain.scenario_from_log.resimulation import (
@@ -45,10 +31,12 @@ from turtlelog.explain.scenario_from_log.resimulation import (
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
+from turtlelog.replay import differences
+from turtlelog.replay.loop_replay import compare_ends
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
-from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate import declare_scenario
 
 MOST_EXACT: Final = 10
 """Largest number of groups of settings whose 1024 combinations are all simulated: 20 s for the
@@ -59,7 +47,6 @@ _AGREEMENT: Final = 0.1
 
 _ROUNDING: Final = 1e-12
 """Share of a value that a mean over equal values may differ by."""
-
 
 _NAMES: Final = ("the first run", "the second run")
 """Names of runs that have equal names."""
@@ -124,7 +111,9 @@ def explain_difference(
     unit = list_metrics(second.declaration)[metric].unit
     if first.is_lawless or second.is_lawless:
         return explain_robots(first, second, metric, unit, work)
-    if not trust_law and (untrusted := _list_untrusted(first, second)):
+    laws = [run.parameters.get("law.kind") for run in (first, second) if run.scenario_is_complete]
+    untrusted = [*dict.fromkeys(str(law) for law in laws if law and law not in LAWS)]
+    if untrusted and not trust_law:
         return _name_untrusted(first, second, metric, unit, untrusted)
     for run in (first, second):
         require_trust(run, trust_law=trust_law)
@@ -133,12 +122,19 @@ def explain_difference(
     if first.name == second.name:
         sides = [replace(s, name=n) for s, n in zip(sides, _NAMES, strict=True)]
     scenarios = [scenario for _, scenario in found]
+    value = max(abs(side.as_logged or 0.0) for side in sides)
+    resolutions = [
+        find_resolution(scenario, declare_scenario(scenario), metric, value)
+        for scenario in scenarios
+        if scenario is not None
+    ]
+    none = answers.Resolution(size=0.0, reason="no scenario is known")
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=_find_resolution(metric, sides, scenarios),
+        resolution=max(resolutions, key=lambda one: one.size, default=none),
     )
     one, other = scenarios
     if one is None or other is None:
@@ -165,18 +161,16 @@ def _answer_without_scenario(
         robots = explain_robots(first, second, found.metric, found.unit, work)
         if robots.contributions:
             return robots
+    names: dict[str, list[str]] = {}
+    for side in (found.first, found.second):
+        if side.basis is None:
+            names.setdefault(side.note, []).append(side.name)
     return replace(
         found,
-        withheld=_describe_unknown([found.first, found.second]),
+        withheld="; ".join(f"{join_words(who)}: {note}" for note, who in names.items()),
         has_same_settings=is_same,
         departure=find_departure(first, second) if is_same else None,
     )
-
-
-def _list_untrusted(*runs: Run) -> list[str]:
-    """Return the laws in the recorded scenarios that are not built in."""
-    laws = [str(run.parameters.get("law.kind", "")) for run in runs if run.scenario_is_complete]
-    return [*dict.fromkeys(law for law in laws if law and law not in LAWS)]
 
 
 def _name_untrusted(
@@ -193,7 +187,7 @@ def _name_untrusted(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=Resolution(size=0.0, reason="no run is simulated"),
+        resolution=answers.Resolution(size=0.0, reason="no run is simulated"),
         withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
         has_same_settings=is_same,
         departure=find_departure(first, second) if is_same else None,
@@ -211,37 +205,10 @@ def _name_untrusted(
 
 
 def _begin_side(run: Run, metric: str) -> Side:
-    """Return the values in a run's log."""
     logged = measure_run(run, only=[metric])[metric]
     return Side(
-        name=run.name,
-        as_logged=logged.value,
-        reason=logged.reason,
-        simulated_by=run.simulated_by,
+        name=run.name, as_logged=logged.value, reason=logged.reason, simulated_by=run.simulated_by
     )
-
-
-def _find_resolution(
-    metric: str, sides: Sequence[Side], scenarios: Sequence[Scenario | None]
-) -> Resolution:
-    """Return the larger resolution of two runs; 0 if no scenario is known."""
-    value = max(abs(side.as_logged or 0.0) for side in sides)
-    found = [
-        find_resolution(scenario, declare_scenario(scenario), metric, value)
-        for scenario in scenarios
-        if scenario is not None
-    ]
-    none = Resolution(size=0.0, reason="no scenario is known")
-    return max(found, key=lambda one: one.size, default=none)
-
-
-def _describe_unknown(sides: Sequence[Side]) -> str:
-    """Return the runs without a known scenario, with the reasons."""
-    names: dict[str, list[str]] = {}
-    for side in sides:
-        if side.basis is None:
-            names.setdefault(side.note, []).append(side.name)
-    return "; ".join(f"{join_words(who)}: {note}" for note, who in names.items())
 
 
 def _take_unknown(scenario: Scenario, other: Scenario, side: Side) -> Scenario:
@@ -260,7 +227,6 @@ def choose_common_metric(first: Run, second: Run) -> str:
 
 
 def _require_common_metric(first: Run, second: Run, metric: str) -> None:
-    """Require a metric that both runs have, in the same unit."""
     for run in (first, second):
         known = list_metrics(run.declaration)
         if metric not in known:
@@ -271,7 +237,6 @@ def _require_common_metric(first: Run, second: Run, metric: str) -> None:
 
 
 def _hold_same_settings(first: Run, second: Run) -> bool:
-    """Return whether the scenarios of two runs are equal apart from their names."""
     settings = [
         {key: value for key, value in run.parameters.items() if key != "name"}
         for run in (first, second)
@@ -321,12 +286,16 @@ def _divide(
     game = ChangeGame(second, found.metric, changes, first, work)
     own = ChangeGame(first, found.metric, {}, first, work)
     before, after = own.play_as_recorded().value, game.play_as_recorded().value
-    listed = tuple(_describe_change(one, second) for one in changes.values())
+    values, listed = flatten_scenario(second), list[Change]()
+    for name, change in changes.items():
+        keys = tuple(key for key, value in change.neutral.items() if value != values.get(key))
+        old, new = (tuple(side.get(key) for key in keys) for side in (change.neutral, values))
+        listed.append(Change(name=name, keys=keys, first=old, second=new))
     found = replace(
         found,
         first=replace(found.first, resimulated=before),
         second=replace(found.second, resimulated=after),
-        changes=listed,
+        changes=tuple(listed),
         difference=None if before is None or after is None else after - before,
     )
     base = Attribution(
@@ -343,45 +312,29 @@ def _divide(
     is_exact = len(changes) <= depth.most_exact
     divided = divide_game(base, game) if is_exact else sample_game(base, game)
     seeds = len(SEEDS) if game.is_random else 1
-    if divided.seeds is not None:
-        seeds = divided.seeds.used
     found = replace(
         found,
-        seeds=seeds,
+        seeds=seeds if divided.seeds is None else divided.seeds.used,
         orders=None if is_exact else ORDERS,
         without_value=divided.without_value,
         with_value=divided.with_value,
     )
-    obstacle = divided.withheld or _compare_with_logs(found)
-    if obstacle:
+    if obstacle := divided.withheld or _compare_with_logs(found):
         return replace(found, withheld=obstacle)
-    contributions = _list_contributions(found, divided, game, scenarios)
     found = replace(
         found,
-        contributions=contributions,
+        contributions=_list_contributions(found, divided, game, scenarios),
         changes=(),
         idle=tuple(k for one in listed if one.name not in divided.acting for k in one.keys),
         together=divided.together,
     )
     if depth.shows_starts and not game.is_random:
         size = found.resolution.size
-        starts = _vary_starts(scenarios, found.metric, found.difference or 0.0, size)
+        starts = vary_both_starts(scenarios, found.metric, found.difference or 0.0, size)
         found = replace(found, starts=starts)
     if depth.shows_effects:
         found = replace(found, effects=_shift_effects(scenarios, found.metric, work))
     return found
-
-
-def _describe_change(change: Cause, second: Scenario) -> Change:
-    values = flatten_scenario(second)
-    before = change.neutral
-    keys = tuple(key for key in before if before[key] != values.get(key))
-    return Change(
-        name=change.name,
-        keys=keys,
-        first=tuple(before[key] for key in keys),
-        second=tuple(values.get(key) for key in keys),
-    )
 
 
 def _list_contributions(
@@ -393,7 +346,7 @@ def _list_contributions(
     """Return the contributions of acting changes, the largest first, then that of the seeds."""
     listed = {one.name: one for one in found.changes}
     shares = [one for one in divided.contributions if one.cause in divided.acting]
-    shares.sort(key=lambda one: -abs(one.contribution or 0.0))
+    shares.sort(key=lambda one: -abs(one.size))
     contributions = [
         replace(
             listed[one.cause],
@@ -403,7 +356,7 @@ def _list_contributions(
         )
         for one in shares
     ]
-    rest = math.fsum([found.difference or 0.0, *(-(one.contribution or 0.0) for one in shares)])
+    rest = math.fsum([found.difference or 0.0, *(-one.size for one in shares)])
     if not game.is_random or abs(rest) <= _ROUNDING * abs(found.second.resimulated or 0.0):
         return tuple(contributions)
     seeds = tuple(one.seed for one in scenarios)
@@ -423,54 +376,66 @@ def _compare_with_logs(found: ExplainedDifference) -> str:
             return f"{side.name} has no value when it is simulated again"
         apart = max(apart, abs(side.as_logged - side.resimulated))
         largest = max(largest, abs(side.as_logged))
-    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), SAME * largest):
+    if apart <= max(_AGREEMENT * abs(found.difference or 0.0), answers.SAME * largest):
         return ""
     return "logs and re-simulations differ by more than a tenth of the difference"
 
 
-def _vary_starts(
-    scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
-) -> DifferenceRange | None:
-    """Return the range of the difference over starts within one sample's turn of the faster run."""
-    spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
-    offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
-    if not offsets_rad:
-        return None
-    plays = [
-        [Play(turn_start(scenario, by), is_finer=False, may_fail=True) for by in offsets_rad]
-        for scenario in scenarios
-    ]
-    values = [[one.value for one in iterate_outcomes(metric, side, jobs=1)] for side in plays]
-    apart = subtract_values(values[1], values[0])
-    spans = [span for one in (apart, *values) if (span := _find_span(one)) is not None]
-    if len(spans) < 3:
-        return None
-    return DifferenceRange(
-        count=len(offsets_rad),
-        within_rad=offsets_rad[-1],
-        difference=spans[0],
-        first=spans[1],
-        second=spans[2],
-        is_wide=ranges_over(apart, find_steady_span(apart, difference, resolution)),
-    )
-
-
-def _find_span(values: Sequence[float | None]) -> tuple[float, float] | None:
-    known = [value for value in values if value is not None]
-    return (min(known), max(known)) if known else None
-
-
 def _shift_effects(
     scenarios: Sequence[Scenario], metric: str, work: Work | None
-) -> tuple[EffectShift, ...]:
+) -> tuple[answers.EffectShift, ...]:
     """Return how the contributions of `explain` differ; empty if a run has no contributions."""
     found = [attribute_scenario(one, metric=metric, work=work) for one in scenarios]
     if any(one.withheld for one in found):
         return ()
-    tables = [{one.cause: one.contribution or 0.0 for one in side.contributions} for side in found]
+    tables = [{one.cause: one.size for one in side.contributions} for side in found]
     shifts = [
-        EffectShift(cause=name, first=tables[0].get(name, 0.0), second=tables[1].get(name, 0.0))
+        answers.EffectShift(
+            cause=name, first=tables[0].get(name, 0.0), second=tables[1].get(name, 0.0)
+        )
         for name in {**tables[0], **tables[1]}
     ]
     acting = [one for one in shifts if one.first or one.second]
     return tuple(sorted(acting, key=lambda one: -abs(one.shift)))
+
+
+_PARTS: Final[Mapping[str, answers.Part]] = {
+    **dict.fromkeys(("stop", "samples", "poses", "commands"), "end"),
+    **dict.fromkeys(("sample_time", "pose_read", "command_time"), "timing"),
+    **dict.fromkeys(differences.SENSED, "sensor"),
+    **dict.fromkeys(("x", "y", "heading", "applied_speed", "applied_turn_rate"), "robot"),
+}
+"""Parts by the signal that differs; every other signal belongs to the controller."""
+
+
+def find_departure(first: Run, second: Run) -> answers.Departure | None:
+    """Return the first difference of two runs; None if all their common data are equal.
+
+    Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
+    samples read are compared.
+    """
+    by_tick = differences.has_ticks(first) and differences.has_ticks(second)
+    pair = differences.pair_by_tick if by_tick else differences.pair_by_sample
+    # Rows are matched by sample number. At equal times, causes come before their consequences.
+    is_whole = not differences.count_missing_samples(second.samples)
+    pairings = [one for one in pair(first, second) if len(one.time_ns)] if is_whole else []
+    found = [differences.compare_pairing(one, tolerance=0.0).first_difference for one in pairings]
+    for name, count in differences.count_recorded_rows(first, second, by_tick=by_tick).items():
+        apart = differences.find_count_difference(first, name, count)
+        end_ns = min(first.end_ns, second.end_ns)
+        found.append(apart and replace(apart, time_ns=end_ns))
+    earliest = differences.find_earliest([*found, compare_ends(first, second.stop_reason)])
+    if earliest is None:
+        return None
+    part = _PARTS.get(earliest.signal, "controller")
+    if part == "robot" and earliest.time_ns <= first.poses.time_ns[0]:
+        part = "start"
+    return answers.Departure(
+        part=part,
+        signal=earliest.signal,
+        unit=next((one.unit for one in pairings if one.signal == earliest.signal), ""),
+        time_s=float(earliest.time_ns - first.start_ns) / 1e9,
+        first=earliest.recorded,
+        second=earliest.replayed,
+        samples=int(np.searchsorted(first.samples.time_ns, earliest.time_ns)),
+    )

@@ -21,13 +21,7 @@ from urllib.parse import urlsplit
 from turtlelog.errors import RemoteError
 from turtlelog.escapes import show_url
 from turtlelog.files import requests
-from turtlelog.files.requests import (
-    AnswerError,
-    NoRangesError,
-    ReplacedError,
-    open_system,
-    try_thrice,
-)
+from turtlelog.files.requests import AnswerError, NoRangesError, ReplacedError, try_thrice
 from turtlelog.files.urls import RemoteNote, format_size
 
 T = TypeVar("T")
@@ -73,7 +67,7 @@ class RemoteFile:
             RemoteError: If the file does not exist or cannot be reached.
             LibraryError: If the library for such URLs is not installed.
         """
-        self._system, self._path = open_system(url)
+        self._system, self._path = requests.open_system(url)
         self._url, self._most = url, most
         self._ends: dict[int, bytes] = {}
         self._copy: IO[bytes] | None = None
@@ -161,8 +155,8 @@ class RemoteFile:
         return start, data
 
     def _fetch_once(self, start: int, end: int) -> bytes:
-        if self._http is not None:
-            return self._http.fetch(start, end)
+        if (http := self._http) is not None:
+            return http.run(lambda: http.fetch(start, end))
         self._file.seek(start)
         data = bytes(self._file.read(end - start))
         if len(data) != end - start:
@@ -181,19 +175,16 @@ class RemoteFile:
     def _copy_once(self) -> IO[bytes]:
         with ExitStack() as undoing:
             copy = undoing.enter_context(tempfile.TemporaryFile())
-            if self._http is not None:
-                self._http.copy(cast("BinaryIO", copy), self._most)
+            if (http := self._http) is not None:
+                http.run(lambda: http.copy(cast("BinaryIO", copy), self._most))
             else:
-                self._copy_stream(copy)
+                with self._system.open(self._path, "rb") as source:
+                    while data := source.read(_WINDOW // 8):
+                        copy.write(data)
+                        if copy.tell() > self._most:
+                            raise AnswerError(_describe_too_long(self._most))
             undoing.pop_all()
         return copy
-
-    def _copy_stream(self, copy: IO[bytes]) -> None:
-        with self._system.open(self._path, "rb") as source:
-            while data := source.read(_WINDOW // 8):
-                copy.write(data)
-                if copy.tell() > self._most:
-                    raise AnswerError(_describe_too_long(self._most))
 
 
 class RangeStream(io.RawIOBase):
@@ -294,22 +285,10 @@ class _HttpFile:
         self._marks: dict[str, str] | None = None
         self.size: int | None = None
         self.head, self.has_ranges = b"", True
-        self._run(self._ask_first)
+        self.run(self._ask_first)
 
-    def fetch(self, start: int, end: int) -> bytes:
-        """Return a range of bytes.
-
-        Raises:
-            NoRangesError: If the server sends the whole file instead.
-            AnswerError: If the server sends other bytes than the requested bytes.
-        """
-        return self._run(lambda: self._fetch(start, end))
-
-    def copy(self, target: BinaryIO, most: int) -> None:
-        """Write the whole file into another, at most so many bytes if no length was announced."""
-        self._run(lambda: self._copy(target, most))
-
-    def _run(self, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
+    def run(self, work: Callable[[], Coroutine[Any, Any, T]]) -> T:
+        """Return the result of one of the requests below."""
         from fsspec.asyn import sync
 
         found: T = sync(self._system.loop, work)
@@ -328,7 +307,12 @@ class _HttpFile:
         address = self._system.encode_url(self._url)
         answer = await asyncio.wait_for(session.get(address, **options), requests.STALL_S)
         try:
-            _require_good(answer)
+            if answer.status not in {200, 206, 416}:
+                answer.raise_for_status()
+                raise _deny(f"status {answer.status}", "the file")
+            encoding = answer.headers.get("Content-Encoding", "").lower()
+            if encoding not in {"", "identity"}:
+                raise _deny(f"bytes compressed with {encoding[:20]}", "the bytes of the file")
             self._require_same(answer)
             yield answer
         finally:
@@ -352,7 +336,13 @@ class _HttpFile:
                     answer, _HEAD if length is None else min(_HEAD, length)
                 )
 
-    async def _fetch(self, start: int, end: int) -> bytes:
+    async def fetch(self, start: int, end: int) -> bytes:
+        """Return a range of bytes.
+
+        Raises:
+            NoRangesError: If the server sends the whole file instead.
+            AnswerError: If the server sends other bytes than the requested bytes.
+        """
         async with self._ask((start, end)) as answer:
             if answer.status == 200:
                 raise NoRangesError
@@ -365,7 +355,8 @@ class _HttpFile:
                 raise _deny(f"bytes {found[0]} to {found[1]}", f"bytes {start} to {end}")
             return await _read_exactly(answer, end - start, _read_length(answer))
 
-    async def _copy(self, target: BinaryIO, most: int) -> None:
+    async def copy(self, target: BinaryIO, most: int) -> None:
+        """Write the whole file into another, at most so many bytes if no length was announced."""
         async with self._ask(None) as answer:
             if answer.status != 200:
                 raise _deny(f"status {answer.status}", "the whole file")
@@ -386,9 +377,7 @@ class _HttpFile:
         found = {name: answer.headers[name] for name in _MARKS if name in answer.headers}
         first = self._marks = self._marks or found
         shared = next((name for name in _MARKS if name in first and name in found), None)
-        if shared is not None and first[shared].removeprefix("W/") != found[shared].removeprefix(
-            "W/"
-        ):
+        if shared and len({of[shared].removeprefix("W/") for of in (first, found)}) > 1:
             raise ReplacedError
 
 
@@ -398,16 +387,6 @@ def _describe_too_long(most: int) -> str:
         f"expected at most {format_size(most)}, found a file that is longer;"
         " --max-download SIZE allows more"
     )
-
-
-def _require_good(answer: Any) -> None:
-    """Refuse a response that does not contain the plain bytes of the file."""
-    if answer.status not in {200, 206, 416}:
-        answer.raise_for_status()
-        raise _deny(f"status {answer.status}", "the file")
-    encoding = answer.headers.get("Content-Encoding", "").lower()
-    if encoding not in {"", "identity"}:
-        raise _deny(f"bytes compressed with {encoding[:20]}", "the bytes of the file")
 
 
 def _deny(found: str, expected: str) -> AnswerError:

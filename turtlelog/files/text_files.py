@@ -67,34 +67,28 @@ def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
             reason.
         UnicodeDecodeError: If the file is not text.
     """
-    path = make_path(path)
-    if isinstance(path, RemotePath):
-        return _decode(_read_url(path, most + 1), most)
-    mode = path.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode) or stat.S_ISDIR(mode)):
-        raise OSError(errno.EINVAL, "a device")
-    if stat.S_ISFIFO(mode):
-        data = _read_pipe(path, most + 1)
-    else:
-        with path.open("rb") as stream:
-            data = stream.read(most + 1)
-    return _decode(data, most)
-
-
-def _read_url(path: RemotePath, most: int) -> bytes:
-    try:
-        with path.file.open() as stream:
-            return stream.read(most)
-    except RemoteError as err:
-        raise OSError(errno.EIO, str(err).partition("found ")[2]) from err
-
-
-def _decode(data: bytes, most: int) -> str:
+    data = _read_bytes(make_path(path), most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than {most:,} bytes")
     if data.startswith(LFS_POINTER):
         raise OSError(errno.EINVAL, "a Git LFS pointer, not the file: git lfs pull")
     return data.decode("utf-8-sig")
+
+
+def _read_bytes(path: Path, most: int) -> bytes:
+    if isinstance(path, RemotePath):
+        try:
+            with path.file.open() as stream:
+                return stream.read(most)
+        except RemoteError as err:
+            raise OSError(errno.EIO, str(err).partition("found ")[2]) from err
+    mode = path.stat().st_mode
+    if stat.S_ISFIFO(mode):
+        return _read_pipe(path, most)
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "a device")
+    with path.open("rb") as stream:
+        return stream.read(most)
 
 
 def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
@@ -157,7 +151,8 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(describe_error(err).removeprefix("TOMLDecodeError: ")) from err
     level: list[Any] = [tables]
     for _ in range(_DEEPEST + 1):
-        level = [inner for outer in level for inner in _list_inner(outer)]
+        held = (one.values() if isinstance(one, dict) else one for one in level)
+        level = [inner for one in held for inner in one if isinstance(inner, dict | list)]
     if level:
         raise ValueError(deep)
     return tables
@@ -223,12 +218,6 @@ def _join_entries(found: re.Match[str]) -> str:
     lines = textwrap.wrap(f"{line},", _LINE_LENGTH, break_long_words=False, break_on_hyphens=False)
     indent = found["indent"]
     return "\n".join(["[", *(f"{indent}    {one}" for one in lines), f"{indent}]"])
-
-
-def _list_inner(value: Any) -> list[Any]:
-    """Return the tables and arrays within a table or an array."""
-    inner = value.values() if isinstance(value, dict) else value
-    return [found for found in inner if isinstance(found, dict | list)]
 
 
 def _read_pipe(path: Path, most: int) -> bytes:

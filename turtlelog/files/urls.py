@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
 
@@ -88,17 +89,8 @@ class _ShownUrl(str):
 
     path: "RemotePath"
 
-    def __reduce__(self) -> tuple[Any, tuple[str, int]]:
-        return _show_path, (self.path.url, self.path.max_download)
-
-
-def _show_path(url: str, most: int) -> str:
-    return str(_load_path(url, most))
-
-
-def _load_path(url: str, most: int) -> "RemotePath":
-    """Restore a pickled path with its download limit."""
-    return RemotePath(url, max_download=most)
+    def __reduce__(self) -> tuple[Any, tuple["RemotePath"]]:
+        return str, (self.path,)
 
 
 class RemotePath(_LocalPath):
@@ -145,8 +137,8 @@ class RemotePath(_LocalPath):
     def __hash__(self) -> int:
         return hash(self.url)
 
-    def __reduce__(self) -> tuple[Any, tuple[str, int]]:
-        return _load_path, (self.url, self.max_download)
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return partial(RemotePath, max_download=self.max_download), (self.url,)
 
     def split_topic(self) -> tuple["RemotePath", str | None]:
         """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.

@@ -1,4 +1,4 @@
-"""Reading and writing of runs: formats, columns of any file, importers, recovery, recording."""
+"""Reading and writing of runs: formats, columns of any file, tables, recovery, recording."""
 
 from turtlelog.libraries import attach_names
 

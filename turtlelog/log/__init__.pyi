@@ -2,6 +2,7 @@ from .any_file import (
     read_as_chosen as read_as_chosen,
     read_file_info as read_file_info,
     read_run as read_run,
+    read_trajectory as read_trajectory,
 )
 from .engine.topic_columns import (
     TopicColumns as TopicColumns,
@@ -10,6 +11,10 @@ from .engine.topic_columns import (
 )
 from .engine.walk import (
     Loss as Loss,
+)
+from .exported_tables import (
+    holds_tables as holds_tables,
+    import_tables as import_tables,
 )
 from .exporters import (
     export_csv as export_csv,
@@ -25,12 +30,22 @@ from .file_info import (
     TopicInfo as TopicInfo,
     read_info as read_info,
 )
-from .importers import (
-    import_log as import_log,
-    import_plain_table as import_plain_table,
-)
 from .mcap_writer import (
     write_columns as write_columns,
+)
+from .paper_log import (
+    import_log as import_log,
+    is_papers as is_papers,
+)
+from .plain_tables import (
+    KITTI_COLUMNS as KITTI_COLUMNS,
+    PlainTable as PlainTable,
+    import_plain_table as import_plain_table,
+    read_plain_table as read_plain_table,
+)
+from .planar_poses import (
+    JOINTS as JOINTS,
+    POSE_TYPES as POSE_TYPES,
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
@@ -63,6 +78,8 @@ from .ros2 import (
     read_bag as read_bag,
     read_surroundings as read_surroundings,
 )
-from .trajectories import (
-    read_trajectory as read_trajectory,
+from .table_columns import (
+    Cells as Cells,
+    assign_columns as assign_columns,
+    read_time as read_time,
 )

@@ -1,4 +1,4 @@
-"""Reading of any file as a run. The file's content determines its kind."""
+"""Reading of any file as a run or a trajectory. The file's content determines its kind."""
 
 import warnings
 from contextlib import suppress
@@ -6,11 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Unpack, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog import log, run as runs
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
-from turtlelog.files.urls import make_path
-from turtlelog.log import importers, recording, ros2
+from turtlelog.files.urls import RemotePath, make_path
+from turtlelog.log import recording, ros2
 from turtlelog.log.engine.opening import is_bag_file
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
@@ -26,7 +31,8 @@ from turtlelog.log.read_choice import (
 from turtlelog.log.recording.topics import COMMAND, POSE
 
 if TYPE_CHECKING:
-    from turtlelog.run import Run
+    from turtlelog.log import Cells, PlainTable
+    from turtlelog.run import Run, Trajectory
 
 LOG_SUFFIXES: Final = frozenset({".json", ".csv", ".parquet", ".tsv", ".tum", ".txt"})
 """Suffixes of logs and tables."""
@@ -69,14 +75,10 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     # A recording by turtlelog contains more than poses and commands: asking for these loses
     # nothing.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
-    asked = [None if name is None else match_topic(name, {usual}) for name, usual in pairs]
-    is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
-    robot = None if choice.robot == _OWN_ROBOT else choice.robot
-    others = (
-        *(choice.path_topic, choice.pose_frame, choice.world_frame, robot),
-        *(choice.wheel_joints, choice.wheels),
-    )
-    is_usual = is_usual and all(one is None for one in others)
+    is_usual = all(name is None or match_topic(name, {usual}) == usual for name, usual in pairs)
+    frames = choice.pose_frame, choice.world_frame
+    others = choice.path_topic, *frames, choice.wheel_joints, choice.wheels
+    is_usual &= choice.robot in {None, _OWN_ROBOT} and all(one is None for one in others)
     # A file that should be a recording and is not MCAP gets an error that says so.
     if is_usual or not (path.is_dir() or is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
@@ -88,11 +90,11 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
 def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
     """Return the run in tables by turtlelog, or else in a log of the paper or a plain table."""
     if is_own:
-        return importers.import_tables(path)
+        return log.import_tables(path)
     # With the user's mapping of columns, a file is no log of the paper.
-    if path.suffix.lower() == ".json" or (not choice.columns and importers.is_papers(path)):
-        return importers.import_log(path)
-    return importers.import_plain_table(path, choice.columns)
+    if path.suffix.lower() == ".json" or (not choice.columns and log.is_papers(path)):
+        return log.import_log(path)
+    return log.import_plain_table(path, choice.columns)
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -113,30 +115,21 @@ def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
     """Return the run in a file, as `read_run` does, or of a preset. Notes describe lost data."""
-    if not make_path(path).exists() and (run := _simulate_preset(str(path))) is not None:
-        return run
+    if not make_path(path).exists():
+        from turtlelog.scenario import PRESETS, get_preset  # no file needs it
+
+        if (name := str(path)) in PRESETS:
+            from turtlelog.simulate import simulate_run
+
+            run = simulate_run(get_preset(name))
+            return replace(run, notes={**run.notes, "preset": "a preset, simulated first"})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", recording.PartialRecordingWarning)
         return read_run(path, **_list_options(choice))
 
 
-def _simulate_preset(name: str) -> "Run | None":
-    """Return the simulated run of a preset, with a note; None for any other name."""
-    from turtlelog.scenario import PRESETS, get_preset  # no file needs it
-
-    if name not in PRESETS:
-        return None
-    from turtlelog.simulate import simulate_run
-
-    run = simulate_run(get_preset(name))
-    return replace(run, notes={**run.notes, "preset": "a preset, simulated first"})
-
-
 def _list_options(choice: ReadChoice) -> ReadOptions:
-    return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
-
-
-_OPTIONS: Final = tuple(ReadOptions.__annotations__)
+    return cast("ReadOptions", {one: getattr(choice, one) for one in ReadOptions.__annotations__})
 
 
 def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> RecordingInfo:
@@ -200,7 +193,7 @@ def _recognise(path: Path) -> tuple[bool, bool]:
                 " makes one of a scenario"
             )
         # Table readers are loaded only for what may contain tables.
-        has_tables = (suffix in LOG_SUFFIXES or is_folder) and importers.holds_tables(path)
+        has_tables = (suffix in LOG_SUFFIXES or is_folder) and log.holds_tables(path)
     return has_tables, suffix in LOG_SUFFIXES and not is_folder and not is_bag_file(path)
 
 
@@ -223,3 +216,145 @@ def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
                 if read_info(files[0]).format_version is None:
                     return None
         raise
+
+
+_FRAME_NS: Final = 1_000_000_000
+"""Time between poses of a trajectory without times [ns], so that times and indices are of one
+kind."""
+
+_MOST_SKEW: Final = 0.01
+"""Largest entry of R^T R - 1 of a matrix that is accepted as a rotation.
+
+KITTI's files have six digits after the point, which gives 1e-5; another layout of twelve numbers
+gives about 1."""
+
+_QUATERNION: Final = ("qw", "qx", "qy", "qz")
+_LONGEST_TIMES: Final = 64 * 2**20
+"""Largest file of times [bytes]: 2 million lines of 32 bytes, more than 50 hours at 10 Hz."""
+
+
+def read_trajectory(
+    path: str | Path, choice: ReadChoice | None = None, *, times: Path | None = None
+) -> "Trajectory":
+    """Return the poses of a file, with heights and rotations if the file has them.
+
+    Rows with NaN are dropped. Rows are sorted by time, and of rows with equal times only the first
+    is kept. The notes give the counts. Poses of bags are timed by usable stamps in their headers.
+
+    Args:
+        path: A trajectory in TUM, KITTI or EuRoC format, or any file that `read_run` reads;
+            FILE:TOPIC for one topic of a bag.
+        choice: Selection as for `read_run`.
+        times: File with the time of each pose [s] for a KITTI trajectory, which has no times.
+
+    Raises:
+        LogError: If the file cannot be read. One line with the file and the place.
+    """
+    choice = choice or ReadChoice()
+    file, topic = split_topic(path)
+    if topic is None and _is_plain_table(file, choice):
+        with name_file(file, expected="a trajectory"):
+            table = log.read_plain_table(file)
+            if table.names == log.KITTI_COLUMNS and not table.has_header:
+                return _build_kitti(file, table, times)
+            chosen = log.assign_columns(table.names, choice.columns, table.units)
+            if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
+                return _build_from_table(file, log.Cells(table, chosen))
+    bag = None
+    if file.exists() and (file.is_dir() or is_bag_file(file)):
+        with suppress(LogError):  # the reader of the run gives the error
+            bag = ros2.open_bag(file)
+    is_own = bag is not None and any(info.format_version is not None for info in bag.infos.values())
+    # A turtlelog recording is read as a run; if a topic is named, like any bag.
+    asked = choice if topic is None else replace(choice, pose_topic=topic)
+    if bag is not None and (asked.pose_topic is not None or not is_own):
+        found = ros2.read_bag_trajectory(bag, asked, names_topic=topic is not None)
+        if found is not None:
+            return found
+    run = read_as_chosen(path, choice)
+    planar = runs.build_planar_trajectory(run)
+    return replace(
+        planar, notes={name: run.notes[name] for name in (CHOSEN, UNUSED) if name in run.notes}
+    )
+
+
+def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
+    """Return whether a file is a table that is neither turtlelog's nor the paper's."""
+    if isinstance(path, RemotePath) or path.suffix.lower() == ".json" or path.is_dir():
+        return False
+    if not path.exists() or (path.suffix.lower() not in LOG_SUFFIXES) or is_bag_file(path):
+        return False
+    if choice.columns:
+        return True
+    with name_file(path, expected="a trajectory"):
+        return not (log.holds_tables(path) or log.is_papers(path))
+
+
+def _build_from_table(path: Path, cells: "Cells") -> "Trajectory":
+    xyz_m = np.column_stack([cells.require(name) for name in "xyz"])
+    turns = np.column_stack([cells.require(name) for name in _QUATERNION])
+    with np.errstate(over="ignore"):
+        empty = (turns**2).sum(axis=1) == 0.0
+    if empty.any():
+        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    notes = {CHOSEN: cells.describe()} if cells.table.has_header else {}
+    return runs.build_trajectory(path.stem, cells.time_ns, xyz_m, turns, notes=notes)
+
+
+def _build_kitti(path: Path, table: "PlainTable", times: Path | None) -> "Trajectory":
+    columns = table.columns.read(range(len(table.names)))
+    values = np.empty((len(columns[0]), len(columns)))
+    for place, cells in enumerate(columns):
+        for row, cell in enumerate(cells):
+            try:
+                values[row, place] = float(cell)
+            except ValueError as err:
+                line = table.columns.lines[row]
+                raise LogError(
+                    f"line {line}, column {place + 1}: expected a number, found {str(cell)[:40]!r}"
+                ) from err
+    matrices = values.reshape(-1, 3, 4)
+    rotations = matrices[:, :, :3]
+    known = np.isfinite(values).all(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        skew = np.abs(np.einsum("nji,njk->nik", rotations, rotations) - np.eye(3)).max(axis=(1, 2))
+        is_rotation = (skew <= _MOST_SKEW) & (np.linalg.det(np.nan_to_num(rotations)) > 0.0)
+    wrong = known & ~is_rotation
+    if wrong.any():
+        line = table.columns.lines[int(wrong.argmax())]
+        raise LogError(
+            f"line {line}: expected 12 numbers of a KITTI pose (r11 r12 r13 tx r21 ...), found a"
+            " matrix that is no rotation"
+        )
+    turns = np.full((len(values), 4), np.nan)
+    turns[known] = runs.find_quaternions(rotations[known])
+    if times is not None:
+        time_ns = _read_times(times, len(values))
+        return runs.build_trajectory(path.stem, time_ns, matrices[:, :, 3], turns, notes={})
+    time_ns = np.arange(len(values), dtype=np.int64) * _FRAME_NS
+    found = runs.build_trajectory(path.stem, time_ns, matrices[:, :, 3], turns, notes={})
+    return replace(found, clock="frame")
+
+
+def _read_times(path: Path, count: int) -> NDArray[np.int64]:
+    """Return the times of poses [ns] from a file with one time [s] per line."""
+    found: list[int] = []
+    with name_file(path, expected="a file of times"), open_file(path) as stream:
+        data = stream.read(_LONGEST_TIMES + 1)
+        if len(data) > _LONGEST_TIMES:
+            raise LogError(f"a file of times has at most {_LONGEST_TIMES // 2**20} MiB")
+        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
+        kept = [
+            (number, line) for number, line in lines if line.strip() and line.lstrip()[0] != "#"
+        ]
+        if len(kept) != count:
+            raise LogError(
+                f"expected a time for each of {describe_count(count, 'pose')}, found"
+                f" {describe_count(len(kept), 'line')}"
+            )
+        for number, line in kept:
+            time_ns = log.read_time(line.strip(), 9)
+            if time_ns is None:
+                raise LogError(f"line {number}: expected a time in s, found {line[:40]!r}")
+            found.append(time_ns)
+    return np.array(found, dtype=np.int64)

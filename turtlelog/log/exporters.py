@@ -1,8 +1,10 @@
 """Export of runs for other programs: rosbag2 folders, CSV, Parquet, TUM trajectories."""
 
 import csv
+import json
+import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +20,7 @@ from turtlelog.log.file_access import create_folder, name_write_error, replace_w
 from turtlelog.log.file_info import survey_file
 from turtlelog.log.parquet_file import MOST_ROWS
 from turtlelog.log.recording.run_writer import write_recording
-from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
+from turtlelog.log.ros2.bag_files import METADATA_FILE, METADATA_ROOT
 from turtlelog.run import TABLES, Run, tabulate_run
 from turtlelog.run.tables import iterate_arrow
 
@@ -197,3 +199,86 @@ def _write_parquet(run: Run, table: str, path: Path) -> None:
     ):
         for part in chain([first], parts):
             writer.write_table(part)
+
+
+_PLAIN: Final = re.compile(r"[\w/.][\w/.-]*", re.ASCII)
+"""Text in names of topics and types that YAML can only read as text."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagTopic:
+    """A topic of a bag: name, message type, hash of the type, number of messages."""
+
+    name: str
+    type: str
+    type_hash: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagPart:
+    """A file of a bag: name, time of the first message [ns], duration [ns], number of messages."""
+
+    name: str
+    start_ns: int
+    duration_ns: int
+    count: int
+
+
+def format_bag_metadata(
+    files: Sequence[BagPart], topics: Sequence[BagTopic], *, compression: str = ""
+) -> str:
+    """Return the metadata.yaml of a bag of MCAP files.
+
+    Version 8 is the newest with quality of service as text, which Humble and Jazzy both read. An
+    empty text, as in the file's channels, lets the player choose. Readers of earlier format
+    versions skip the keys that later versions added.
+
+    Args:
+        files: Files in order of time.
+        topics: Topics of all files.
+        compression: `message` if rosbag2 compressed messages one by one.
+    """
+    start_ns = min(part.start_ns for part in files)
+    end_ns = max(part.start_ns + part.duration_ns for part in files)
+    count = sum(topic.count for topic in topics)
+    lines = ["version: 8", "storage_identifier: mcap"]
+    lines += [*_format_span(start_ns, end_ns - start_ns, count), "topics_with_message_count:"]
+    for topic in topics:
+        type_hash = topic.type_hash or '""'
+        lines += [
+            "  - topic_metadata:",
+            f"      name: {_format_text(topic.name)}",
+            f"      type: {_format_text(topic.type)}",
+            "      serialization_format: cdr",
+            '      offered_qos_profiles: ""',
+            f"      type_description_hash: {type_hash}",
+            f"    message_count: {topic.count}",
+        ]
+    codec, mode = ("zstd", compression.upper()) if compression else ('""', '""')
+    lines += [f"compression_format: {codec}", f"compression_mode: {mode}"]
+    lines += ["relative_file_paths:", *(f"  - {_quote(part.name)}" for part in files), "files:"]
+    for part in files:
+        span = _format_span(part.start_ns, part.duration_ns, part.count)
+        lines += [f"  - path: {_quote(part.name)}", *(f"    {line}" for line in span)]
+    lines += ["custom_data: ~", 'ros_distro: ""']
+    return "\n".join([f"{METADATA_ROOT}:", *(f"  {line}" for line in lines), ""])
+
+
+def _format_span(start_ns: int, duration_ns: int, count: int) -> list[str]:
+    return [
+        "starting_time:",
+        f"  nanoseconds_since_epoch: {start_ns}",
+        "duration:",
+        f"  nanoseconds: {duration_ns}",
+        f"message_count: {count}",
+    ]
+
+
+def _format_text(value: str) -> str:
+    return value if _PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=False)
+
+
+def _quote(value: str) -> str:
+    """Return text in quotes, so that YAML reads it as text."""
+    return "'" + value.replace("'", "''") + "'"

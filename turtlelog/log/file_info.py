@@ -225,15 +225,9 @@ def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
     """
     present = [found for found in topics if found.count]
     held = {found.topic for found in present}
-    places = {
-        "samples": CONTROL,
-        "goal_xy_m": GOAL,
-        "goal_heading_rad": GOAL,
-        "parameters": None,
-        "stop_reason": None,
-        "events": EVENT,
-    }
-    absent = [name for name, topic in places.items() if topic is None or topic.name not in held]
+    places = {"samples": CONTROL, "goal_xy_m": GOAL, "goal_heading_rad": GOAL}
+    absent = [name for name, topic in places.items() if topic.name not in held]
+    absent += ["parameters", "stop_reason", *([] if EVENT.name in held else ["events"])]
     is_readable = any(not found.reason for found in present)
     return tuple(absent if is_readable else ["poses", "commands", *absent])
 
@@ -269,15 +263,9 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
     """
     try:
         return _survey_source(stream)
-    except UnfinishedError:
-        return _survey_damaged(stream)
-    except DamageError:
-        if not allow_partial:
+    except DamageError as err:
+        if not allow_partial and not isinstance(err, UnfinishedError):
             raise
-        return _survey_damaged(stream)
-
-
-def _survey_damaged(stream: BinaryIO) -> Survey:
     allowance = Allowance(measure_stored(stream))
     survey = Survey(catalogue=Catalogue(allowance), is_finished=False)
     _walk(stream, survey, allowance, survey.damages)

@@ -113,29 +113,21 @@ def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> s
     of_recording = (*_OF_TABLES, "time", "wheelbase")
     never = {"table": _OF_BAGS, "recording": of_recording, "bag": _OF_TABLES}[kind]
     reasons = {"table": "this is a table", "recording": "this is a turtlelog recording"}
-    reason = reasons.get(kind, "this is no table")
-    parts = (
-        [f"{_join_options(choice, names)} not used: {reason}"]
-        if (names := [name for name in given if name in never])
-        else []
-    )
+    parts = []
+    if names := [name for name in given if name in never]:
+        texts = [
+            f"--column {', '.join(choice.columns)}"
+            if name == "columns"
+            else f"--{name.replace('_', '-')}"
+            for name in names
+        ]
+        verb = "is" if len(texts) == 1 else "are"
+        reason = reasons.get(kind, "this is no table")
+        parts.append(f"{join_words(texts)} {verb} not used: {reason}")
     if kind == "bag" and "wheelbase" in given and "ackermann_msgs" not in commands:
-        found = (
-            f"the commands on {commands} are turn rates" if commands else "no commands were read"
-        )
-        parts.append(f"--wheelbase is not used: {found}")
+        found = f"the commands on {commands} are turn rates"
+        parts.append(f"--wheelbase is not used: {found if commands else 'no commands were read'}")
     return "; ".join(parts)
-
-
-def _join_options(choice: ReadChoice, names: Collection[str]) -> str:
-    """Return options as they are typed, and the verb that follows them."""
-    texts = [
-        f"--column {', '.join(choice.columns)}"
-        if name == "columns"
-        else f"--{name.replace('_', '-')}"
-        for name in names
-    ]
-    return f"{join_words(texts)} {'is' if len(texts) == 1 else 'are'}"
 
 
 def split_topic(path: str | Path) -> tuple[Path, str | None]:
@@ -181,7 +173,7 @@ def parse_joints(text: str) -> tuple[str, str]:
 
 def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
     """Return the radius of wheels and the distance between them [m]."""
-    if len(values) != 2 or not all(map(_is_length, values)):
+    if len(values) != 2 or not all(0.0 < value < math.inf for value in values):
         raise LogError(
             f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
             f" {values!r:.60}"
@@ -191,11 +183,6 @@ def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
 
 def parse_wheelbase(value: float) -> float:
     """Return the distance between the axles [m]."""
-    if not _is_length(value):
+    if not 0.0 < value < math.inf:
         raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
     return float(value)
-
-
-def _is_length(value: float) -> bool:
-    """Return whether a number can be a length [m]."""
-    return 0.0 < value < math.inf

@@ -25,8 +25,7 @@ from turtlelog.log.file_access import create_folder, name_file, replace_when_com
 from turtlelog.log.mcap_writer import LIBRARY
 from turtlelog.log.recording.head import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
-from turtlelog.log.ros2 import METADATA_FILE
-from turtlelog.log.ros2.bag import list_present_files, read_compression
+from turtlelog.log.ros2.bag_files import METADATA_FILE, list_present_files, read_compression
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

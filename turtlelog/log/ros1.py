@@ -70,6 +70,8 @@ chunk contains one large message.
 """
 
 _MOST_CONNECTIONS: Final = 2**16 - 1
+_IN_RECORD: Final = "expected whole records in a chunk, found the end within one"
+_NO_FIELD: Final = "expected fields of a name and a value, found others"
 
 
 class _EndError(Exception):
@@ -168,13 +170,9 @@ def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
 def _take(copy: _Copy, operation: int, header: Mapping[str, bytes], data: bytes) -> None:
     if operation == _CHUNK:
         for inner, part in _iterate_records(_unpack(copy, header, data)):
-            _take_inner(copy, _find(inner, "op", 1)[0], inner, part)
-    else:
-        _take_inner(copy, operation, header, data)
-
-
-def _take_inner(copy: _Copy, operation: int, header: Mapping[str, bytes], data: bytes) -> None:
-    if operation == _MESSAGE:
+            if (kind := _find(inner, "op", 1)[0]) != _CHUNK:
+                _take(copy, kind, inner, part)
+    elif operation == _MESSAGE:
         _take_message(copy, header, data)
     elif operation == _CONNECTION:
         _take_connection(copy, header, data)
@@ -189,12 +187,12 @@ def _unpack(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> bytes:
         copy.bz2_left -= len(found)
         spend(len(found))
         return found
-    if compression not in {"none", "lz4"}:
+    if compression == "lz4":
+        return unpack_chunk(compression, data, claimed, largest=largest, spend=spend)
+    if compression != "none":
         raise LogError(f"expected the compression none, bz2 or lz4, found {compression[:20]!r}")
-    if compression == "none":
-        spend(len(data))
-        return data
-    return unpack_chunk(compression, data, claimed, largest=largest, spend=spend)
+    spend(len(data))
+    return data
 
 
 def _unpack_bz2(data: bytes, most: int) -> bytes:
@@ -218,17 +216,22 @@ def _unpack_bz2(data: bytes, most: int) -> bytes:
 
 def _iterate_records(data: bytes) -> Iterator[tuple[Mapping[str, bytes], bytes]]:
     """Yield header and data of the records in a chunk."""
+    parts = _iterate_parts(data, _IN_RECORD)
+    for header in parts:
+        if (body := next(parts, None)) is None:
+            raise LogError(_IN_RECORD)
+        yield _read_header(header), body
+
+
+def _iterate_parts(data: bytes, complaint: str) -> Iterator[bytes]:
+    """Yield the parts of data that each follow their length; refuse an incomplete part."""
     place = 0
     while place < len(data):
-        parts = []
-        for _ in range(2):
-            start = place + _LENGTH.size
-            end = start + _LENGTH.unpack(data[place:start])[0] if start <= len(data) else start
-            if end > len(data):
-                raise LogError("expected whole records in a chunk, found the end within one")
-            parts.append(data[start:end])
-            place = end
-        yield _read_header(parts[0]), parts[1]
+        start = place + _LENGTH.size
+        place = start + _LENGTH.unpack(data[place:start])[0] if start <= len(data) else start
+        if place > len(data):
+            raise LogError(complaint)
+        yield data[start:place]
 
 
 def _take_connection(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> None:
@@ -277,13 +280,11 @@ def _take_message(copy: _Copy, header: Mapping[str, bytes], data: bytes) -> None
 
 def _read_header(data: bytes) -> dict[str, bytes]:
     """Return the fields of a header. Each field has a length, a name, `=` and a value."""
-    found, place = {}, 0
-    while place < len(data):
-        start = place + _LENGTH.size
-        place = start + _LENGTH.unpack(data[place:start])[0] if start <= len(data) else start
-        name, sign, value = data[start:place].partition(b"=")
-        if not sign or place > len(data):
-            raise LogError("expected fields of a name and a value, found others")
+    found = {}
+    for part in _iterate_parts(data, _NO_FIELD):
+        name, sign, value = part.partition(b"=")
+        if not sign:
+            raise LogError(_NO_FIELD)
         found[name.decode("ascii", errors="replace")] = value
     return found
 
@@ -445,26 +446,17 @@ def _copy_text(message: _Message) -> None:
 
 
 def _copy_sequence(kind: str | tuple[Field, ...]) -> _Step:
-    if not isinstance(kind, str) or kind == TEXT:
-        items = (_copy_text,) if isinstance(kind, str) else _plan(kind)
-        return partial(_copy_items, items)
-    size = np.dtype(kind).itemsize
+    size = np.dtype(kind).itemsize if isinstance(kind, str) and kind != TEXT else 0
+    items = (_copy_text,) if isinstance(kind, str) else _plan(kind)
 
     def step(message: _Message) -> None:
-        if count := _copy_count(message):
+        count = message.take_count()
+        message.align(_LENGTH.size)
+        message.body += _LENGTH.pack(count)
+        if size and count:
             _copy_run(size, size * count, message)
+        for _ in range(0 if size else count):
+            for item in items:
+                item(message)
 
     return step
-
-
-def _copy_items(items: tuple[_Step, ...], message: _Message) -> None:
-    for _ in range(_copy_count(message)):
-        for item in items:
-            item(message)
-
-
-def _copy_count(message: _Message) -> int:
-    count = message.take_count()
-    message.align(_LENGTH.size)
-    message.body += _LENGTH.pack(count)
-    return count

@@ -1,9 +1,7 @@
-from .commanded_plant import (
-    CommandReplay as CommandReplay,
-    drive_commands as drive_commands,
-)
 from .differences import (
     Difference as Difference,
+    PlantStretch as PlantStretch,
+    PoseError as PoseError,
     RowCount as RowCount,
     SignalDifference as SignalDifference,
 )
@@ -15,9 +13,9 @@ from .loop_replay import (
     replay_loop as replay_loop,
 )
 from .plant_replay import (
+    CommandReplay as CommandReplay,
     PlantReplay as PlantReplay,
-    PlantStretch as PlantStretch,
-    PoseError as PoseError,
+    drive_commands as drive_commands,
     replay_plant as replay_plant,
 )
 from .recorded_motion import (

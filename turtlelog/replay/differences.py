@@ -94,7 +94,17 @@ class Pairing:
 
 def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
     """Return the difference of a signal's rows. Unequal labels differ at any tolerance."""
-    apart, is_one_sided = _subtract(pairing)
+    recorded, replayed = pairing.recorded, pairing.replayed
+    if pairing.kind == "label":
+        apart = np.not_equal(recorded, replayed).astype(np.float64)
+        is_one_sided = np.zeros(len(apart), dtype=bool)
+    else:
+        missing = np.isnan(recorded), np.isnan(replayed)
+        is_one_sided = missing[0] != missing[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            apart = np.subtract(replayed, recorded, dtype=np.float64)
+            apart = np.abs(wrap_angle(apart) if pairing.kind == "angle" else apart)
+        apart = np.where(missing[0] | missing[1], 0.0, apart)
     limit = 0.0 if pairing.kind == "label" else tolerance
     # What is not within: nan, which a difference beyond the largest number may be, is none.
     outside = ~(apart <= limit) | is_one_sided
@@ -124,19 +134,6 @@ def require_tolerance(tolerance: float) -> None:
         raise ReplayError(f"tolerance: expected a number >= 0, found {tolerance}")
 
 
-def _subtract(pairing: Pairing) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the differences, 0 if both sides have no value, and the rows with one value only."""
-    recorded, replayed = pairing.recorded, pairing.replayed
-    if pairing.kind == "label":
-        differs = np.not_equal(recorded, replayed)
-        return differs.astype(np.float64), np.zeros_like(differs)
-    missing = np.isnan(recorded), np.isnan(replayed)
-    with np.errstate(over="ignore", invalid="ignore"):
-        apart: NDArray[np.float64] = np.subtract(replayed, recorded, dtype=np.float64)
-        apart = np.abs(wrap_angle(apart) if pairing.kind == "angle" else apart)
-    return np.where(missing[0] | missing[1], 0.0, apart), missing[0] != missing[1]
-
-
 def _read_row(pairing: Pairing, row: int) -> Difference:
     # A NaN, which no other value equals, is no value.
     recorded, replayed = (
@@ -149,6 +146,70 @@ def _read_row(pairing: Pairing, row: int) -> Difference:
         recorded=recorded,
         replayed=replayed,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseError:
+    """Largest magnitudes of the differences between replayed and recorded poses."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+
+
+def find_pose_error(signals: Iterable[SignalDifference]) -> PoseError:
+    """Return the largest differences of x, y and heading."""
+    largest = {found.signal: found.largest for found in signals}
+    return PoseError(x_m=largest["x"], y_m=largest["y"], heading_rad=largest["heading"])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantStretch:
+    """A part of the recording without a jump or gap, replayed from its first recorded pose.
+
+    Attributes:
+        start_ns: Time of the first pose [ns].
+        end_ns: Time of the last pose [ns].
+        ticks: Number of replayed steps.
+        max_abs_error: Largest difference of the poses.
+        signals: x, y [m] and heading [rad], with the differences that rounding explains as their
+            limits.
+        rounding_m: Largest error from 32-bit rounding of the first pose, and of velocities used as
+            commands, along the distance driven [m]. The plant's own state has double precision and
+            is not recorded. For a robot model, whose start is known, the error is one 32-bit step
+            at the largest coordinate.
+        rounding_rad: The same for the heading [rad].
+    """
+
+    start_ns: int
+    end_ns: int
+    ticks: int
+    max_abs_error: PoseError
+    signals: tuple[SignalDifference, ...]
+    rounding_m: float
+    rounding_rad: float
+
+    @property
+    def first_difference(self) -> Difference | None:
+        """First difference that rounding does not explain; None if rounding explains all."""
+        return find_earliest(found.first_difference for found in self.signals)
+
+    @property
+    def within_rounding(self) -> bool:
+        """Whether rounding explains all differences."""
+        return self.first_difference is None
+
+    @property
+    def of_rounding(self) -> float:
+        """Largest difference, relative to the one that rounding explains [1]; inf for 0."""
+        error = self.max_abs_error
+        pairs = (
+            (max(error.x_m, error.y_m), self.rounding_m),
+            (error.heading_rad, self.rounding_rad),
+        )
+        return max(
+            (found / bound if bound else float("inf") for found, bound in pairs if found), default=0
+        )
 
 
 class ReplayResult:
@@ -200,14 +261,36 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
     _, rows, others = np.intersect1d(
         run.poses.time_ns, replayed.poses.time_ns, assume_unique=True, return_indices=True
     )
-    yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
-    yield from _pair_applied(run.poses, replayed.poses, rows, others)
+    time_ns = run.poses.time_ns[rows]
+    yield from _pair_poses(run.poses, replayed.poses, time_ns, rows, others)
+    for name, unit, column in (
+        ("applied_speed", "m/s", "speed_m_s"),
+        ("applied_turn_rate", "rad/s", "turn_rate_rad_s"),
+    ):
+        was, now = getattr(run.poses, column), getattr(replayed.poses, column)
+        if was is not None and now is not None:
+            yield Pairing(name, unit, time_ns, was[rows], now[others])
     if len(run.samples):
         rows, others = _match_samples(run, replayed)
         yield from _pair_answers(run, replayed, rows, others)
-        yield from _pair_clocks(run, replayed, rows, others)
-    if len(run.commands) and has_all_commands(run):
-        yield from _pair_commands(run, replayed)
+        time_ns, again_ns = run.samples.time_ns[rows], replayed.samples.time_ns[others]
+        yield Pairing("sample_time", "s", time_ns, time_ns / 1e9, again_ns / 1e9)
+        read, read_again = (  # the number of the tick whose pose each sample read
+            one.poses.time_ns[one.samples.pose_sequence] // find_plant(one).period_ns
+            for one in (run, replayed)
+        )
+        yield Pairing("pose_read", "tick", time_ns, read[rows], read_again[others])
+    if not len(run.commands) or not has_all_commands(run):
+        return
+    old, new = run.commands, replayed.commands
+    count = min(len(old), len(new))
+    for name, unit, recorded, again in (
+        ("command_time", "s", old.time_ns / 1e9, new.time_ns / 1e9),
+        ("command_speed", "m/s", old.speed_m_s, new.speed_m_s),
+        ("command_lateral_speed", "m/s", old.lateral_speed_m_s, new.lateral_speed_m_s),
+        ("command_turn_rate", "rad/s", old.turn_rate_rad_s, new.turn_rate_rad_s),
+    ):
+        yield Pairing(name, unit, old.time_ns[:count], recorded[:count], again[:count])
 
 
 def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
@@ -238,17 +321,14 @@ def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | 
     """Return the difference of two counts; lost rows or a truncated recording explain fewer."""
     if count.recorded == count.replayed:
         return None
-    if count.recorded < count.replayed and (run.stop_reason in FROM_OUTSIDE or _has_holes(run)):
+    ticks = run.poses.time_ns // find_plant(run).period_ns
+    has_holes = count_missing_samples(run.samples) or (
+        has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
+    )
+    if count.recorded < count.replayed and (run.stop_reason in FROM_OUTSIDE or has_holes):
         return None
     return Difference(
         signal=name, time_ns=run.end_ns, recorded=count.recorded, replayed=count.replayed
-    )
-
-
-def _has_holes(run: Run) -> bool:
-    ticks = run.poses.time_ns // find_plant(run).period_ns
-    return bool(count_missing_samples(run.samples)) or (
-        has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
     )
 
 
@@ -273,45 +353,6 @@ def _pair_poses(
         for axis, name in enumerate(places):
             yield Pairing(name, "m", time_ns, was[0][rows, axis], now[0][others, axis])
         yield Pairing(turn, "rad", time_ns, was[1][rows], now[1][others], "angle")
-
-
-def _pair_applied(
-    recorded: PoseColumns, replayed: PoseColumns, rows: Rows, others: Rows
-) -> Iterator[Pairing]:
-    columns = (
-        ("applied_speed", "m/s", recorded.speed_m_s, replayed.speed_m_s),
-        ("applied_turn_rate", "rad/s", recorded.turn_rate_rad_s, replayed.turn_rate_rad_s),
-    )
-    for name, unit, was, now in columns:
-        if was is not None and now is not None:
-            yield Pairing(name, unit, recorded.time_ns[rows], was[rows], now[others])
-
-
-def _pair_clocks(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
-    """Yield the time of each sample, and the number of the tick whose pose the sample read."""
-    time_ns = run.samples.time_ns[rows]
-    again_ns = replayed.samples.time_ns[others]
-    yield Pairing("sample_time", "s", time_ns, time_ns / 1e9, again_ns / 1e9)
-    read, read_again = _count_ticks_read(run)[rows], _count_ticks_read(replayed)[others]
-    yield Pairing("pose_read", "tick", time_ns, read, read_again)
-
-
-def _count_ticks_read(run: Run) -> Rows:
-    """Return the number of the tick whose pose each sample read."""
-    return run.poses.time_ns[run.samples.pose_sequence] // find_plant(run).period_ns
-
-
-def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
-    was, now = run.commands, replayed.commands
-    count = min(len(was), len(now))
-    columns = (
-        ("command_time", "s", was.time_ns / 1e9, now.time_ns / 1e9),
-        ("command_speed", "m/s", was.speed_m_s, now.speed_m_s),
-        ("command_lateral_speed", "m/s", was.lateral_speed_m_s, now.lateral_speed_m_s),
-        ("command_turn_rate", "rad/s", was.turn_rate_rad_s, now.turn_rate_rad_s),
-    )
-    for name, unit, recorded, others in columns:
-        yield Pairing(name, unit, was.time_ns[:count], recorded[:count], others[:count])
 
 
 _RowChoice = NDArray[np.int64] | slice
@@ -372,8 +413,10 @@ def pair_samples(
         if name in are:
             kind: Literal["angle", "number"] = "angle" if name in _ANGLES else "number"
             yield Pairing(name, unit, time_ns, was[rows], are[name][1][others], kind)
-    phases = _name_phases(recorded)[rows], _name_phases(replayed)[others]
-    yield Pairing("phase", "1", time_ns, *phases, kind="label")
+    was_phase, phase = (
+        np.array(one.declaration.phase_names)[one.samples.phase] for one in (recorded, replayed)
+    )
+    yield Pairing("phase", "1", time_ns, was_phase[rows], phase[others], kind="label")
 
 
 def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
@@ -385,10 +428,6 @@ def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]
         for row, name in enumerate(names.states)
     }
     return {name: (unit, column) for name, (unit, column) in found.items() if column is not None}
-
-
-def _name_phases(answers: Answers) -> NDArray[np.str_]:
-    return np.array(answers.declaration.phase_names)[answers.samples.phase]
 
 
 def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:

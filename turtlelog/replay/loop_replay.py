@@ -13,32 +13,8 @@ from turtlelog.laws import Law, LawPart, Pose, find_law
 from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.plants import find_plant
-from turtlelog.replay.differences import (
-    COMMANDS,
-    PUBLISHED,
-    SENSED,
-    Answers,
-    Difference,
-    Pairing,
-    ReplayResult,
-    RowCount,
-    SignalDifference,
-    compare_pairing,
-    count_missing_samples,
-    count_recorded_rows,
-    find_count_difference,
-    find_earliest,
-    has_all_commands,
-    has_published,
-    has_ticks,
-    list_unrecorded,
-    pair_by_sample,
-    pair_by_tick,
-    pair_published,
-    pair_samples,
-    require_tolerance,
-)
-from turtlelog.replay.plant_replay import PoseError, find_pose_error
+from turtlelog.replay import differences
+from turtlelog.replay.differences import Answers, Difference, Pairing, ReplayResult, RowCount
 from turtlelog.replay.recorded_motion import advise_other_mode
 from turtlelog.run import Run, SampleColumns, require_run
 from turtlelog.run.loops import Declaration
@@ -77,7 +53,7 @@ class LawReplay(ReplayResult):
     scenario: Scenario
     samples: int
     missing_samples: int
-    signals: tuple[SignalDifference, ...]
+    signals: tuple[differences.SignalDifference, ...]
     commands: Difference | None
     stop: Difference | None
     declaration: Difference | None
@@ -126,7 +102,7 @@ def replay_law(
             not a number.
     """
     require_run(run)
-    require_tolerance(tolerance)
+    differences.require_tolerance(tolerance)
     if not len(run.samples):
         raise ReplayError(
             f"{run.name}: {_describe_nothing_read(run)}: {run.source}; {advise_other_mode(run)}"
@@ -140,25 +116,42 @@ def replay_law(
     found, blocks_ticks, stop_reason = _answer_poses(run, scenario, law, step_budget_s)
     answers, recorded = found.samples, Answers(run.samples, run.declaration)
     rows = slice(len(answers))
-    pairings = [*pair_samples(recorded, found, rows=rows, others=rows)]
-    pairings += [*pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
-    signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
+    pairings = [*differences.pair_samples(recorded, found, rows=rows, others=rows)]
+    pairings += differences.pair_published(run, answers)
+    if differences.has_ticks(run) and differences.has_all_commands(run):
+        # The ticks between samples and their commands.
+        rows = slice(min(len(run.commands), len(answers)))
+        held = (run.commands.time_ns[rows] - run.samples.time_ns[rows]) / find_plant(run).period_ns
+        time_ns = run.samples.time_ns[rows]
+        pairings.append(Pairing("pause", "tick", time_ns, held, blocks_ticks[rows]))
+    signals = tuple(
+        differences.compare_pairing(pairing, tolerance=tolerance) for pairing in pairings
+    )
     stop = compare_last_answer(run, len(answers) - 1, stop_reason, blocks=bool(blocks_ticks[-1]))
-    others = [_count_published(run), stop]
+    missing, count = differences.count_missing_samples(run.samples), len(run.samples)
+    is_lossy = missing or not run.notes.keys().isdisjoint(LOSS_NOTES) or "commands" in run.absent
+    has_published, commands = differences.has_published(run), None
+    if not (has_published or is_lossy):
+        given, at_ns = len(run.commands), run.end_ns
+        commands = Difference(signal="commands", time_ns=at_ns, recorded=given, replayed=count)
+    first = [*(signal.first_difference for signal in signals), commands, stop]
     return LawReplay(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
-        missing_samples=count_missing_samples(run.samples),
+        missing_samples=missing,
         signals=signals,
-        commands=others[0],
+        commands=commands,
         stop=stop,
         declaration=compare_declarations(run, found.declaration),
-        first_difference=find_earliest([*(signal.first_difference for signal in signals), *others]),
-        first_command_difference=find_earliest(
-            signal.first_difference for signal in signals if signal.signal in COMMANDS
+        first_difference=differences.find_earliest(first),
+        first_command_difference=differences.find_earliest(
+            signal.first_difference for signal in signals if signal.signal in differences.COMMANDS
         ),
-        absent=(*list_unrecorded(recorded, found), *(() if has_published(run) else PUBLISHED)),
+        absent=(
+            *differences.list_unrecorded(recorded, found),
+            *(() if has_published else differences.PUBLISHED),
+        ),
         answers=answers,
     )
 
@@ -211,25 +204,6 @@ def _iterate_answers(run: Run, loop: PlainLoop) -> Iterator[tuple[SampleRow, tup
             break
 
 
-def _count_published(run: Run) -> Difference | None:
-    """Return the number of commands beside the number of samples, if no row is lost."""
-    is_lossy = count_missing_samples(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
-    if has_published(run) or is_lossy or "commands" in run.absent:
-        return None
-    samples, commands = len(run.samples), len(run.commands)
-    return Difference(signal="commands", time_ns=run.end_ns, recorded=commands, replayed=samples)
-
-
-def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
-    """Return the ticks between samples and their commands, if the clock counts in ticks."""
-    rows = min(len(run.commands), len(blocks_ticks))
-    held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
-    if not has_ticks(run) or not has_all_commands(run):
-        return []
-    held = held_ns / find_plant(run).period_ns
-    return [Pairing("pause", "tick", run.samples.time_ns[:rows], held, blocks_ticks[:rows])]
-
-
 _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
 )
@@ -272,8 +246,8 @@ class LoopReplay(ReplayResult):
     run: Run
     by_tick: bool
     samples: int
-    max_abs_error: PoseError
-    signals: tuple[SignalDifference, ...]
+    max_abs_error: differences.PoseError
+    signals: tuple[differences.SignalDifference, ...]
     counts: Mapping[str, RowCount]
     stop: Difference | None
     others: tuple[Difference, ...]
@@ -305,16 +279,15 @@ def replay_loop(
         step_budget_s: Largest computing time for one answer [s]; None: unlimited.
 
     Raises:
-        ReplayError: If the run contains neither such ticks nor samples.
+        ReplayError: If the run contains neither such ticks nor samples, or the simulation of the
+            recorded scenario lasts much longer than the recording.
         ScenarioError: If no scenario is given, and the run does not contain its whole scenario or
             names a law that is neither built in nor trusted.
         SimulationError: If the simulation cannot continue.
-        ReplayError: If the simulation of the recorded scenario lasts much longer than the
-            recording.
     """
     require_run(run)
-    require_tolerance(tolerance)
-    by_tick = has_ticks(run)
+    differences.require_tolerance(tolerance)
+    by_tick = differences.has_ticks(run)
     if not by_tick and not len(run.samples):
         raise ReplayError(
             f"{run.name}: replay needs turtlesim's pose of each tick"
@@ -324,7 +297,9 @@ def replay_loop(
     is_own = scenario is None
     scenario = restore_scenario(run) if scenario is None else scenario
     scenario = resolve_scenario(scenario, trust_law=trust_law)
-    within = _shorten(scenario, run) if is_own else scenario
+    within, most_s = scenario, max(_LONGEST_S, _LONGER * run.end_ns / 1e9)
+    if is_own and scenario.max_duration_s > most_s:
+        within = replace(scenario, max_duration_s=most_s)
     replayed = simulate_run(within, step_budget_s=step_budget_s)
     if replayed.stop_reason == MAX_DURATION and within is not scenario:
         raise ReplayError(
@@ -337,45 +312,39 @@ def replay_loop(
         source=f"replay of {run.name}",
         parameters={**replayed.parameters, "max_duration_s": scenario.max_duration_s},
     )
-    pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
-    signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
+    pairings = (
+        differences.pair_by_tick(run, replayed)
+        if by_tick
+        else differences.pair_by_sample(run, replayed)
+    )
+    signals = tuple(
+        differences.compare_pairing(pairing, tolerance=tolerance) for pairing in pairings
+    )
     known = {found.signal: found for found in signals}
-    counts = count_recorded_rows(run, replayed, by_tick=by_tick)
+    counts = differences.count_recorded_rows(run, replayed, by_tick=by_tick)
     stop = compare_ends(run, replayed.stop_reason)
-    ends = [find_count_difference(run, name, count) for name, count in counts.items()]
+    ends = [differences.find_count_difference(run, name, count) for name, count in counts.items()]
     others = tuple(found for found in (*ends, stop) if found is not None)
+    is_sensed = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
+    was, now = (Answers(one.samples, one.declaration) for one in (run, replayed))
+    absent = (*(differences.SENSED if is_sensed else ()), *differences.list_unrecorded(was, now))
     return LoopReplay(
         name=run.name,
         scenario=scenario,
         run=replayed,
         by_tick=by_tick,
         samples=known["phase"].rows if "phase" in known else 0,
-        max_abs_error=find_pose_error(signals),
+        max_abs_error=differences.find_pose_error(signals),
         signals=signals,
         counts=MappingProxyType(counts),
         stop=stop,
         others=others,
         declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,
-        first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
-        absent=(*_list_absent(run, replayed), *(name for name in _OF_TICKS if name not in known)),
+        first_difference=differences.find_earliest(
+            [*(found.first_difference for found in signals), *others]
+        ),
+        absent=(*absent, *(name for name in _OF_TICKS if name not in known)),
     )
-
-
-def _shorten(scenario: Scenario, run: Run) -> Scenario:
-    """Return the scenario, shortened if it lasts much longer than its recording."""
-    most_s = max(_LONGEST_S, _LONGER * run.end_ns / 1e9)
-    is_long = scenario.max_duration_s > most_s
-    return replace(scenario, max_duration_s=most_s) if is_long else scenario
-
-
-def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
-    was = Answers(run.samples, run.declaration)
-    is_lacking = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
-    sensed = SENSED if is_lacking else ()
-    return (*sensed, *list_unrecorded(was, Answers(replayed.samples, replayed.declaration)))
-
-
-_SIGNAL: Final = "stop"
 
 
 def compare_last_answer(
@@ -403,7 +372,7 @@ def _agrees(run: Run, stop_reason: str | None) -> bool:
 
 
 def _build(time_ns: int, recorded: str | None, replayed: str | None) -> Difference:
-    return Difference(signal=_SIGNAL, time_ns=time_ns, recorded=recorded, replayed=replayed)
+    return Difference(signal="stop", time_ns=time_ns, recorded=recorded, replayed=replayed)
 
 
 def compare_declarations(run: Run, replayed: Declaration) -> Difference | None:

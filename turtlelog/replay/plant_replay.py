@@ -1,19 +1,32 @@
-"""Replay of the recorded commands through the plant, compared with the recorded poses."""
+"""Recorded commands that drive a plant: compared with the recording, or in any scenario."""
 
+import math
 from array import array
-from collections.abc import Iterable
-from dataclasses import dataclass
-from math import hypot, inf
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import fit_line, format_short
+from turtlelog.errors import ReplayError
+from turtlelog.parts import NEVER_NS
 from turtlelog.plants import LAGGED, Turtle, find_plant
+from turtlelog.plants.kinds import PLANTS, read_plant
 from turtlelog.plants.turtlesim import TICK_S
-from turtlelog.replay import differences
-from turtlelog.replay.commanded_plant import drive_lagged
-from turtlelog.replay.differences import Difference, Pairing, ReplayResult, SignalDifference
+from turtlelog.replay.differences import (
+    Difference,
+    Pairing,
+    PlantStretch,
+    PoseError,
+    ReplayResult,
+    SignalDifference,
+    compare_pairing,
+    find_earliest,
+    find_pose_error,
+)
 from turtlelog.replay.recorded_motion import (
     CommandUse,
     Gap,
@@ -23,8 +36,15 @@ from turtlelog.replay.recorded_motion import (
     find_breaks,
     place_commands,
     read_motion,
+    require_driveable,
+    require_whole,
 )
-from turtlelog.run import Run, require_run
+from turtlelog.run import CommandColumns, PoseColumns, Run, require_run
+from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
+from turtlelog.simulate import loop
+from turtlelog.simulate.loop_parts import DrawnEvents, list_streams
+from turtlelog.simulate.plain_loop import PlainLoop, describe_runaway
+from turtlelog.simulate.rows import SampleRow, TickRow
 
 _HALF_STEP_M: Final = 2.0**-21
 """Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest step in this world [m]."""
@@ -37,62 +57,6 @@ _HALF_SHARE: Final = 2.0**-24
 
 _RIGHT: Final = 1e-9
 """Accuracy of a robot model's position [m]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseError:
-    """Largest magnitudes of the differences between replayed and recorded poses."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    heading_rad: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantStretch:
-    """A part of the recording without a jump or gap, replayed from its first recorded pose.
-
-    Attributes:
-        start_ns: Time of the first pose [ns].
-        end_ns: Time of the last pose [ns].
-        ticks: Number of replayed steps.
-        max_abs_error: Largest difference of the poses.
-        signals: x, y [m] and heading [rad], with the differences that rounding explains as their
-            limits.
-        rounding_m: Largest error from 32-bit rounding of the first pose, and of velocities used as
-            commands, along the distance driven [m]. The plant's own state has double precision and
-            is not recorded. For a robot model, whose start is known, the error is one 32-bit step
-            at the largest coordinate.
-        rounding_rad: The same for the heading [rad].
-    """
-
-    start_ns: int
-    end_ns: int
-    ticks: int
-    max_abs_error: PoseError
-    signals: tuple[SignalDifference, ...]
-    rounding_m: float
-    rounding_rad: float
-
-    @property
-    def first_difference(self) -> Difference | None:
-        """First difference that rounding does not explain; None if rounding explains all."""
-        return differences.find_earliest(found.first_difference for found in self.signals)
-
-    @property
-    def within_rounding(self) -> bool:
-        """Whether rounding explains all differences."""
-        return self.first_difference is None
-
-    @property
-    def of_rounding(self) -> float:
-        """Largest difference, relative to the one that rounding explains [1]; inf for 0."""
-        error = self.max_abs_error
-        pairs = (
-            (max(error.x_m, error.y_m), self.rounding_m),
-            (error.heading_rad, self.rounding_rad),
-        )
-        return max((found / bound if bound else inf for found, bound in pairs if found), default=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -163,25 +127,19 @@ def replay_plant(run: Run) -> PlantReplay:
     velocities, use = place_commands(motion, run, frozenset(starts))
     bounds = [*map(slice, [0, *starts], [*starts, len(motion.time_ns)])]
 
-    def drive(*, keeps_32_bits: bool) -> tuple[PlantStretch, ...]:
-        ticks = use.unexplained_ticks
-        return tuple(
-            _replay_stretch(
-                motion, velocities, rows, rounded_ticks=ticks, keeps_32_bits=keeps_32_bits
-            )
-            for rows in bounds
-        )
-
-    stretches, heading_bits = drive(keeps_32_bits=False), 64
-    first = differences.find_earliest(stretch.first_difference for stretch in stretches)
+    drive = partial(_replay_stretch, motion, velocities, use.unexplained_ticks)
+    stretches, heading_bits = tuple(drive(rows, keeps_32_bits=False) for rows in bounds), 64
+    first = find_earliest(stretch.first_difference for stretch in stretches)
     if first is not None:
-        old = drive(keeps_32_bits=True)
+        old = tuple(drive(rows, keeps_32_bits=True) for rows in bounds)
         if all(stretch.within_rounding for stretch in old):
             stretches, heading_bits, first = old, 32, None
+    errors = [astuple(stretch.max_abs_error) for stretch in stretches]
+    x_m, y_m, heading_rad = np.max(errors, axis=0).tolist()
     return PlantReplay(
         name=run.name,
         samples=len(motion.time_ns),
-        max_abs_error=_find_largest(stretch.max_abs_error for stretch in stretches),
+        max_abs_error=PoseError(x_m=x_m, y_m=y_m, heading_rad=heading_rad),
         first_difference=first,
         stretches=stretches,
         jumps=jumps,
@@ -194,20 +152,15 @@ def replay_plant(run: Run) -> PlantReplay:
 def _replay_stretch(
     motion: RecordedMotion,
     velocities: tuple[Velocity, ...],
+    rounded_ticks: int,
     rows: slice,
     *,
-    rounded_ticks: int,
     keeps_32_bits: bool,
 ) -> PlantStretch:
     """Replay a segment. In some ticks the recorded velocity replaces a command."""
     first, after = rows.start, rows.stop
-    x_m, y_m = motion.xy_m[first].tolist()
-    turtle = Turtle(
-        x_m=x_m,
-        y_m=y_m,
-        heading_rad=float(motion.heading_rad[first]),
-        keeps_32_bits=keeps_32_bits,
-    )
+    (x_m, y_m), heading_rad = motion.xy_m[first].tolist(), float(motion.heading_rad[first])
+    turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=heading_rad, keeps_32_bits=keeps_32_bits)
     states = array("d", turtle.state[:3])
     driven_m = 0.0
     for forward, left, turn_rate in velocities[first + 1 : after]:
@@ -216,7 +169,7 @@ def _replay_stretch(
         turtle.take_command(forward, turn_rate, left)
         turtle.step()
         states.extend(turtle.state[:3])
-        driven_m += hypot(forward, left) * TICK_S
+        driven_m += math.hypot(forward, left) * TICK_S
     # A recorded velocity is off by half a 32-bit step, which adds up over the ticks that use it.
     ticks = min(rounded_ticks, after - first - 1)
     within = motion.speed_m_s[first:after], np.abs(motion.turn_rate_rad_s[first:after])
@@ -235,12 +188,22 @@ def _replay_stretch(
 
 
 def _replay_lagged(run: Run) -> PlantReplay:
-    found, poses = drive_lagged(run), run.poses
-    farthest_m = float(np.abs(poses.xy_m).max())
+    """Drive the robot of a recording from its start with all of its commands, through all gaps.
+
+    The scenario with its seed determines how each command reaches the robot, and the disturbances.
+    The law and the sensing are not used.
+    """
+    require_whole(run)
+    drive, poses = _DrivenPlant(restore_scenario(run)), run.poses
+    ticks = poses.time_ns // find_plant(run).period_ns
+    states = np.empty((int(ticks[-1]) + 1, 3))
+    for tick, state in enumerate(drive.follow(run.commands, len(states) - 1)):
+        states[tick] = state[:3]
+    farthest_m, apart = float(np.abs(poses.xy_m).max()), np.diff(ticks)
     stretch = _compare_stretch(
         poses.time_ns,
         recorded=np.column_stack([poses.xy_m, poses.heading_rad]),
-        states=found.states,
+        states=states[ticks],
         rounding_m=max(float(np.spacing(np.float32(farthest_m))), _RIGHT),
         rounding_rad=2.0 * _HALF_STEP_RAD,
     )
@@ -251,8 +214,17 @@ def _replay_lagged(run: Run) -> PlantReplay:
         first_difference=stretch.first_difference,
         stretches=(stretch,),
         jumps=(),
-        gaps=found.gaps,
-        commands=found.commands,
+        gaps=tuple(
+            Gap(
+                start_ns=int(poses.time_ns[row]),
+                end_ns=int(poses.time_ns[row + 1]),
+                missing_ticks=int(apart[row]) - 1,
+            )
+            for row in np.flatnonzero(apart > 1)
+        ),
+        commands=CommandUse(
+            taken=drive.taken, unseen=len(run.commands) - drive.taken, stops=0, unexplained_ticks=0
+        ),
     )
 
 
@@ -264,13 +236,16 @@ def _compare_stretch(
     rounding_m: float,
     rounding_rad: float,
 ) -> PlantStretch:
-    replayed = _round_alike(states, recorded)
-    pairs = [*zip(recorded.T, replayed.T, strict=True)]
-    places = (Pairing(name, "m", time_ns, *pairs[axis]) for axis, name in enumerate("xy"))
-    turn = Pairing("heading", "rad", time_ns, *pairs[2], kind="angle")
+    replayed = states
+    if (recorded == recorded.astype(np.float32)).all():  # otherwise published in double precision
+        replayed = states.astype(np.float32).astype(np.float64)
+    x, y, heading = zip(recorded.T, replayed.T, strict=True)
     signals = (
-        *(differences.compare_pairing(place, tolerance=rounding_m) for place in places),
-        differences.compare_pairing(turn, tolerance=rounding_rad),
+        compare_pairing(Pairing("x", "m", time_ns, *x), tolerance=rounding_m),
+        compare_pairing(Pairing("y", "m", time_ns, *y), tolerance=rounding_m),
+        compare_pairing(
+            Pairing("heading", "rad", time_ns, *heading, "angle"), tolerance=rounding_rad
+        ),
     )
     return PlantStretch(
         start_ns=int(time_ns[0]),
@@ -283,24 +258,209 @@ def _compare_stretch(
     )
 
 
-def find_pose_error(signals: Iterable[SignalDifference]) -> PoseError:
-    """Return the largest differences of x, y and heading."""
-    largest = {found.signal: found.largest for found in signals}
-    return PoseError(x_m=largest["x"], y_m=largest["y"], heading_rad=largest["heading"])
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandReplay:
+    """Motion of a plant that recorded commands drive.
+
+    Attributes:
+        name: Name of the run with the commands.
+        plant: Kind of the plant.
+        run: Run with the commands, and with the poses of the plant.
+        path_length_m: Length of the plant's path [m].
+        taken: Commands that the plant took.
+        wall_s: Time from the first command at which the plant first met a wall of its world [s];
+            None: never.
+    """
+
+    name: str
+    plant: str
+    run: Run
+    path_length_m: float
+    taken: int
+    wall_s: float | None
+
+    def __repr__(self) -> str:
+        length = format_short(self.path_length_m, "m")
+        return fit_line(f"<CommandReplay of {self.name}: {self.plant} drives {length}>")
 
 
-def _round_alike(
-    replayed: NDArray[np.float64], recorded: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return poses rounded as published. Poses of a recording in double precision do not change."""
-    published = replayed.astype(np.float32).astype(np.float64)
-    return published if (recorded == recorded.astype(np.float32)).all() else replayed
+def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
+    """Drive a plant with the commands of a run, each at its time since the first command.
 
+    The simulation ends with the last command. A plant that stops by itself without commands is
+    simulated until it has stopped.
 
-def _find_largest(errors: Iterable[PoseError]) -> PoseError:
-    found = [*errors]
-    return PoseError(
-        x_m=max(error.x_m for error in found),
-        y_m=max(error.y_m for error in found),
-        heading_rad=max(error.heading_rad for error in found),
+    Args:
+        run: Run with commands; its poses are not used.
+        scenario: Scenario whose plant, start, transport and disturbance act; its law, limits and
+            sensing are not used. Default: turtlesim from its spawn pose.
+
+    Raises:
+        ReplayError: If there are no commands, there are sideways commands, or the commands last too
+            long.
+        SimulationError: If the plant diverges.
+    """
+    scenario = scenario or Scenario()
+    parameters = flatten_scenario(scenario)
+    plant = read_plant(parameters)
+    commands = run.commands
+    require_driveable(run)
+    origin_ns = int(commands.time_ns[0])
+    end_ns = int(commands.time_ns[-1]) - origin_ns
+    if math.isfinite(plant.watchdog_ns):
+        end_ns += int(plant.watchdog_ns) + plant.period_ns
+    ticks = -(-end_ns // plant.period_ns)
+    drive = _DrivenPlant(scenario)
+    given = replace(commands, time_ns=commands.time_ns - origin_ns)
+    states = [*drive.follow(given, ticks)]
+    x_m, y_m, heading_rad, speed_m_s, turn_rate_rad_s = np.array(states).T
+    time_ns = origin_ns + np.arange(ticks + 1, dtype=np.int64) * plant.period_ns
+    xy_m = np.column_stack([x_m, y_m])
+    at_wall = ((xy_m <= plant.low_m) | (xy_m >= plant.high_m)).any(axis=1)
+    driven = Run(
+        name=f"{run.name} on {plant.name}",
+        source=f"replay of {run.name}",
+        poses=PoseColumns(
+            time_ns=time_ns,
+            xy_m=xy_m,
+            heading_rad=heading_rad.copy(),
+            speed_m_s=speed_m_s.copy(),
+            turn_rate_rad_s=turn_rate_rad_s.copy(),
+        ),
+        commands=commands,
+        samples=run.samples,
+        parameters={key: one for key, one in parameters.items() if key.startswith("plant.")},
+        absent=tuple(name for name in run.absent if not name.startswith("poses")),
     )
+    return CommandReplay(
+        name=run.name,
+        plant=plant.name,
+        run=driven,
+        path_length_m=float(np.hypot(*np.diff(xy_m, axis=0).T).sum()),
+        taken=drive.taken,
+        wall_s=float(np.argmax(at_wall)) * plant.period_ns / 1e9 if at_wall.any() else None,
+    )
+
+
+def sense_driven(
+    scenario: Scenario, commands: CommandColumns, time_ns: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the sensed poses, at given times, of a robot that commands drive from the origin.
+
+    The plant, transport, disturbance, sensing and seed of the scenario are used; its start, law and
+    limits are not. Sensed poses are neither delayed nor lost. Times do not decrease, from 0 on; the
+    poses are x, y [m] and heading [rad], shape (n, 3).
+
+    Raises:
+        ReplayError: If the scenario has no robot model.
+    """
+    if PLANTS[scenario.plant.kind].acts_in_steps:
+        raise ReplayError(
+            f"{scenario.name}: the plant is {scenario.plant.kind}, not a robot model (lagged)"
+        )
+    period_ns = scenario.plant.facts.period_ns
+    origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
+    sensing = replace(scenario.sensing, dropout_probability=0.0)
+    scenario = replace(scenario, start=origin, sensing=sensing)
+    drive = _DrivenPlant(scenario)
+    states = [*drive.follow(commands, -(-int(time_ns[-1]) // period_ns), time_ns)]
+    return np.array([drive.sense(number, state[:3]) for number, state in enumerate(states)])
+
+
+_State = tuple[float, float, float, float, float]
+"""_State: x, y [m], heading [rad], magnitude of the velocity [m/s], turn rate [rad/s]."""
+
+
+class _DrivenPlant:
+    """The plant of a scenario with transport, disturbances and sensing; `taken` commands so far."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Start at the scenario's start, on the clock of its plant."""
+        made = PlainLoop(replace(scenario, law=LawChoice()))
+        self._settings, self._state, self._rows = made.settings, made.state, made.rows
+        self._parts, self._now, self.taken = made.parts, made.now, 0
+        # Separate numbers, because poses may be sensed after all ticks, with numbers of their own.
+        drawn = DrawnEvents(scenario.seed, list_streams(scenario), ticks=True)
+        self._sensed_rows = replace(made.rows, drawn_ticks=drawn)
+        self._last = -1
+        self._acts_in_steps = PLANTS[scenario.plant.kind].acts_in_steps
+
+    def follow(
+        self, commands: CommandColumns, ticks: int, time_ns: NDArray[np.int64] | None = None
+    ) -> Iterator[_State]:
+        """Yield the states at given times, or else at each tick, while commands drive the plant."""
+        period_ns = self._settings.scene.period_ns
+        ends_ns = np.arange(ticks + 1) * period_ns
+        # A tick owns the time up to the next: what is published then leaves after its pose.
+        puts = np.searchsorted(commands.time_ns, ends_ns + period_ns).tolist()
+        columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
+        given = [*zip(*(column.tolist() for column in columns), strict=True)]
+        wanted_ns = np.zeros(0, np.int64) if time_ns is None else time_ns
+        visits = np.searchsorted(wanted_ns, ends_ns, side="right").tolist()
+        times, seen, put = wanted_ns.tolist(), 0, 0
+        for tick, (visit, bound) in enumerate(zip(visits, puts, strict=True)):
+            yield from self._visit(tick, times[seen:visit])
+            if time_ns is None:
+                yield self._parts.read(self._state.plant)
+            for command in given[put:bound]:
+                number = self._now.samples
+                row = self._rows.samples[number] = SampleRow()
+                row.sequence = number
+                row.published_ns, row.speed_m_s, row.turn_rate_rad_s = command
+                self._now.samples += 1
+                loop.publish(self._settings, self._state, self._rows, self._parts, tick, number)
+            seen, put = visit, bound
+
+    def _visit(self, tick: int, times: list[int]) -> Iterator[_State]:
+        """Yield the states at times since the previous tick; advance to the time of the tick."""
+        settings, state, rows = self._settings, self._state, self._rows
+        scene, until_ns = settings.scene, tick * settings.scene.period_ns
+        since_ns = until_ns - scene.period_ns
+        self._hold(tick, since_ns, until_ns)
+        at_ns = since_ns
+        is_pushed = scene.is_pushed and (tick > 0 or self._acts_in_steps)
+        if is_pushed and self._acts_in_steps:
+            at_ns = until_ns
+        while is_pushed and at_ns <= until_ns:
+            loop.push_at(settings, state, rows, self._parts, tick, at_ns)
+            before_ns = at_ns
+            at_ns = self._parts.next_push(settings, state, rows, tick, at_ns, NEVER_NS)
+            while times and times[0] < min(at_ns, until_ns) and times[0] >= before_ns:
+                yield self._move_to(times.pop(0))
+            if self._acts_in_steps or at_ns >= until_ns:
+                break
+        for time_ns in times:
+            yield self._move_to(time_ns)
+        self._move_to(until_ns)
+
+    def sense(self, number: int, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return the sensed pose for a pose, by its number."""
+        row = TickRow(*pose)
+        loop.sense(self._settings, self._state, self._sensed_rows, self._parts, row, number)
+        return row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
+
+    def _hold(self, tick: int, since_ns: int, until_ns: int) -> None:
+        """Pass arriving commands on to the plant."""
+        settings, state, rows, parts = self._settings, self._state, self._rows, self._parts
+        scene, now = settings.scene, self._now
+        if scene.acts_on_arrival:
+            first = now.commands_arrived
+            loop.hold_arrived(settings, state, rows, parts, until_ns)
+            numbers = range(first, now.commands_arrived)
+            self.taken += sum(rows.samples[number].arrivals > 0 for number in numbers)
+            return
+        until = until_ns + scene.causal_ns if scene.is_timed else tick
+        sample = loop.take(settings, now, rows, until)
+        if sample >= 0:
+            row = rows.samples[sample]
+            parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)
+            # Commands keep their order, so duplicates are consecutive.
+            self.taken += sample != self._last
+            self._last = sample
+
+    def _move_to(self, time_ns: int) -> _State:
+        moves = self._parts.move(self._settings, self._state.plant, self._rows, time_ns)
+        state: _State = self._parts.read(self._state.plant)
+        if not moves:
+            raise describe_runaway(time_ns, state)
+        return state

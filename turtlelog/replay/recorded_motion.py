@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
+from turtlelog.plants import find_plant
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S, WORLD_SIZE_M
+from turtlelog.replay.differences import has_all_commands, has_ticks
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.loops import PUSH_KEYS, read_number
@@ -113,6 +115,53 @@ def read_motion(run: Run) -> RecordedMotion:
     )
 
 
+def require_whole(run: Run) -> None:
+    """Require the whole scenario, the commands, and poses at the ticks from the start on."""
+    expected = "to drive a robot model with the recorded commands"
+    if not run.scenario_is_complete:
+        raise ReplayError(
+            f"{run.name}: expected a whole scenario {expected}, found a part:"
+            " it tells when each command reaches the robot"
+        )
+    if not has_ticks(run) or run.poses.time_ns[0] != 0:
+        period_ms = find_plant(run).period_ns / 1e6
+        first_s = run.poses.time_ns[0] / 1e9
+        raise ReplayError(
+            f"{run.name}: expected a pose per tick of exactly {period_ms:g} ms from 0 s on"
+            f" {expected}, found the first at {first_s:g} s: a robot's rates before that are not"
+            " recorded"
+        )
+    if not len(run.commands) or not has_all_commands(run):
+        raise ReplayError(
+            f"{run.name}: expected a command per sample {expected},"
+            f" found {len(run.commands)} of {int(run.samples.sequence[-1]) + 1}"
+            if len(run.samples)
+            else f"{run.name}: no commands {expected}"
+        )
+
+
+_MOST_S: Final = 3600.0
+"""Longest simulated time [s], as for a replay in closed loop."""
+
+
+def require_driveable(run: Run) -> None:
+    """Require commands along the heading that do not last too long for a simulation."""
+    commands = run.commands
+    if not len(commands):
+        raise ReplayError(f"{run.name}: no commands to drive a plant with")
+    if commands.lateral_speed_m_s.any():
+        row = int(np.flatnonzero(commands.lateral_speed_m_s)[0])
+        raise ReplayError(
+            f"{run.name}: expected commands along the heading, found one to the side"
+            f" (command {row + 1}): a plant that drives sideways is not known"
+        )
+    length_s = float(commands.time_ns[-1] - commands.time_ns[0]) / 1e9
+    if length_s > _MOST_S:
+        raise ReplayError(
+            f"{run.name}: expected commands for {_MOST_S:g} s at most, found {length_s:g} s"
+        )
+
+
 _SLACK: Final = 1e-5
 """Displacement and turn that the 32-bit rounding of two poses cannot explain [m, rad]."""
 
@@ -178,7 +227,12 @@ def find_breaks(motion: RecordedMotion) -> tuple[tuple[Jump, ...], tuple[Gap, ..
     else:
         tells_nothing = is_jump | ((moved == 0.0) & (turned == 0.0))
         is_gap = np.where(tells_nothing, ticks > _STALL_TICKS, is_beyond_tick)
-    jumps = tuple(_build_jump(motion, int(row) + 1) for row in np.flatnonzero(is_jump))
+    jumps = []
+    for row in (np.flatnonzero(is_jump) + 1).tolist():
+        before, after = _get_pose(motion, row - 1), _get_pose(motion, row)
+        kind = "spawn" if after == (SPAWN_XY_M, SPAWN_XY_M, 0.0) else "teleport"
+        at_ns = int(motion.time_ns[row])
+        jumps.append(Jump(at_ns=at_ns, kind=kind, from_pose=before, to_pose=after))
     gaps = tuple(
         Gap(
             start_ns=int(motion.time_ns[row]),
@@ -187,17 +241,7 @@ def find_breaks(motion: RecordedMotion) -> tuple[tuple[Jump, ...], tuple[Gap, ..
         )
         for row in np.flatnonzero(is_gap)
     )
-    return jumps, gaps, (np.flatnonzero(is_jump | is_gap) + 1).tolist()
-
-
-def _build_jump(motion: RecordedMotion, row: int) -> Jump:
-    after = _get_pose(motion, row)
-    return Jump(
-        at_ns=int(motion.time_ns[row]),
-        kind="spawn" if after == (SPAWN_XY_M, SPAWN_XY_M, 0.0) else "teleport",
-        from_pose=_get_pose(motion, row - 1),
-        to_pose=after,
-    )
+    return tuple(jumps), gaps, (np.flatnonzero(is_jump | is_gap) + 1).tolist()
 
 
 def _get_pose(motion: RecordedMotion, row: int) -> tuple[float, float, float]:
@@ -262,14 +306,22 @@ def place_commands(
     commands = run.commands
     placer = _Placer(motion, commands)
     velocities, is_unexplained = placer.place_all(motion, starts)
-    is_disturbed = _find_disturbed(run, motion.time_ns)
+    is_disturbed = np.zeros(len(motion.time_ns), dtype=bool)
+    if any(read_number(run.parameters, key) for key in PUSH_KEYS):
+        # It acts from the first tick at its start on, and no longer in that at its end.
+        from_s = read_number(run.parameters, "disturbance.from_s")
+        to_s = read_number(run.parameters, "disturbance.to_s", np.inf)
+        is_disturbed = motion.time_ns >= round(from_s * 1e9)
+        is_disturbed &= motion.time_ns < np.rint(to_s * 1e9)
+    events = (event.text for event in run.events if event.kind == "commands_lost")
+    lost = (re.match(r"The transport lost (\d+) ", text) for text in events)
     use = CommandUse(
         taken=placer.taken,
         unseen=len(commands) - placer.taken,
         stops=placer.stops,
         unexplained_ticks=sum(is_unexplained),
         disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
-        never_arrived=_count_lost(run),
+        never_arrived=sum(int(found[1]) for found in lost if found),
     )
     return tuple(velocities), use
 
@@ -302,25 +354,6 @@ def follow_commands(run: Run) -> NDArray[np.int64]:
     placer.place_all(motion, frozenset(starts))
     shown = np.array(placer.shown, dtype=np.int64).reshape(-1, 2)
     return shown[~np.isin(shown[:, 1], starts)]
-
-
-def _find_disturbed(run: Run, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the ticks in which the scenario of a recording disturbs the plant."""
-    if not any(read_number(run.parameters, key) for key in PUSH_KEYS):
-        return np.zeros(len(time_ns), dtype=bool)
-    # It acts from the first tick at its start on, and no longer in that at its end.
-    from_s = read_number(run.parameters, "disturbance.from_s")
-    to_s = read_number(run.parameters, "disturbance.to_s", np.inf)
-    return np.asarray((time_ns >= round(from_s * 1e9)) & (time_ns < np.rint(to_s * 1e9)))
-
-
-_LOST: Final = re.compile(r"The transport lost (\d+) ")
-
-
-def _count_lost(run: Run) -> int:
-    """Return the number of commands that never arrived, from the events."""
-    texts = (event.text for event in run.events if event.kind == "commands_lost")
-    return sum(int(found[1]) for found in map(_LOST.match, texts) if found)
 
 
 class _Placer:

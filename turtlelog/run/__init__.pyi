@@ -37,4 +37,7 @@ from .tables import (
 from .trajectory import (
     Trajectory as Trajectory,
     build_planar_trajectory as build_planar_trajectory,
+    build_trajectory as build_trajectory,
+    find_quaternions as find_quaternions,
+    turn_headings as turn_headings,
 )

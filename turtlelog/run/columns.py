@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import Field, dataclass, fields, replace
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import cache, partial
 from numbers import Real
 from types import MappingProxyType
@@ -55,6 +55,19 @@ class Columns:
     if TYPE_CHECKING:
         __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
         time_ns: NDArray[np.int64]
+
+    @classmethod
+    def build_empty(cls) -> Self:
+        """Return columns without rows; columns that may be missing are None."""
+        return cls(
+            **{
+                name: np.zeros(
+                    (0, 2) if name in PAIRS else 0, np.int64 if name in _WHOLE else np.float64
+                )
+                for name, one in cls.__dataclass_fields__.items()
+                if one.default is MISSING
+            }
+        )
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -210,19 +223,6 @@ class SampleColumns(Columns):
         _freeze(self, "sample")
         _require_rising(self.time_ns, "sample.time_ns", strictly=False)
         _require_rising(self.sequence, "sample.sequence", strictly=True)
-
-    @classmethod
-    def build_empty(cls) -> Self:
-        """Return columns without rows, for a run without a recorded controller."""
-        none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-        return cls(
-            time_ns=whole,
-            sequence=whole,
-            pose_sequence=whole,
-            phase=whole,
-            speed_m_s=none,
-            turn_rate_rad_s=none,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

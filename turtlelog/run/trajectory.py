@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import fit_line
+from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import RunError
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.run import Run
@@ -89,6 +89,53 @@ def build_planar_trajectory(run: Run) -> Trajectory:
         xyz_m=np.column_stack([run.poses.xy_m, np.zeros(len(run.poses))]),
         orientation_quat_wxyz=turn_headings(run.poses.heading_rad),
         space="plane",
+    )
+
+
+def build_trajectory(
+    name: str,
+    time_ns: NDArray[np.int64],
+    xyz_m: Values,
+    turns: Values,
+    *,
+    notes: Mapping[str, str],
+) -> Trajectory:
+    """Return a trajectory of the finite rows in order of time, one row for each time.
+
+    Args:
+        name: Name of the trajectory.
+        time_ns: Time of each row [ns], shape (n,), in any order.
+        xyz_m: Position [m], shape (n, 3).
+        turns: Rotation as a quaternion w, x, y, z of any length, shape (n, 4).
+        notes: Notes, to which the numbers of rows left out or sorted are added.
+
+    Raises:
+        RunError: If no row has a position and a rotation, or the rows are no trajectory.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    is_pose = np.isfinite(xyz_m).all(axis=1) & np.isfinite(turns).all(axis=1)
+    if not is_pose.any():
+        raise RunError("no row has a position of finite numbers and a rotation")
+    time_ns, xyz_m, turns = time_ns[is_pose], xyz_m[is_pose], turns[is_pose]
+    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        time_ns, xyz_m, turns = time_ns[order], xyz_m[order], turns[order]
+    is_first = np.concatenate([[True], np.diff(time_ns) > 0])
+    counts = {
+        "without a time, a position or a rotation": int((~is_pose).sum()),
+        "out of order in time, sorted": late,
+        "at a time that an earlier pose has, left out": int((~is_first).sum()),
+    }
+    told = {name: f"{describe_count(count, 'pose')} {name}" for name, count in counts.items()}
+    return Trajectory(
+        name=name,
+        time_ns=time_ns[is_first],
+        xyz_m=xyz_m[is_first],
+        orientation_quat_wxyz=turns[is_first],
+        space="space",
+        notes={**notes, **{key: text for key, text in told.items() if counts[key]}},
     )
 
 

@@ -16,6 +16,7 @@ from .continuous_loop import (
     find_plant_final_value as find_plant_final_value,
     judge_bibo as judge_bibo,
 )
+from .exact_gains import StepMotion as StepMotion, measure_step_motion as measure_step_motion
 from .loop_models import (
     LoopModel as LoopModel,
     LoopTiming as LoopTiming,
@@ -34,23 +35,13 @@ from .pid_loop import (
     compute_open_loop as compute_open_loop,
     compute_pid_locus as compute_pid_locus,
     compute_pid_poles as compute_pid_poles,
+    compute_pid_step_response as compute_pid_step_response,
+    compute_steady_error as compute_steady_error,
     find_stable_gains as find_stable_gains,
     is_pid_stable as is_pid_stable,
 )
-from .pid_response import (
-    StepMotion as StepMotion,
-    compute_pid_step_response as compute_pid_step_response,
-    compute_steady_error as compute_steady_error,
-    measure_step_motion as measure_step_motion,
-)
-from .pid_stability import (
-    Margins as Margins,
-    PidGains as PidGains,
-)
-from .process import (
-    INTEGRATOR as INTEGRATOR,
-    Process as Process,
-)
+from .pid_stability import Margins as Margins, PidGains as PidGains
+from .process import INTEGRATOR as INTEGRATOR, Process as Process
 from .recommended_gains import (
     OVERSHOOT_PERCENT as OVERSHOOT_PERCENT,
     PHASE_MARGIN_RAD as PHASE_MARGIN_RAD,

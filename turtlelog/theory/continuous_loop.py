@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
-from turtlelog.theory.inputs import (
+from turtlelog.theory.process import (
     require_array,
     require_even_times,
     require_gain,
@@ -30,7 +30,6 @@ PLANT: Final = ((1.0,), (1.0, 0.0))
 
 PLANT_INPUTS: Final = ("impulse", "step", "ramp")
 """Inputs of the paper's figure 2: a unit impulse, 1 and t, with the transforms 1, 1/s and 1/s^2."""
-
 
 _DECAYED: Final = 750.0
 """Exponent from which exp(-x) counts as 0: exp(-750) is 0 in double precision, and no later product

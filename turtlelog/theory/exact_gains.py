@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.theory.pid_loop import find_stable_gains
-from turtlelog.theory.pid_response import StepMotion, measure_step_motion
 from turtlelog.theory.pid_stability import (
     LoopShape,
     Margins,
@@ -42,7 +41,14 @@ from turtlelog.theory.pid_stability import (
     is_stable,
     list_angles,
 )
-from turtlelog.theory.process import Process, SampledProcess, sample_process
+from turtlelog.theory.process import (
+    INTEGRATOR,
+    Process,
+    SampledProcess,
+    require_period,
+    sample_process,
+)
+from turtlelog.theory.sampled_loop import BAND, LARGEST_DEVIATION
 
 _Array = NDArray[np.float64]
 
@@ -64,6 +70,20 @@ _LARGEST_OVERSHOOT: Final = 1e3
 
 _PARTS: Final = 8
 """Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepMotion:
+    """Motion of a loop after a reference step, also between samples.
+
+    Attributes:
+        overshoot_percent: Overshoot [% of the step]; 0: no overshoot.
+        settling_time_s: Time of the first sample from which the motion stays within 2 % of the step
+            [s]; None if the motion was not followed to rest.
+    """
+
+    overshoot_percent: float
+    settling_time_s: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,7 +233,11 @@ def find_p_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
 def find_pd_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
     """Return the PD with a phase margin whose Kd cancels the lag, or the reason for its absence."""
     ratio_s = design.find_lag_ratio()
-    return _tell_no_lag(design) if ratio_s is None else _find_pd(design, ratio_s, margin_rad)
+    if ratio_s is not None:
+        return _find_pd(design, ratio_s, margin_rad)
+    if design.sampled.gaps:
+        return "the derivative's filter is slower than the lag, so no Kd cancels it"
+    return "there is no lag to cancel; of an integrator alone D only makes the gain smaller"
 
 
 def find_pi_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
@@ -286,12 +310,6 @@ def _tell_no_margin(margin_rad: float) -> str:
     return f"no gains have a phase margin of {math.degrees(margin_rad):g} deg"
 
 
-def _tell_no_lag(design: LoopDesign) -> str:
-    if design.sampled.gaps:
-        return "the derivative's filter is slower than the lag, so no Kd cancels it"
-    return "there is no lag to cancel; of an integrator alone D only makes the gain smaller"
-
-
 def _rate(design: LoopDesign, gains: PidGains) -> float:
     """Return the overshoot as a number that can be compared, also for a loop that diverges."""
     motion = design.measure(gains, to_rest=False)
@@ -347,3 +365,112 @@ def _maximise(compute: Callable[[_Array], _Array], high: float) -> tuple[float, 
         best = int(np.argmax(values))
         low, high = (low, *places, high)[best], (low, *places, high)[best + 2]
     return float(places[best]), float(values[best])
+
+
+_LONGEST_MOTION: Final = 200_000
+"""Longest motion that is followed between samples [samples]: about 0.3 s of computing."""
+
+_SETTLED: Final = 1e-9
+"""Remaining motion that counts as settled, as a share of the step: 1e-7 % of overshoot."""
+
+
+def measure_step_motion(
+    gains: PidGains,
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    process: Process = INTEGRATOR,
+    to_rest: bool = True,
+) -> StepMotion | None:
+    """Return the motion of a loop after a reference step, without limits.
+
+    Between two samples the plant receives one command and then the next. The motion is therefore
+    known in closed form: its rate follows each command exponentially, and the motion reverses where
+    the rate is 0.
+
+    Args:
+        gains: Gains of the controller.
+        period_s: Sampling period T [s].
+        dead_time_ticks: Dead time in addition to that of the process [samples].
+        process: Plant that the command drives. Default: an integrator.
+        to_rest: Whether to follow the motion to rest; otherwise the motion is followed only until
+            the overshoot is known.
+
+    Returns:
+        The motion; None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at
+        rest nor past its furthest point.
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    period_s = require_period(period_s)
+    sampled = sample_process(process, period_s, dead_time_ticks)
+    motion = _Motion(process, sampled, period_s)
+    keep, slope = gains.weigh_derivative(period_s)
+    kp, per_error, filter_gap = gains.kp, gains.ki * period_s, sampled.filter_gap
+    commands = [0.0] * (sampled.whole + 1)
+    patience = 4 * (sampled.whole + 1)
+    last = integral = derivative = filtered = 0.0
+    quiet = outside = 0
+    furthest_at = -1
+    for k in range(_LONGEST_MOTION):
+        error = 1.0 - motion.y
+        outside = k if abs(error) > BAND else outside
+        derivative = keep * derivative - slope * (motion.y - last)
+        command = kp * error + integral + derivative
+        if filter_gap is not None:
+            command = filtered = filtered + filter_gap * (command - filtered)
+        commands.append(command)
+        integral += per_error * error
+        last = motion.y
+        before = motion.furthest
+        motion.hold(commands[k], commands[k + 1])
+        furthest_at = k if motion.furthest > before else furthest_at
+        quiet = quiet + 1 if motion.is_settled() else 0
+        is_known = furthest_at >= 0 and k > 2 * furthest_at + patience
+        if quiet > patience or (is_known and not to_rest):
+            settling_time_s = (outside + 1) * period_s if quiet else None
+            return StepMotion(
+                overshoot_percent=100.0 * (motion.furthest - 1.0), settling_time_s=settling_time_s
+            )
+        if abs(error) > LARGEST_DEVIATION:
+            return None
+    overshoot_percent = 100.0 * (motion.furthest - 1.0)
+    found = StepMotion(overshoot_percent=overshoot_percent, settling_time_s=None)
+    return found if is_known else None
+
+
+class _Motion:
+    """Rate and signal `y` of a process between samples, from rest; `furthest` is at least 1."""
+
+    __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
+
+    def __init__(self, process: Process, sampled: SampledProcess, period_s: float) -> None:
+        self._gain = process.gain
+        self._lag_s = lag_s = process.lag_s if sampled.lag_gap is not None else 0.0
+        parts = enumerate((sampled.part, 1.0 - sampled.part))
+        times_s = ((number, part * period_s) for number, part in parts if part > 0.0)
+        self._pieces = tuple(
+            (number, time_s, -math.expm1(-time_s / lag_s) if lag_s else 1.0)
+            for number, time_s in times_s
+        )
+        self._wait_s = period_s + lag_s
+        self._v, self.y, self.furthest = 0.0, 0.0, 1.0
+
+    def is_settled(self) -> bool:
+        """Return whether the process is at rest at 1, within a negligible overshoot."""
+        return abs(self.y - 1.0) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
+
+    def hold(self, *commands: float) -> None:
+        """Advance by one sample, in which one command acts and then the next."""
+        y, v, furthest, lag_s = self.y, self._v, self.furthest, self._lag_s
+        for number, time_s, gap in self._pieces:
+            w = self._gain * commands[number]
+            if v > 0.0 > w and y + lag_s * v > furthest:  # it may turn back on the way
+                turn_s = lag_s * math.log1p(-v / w)
+                if turn_s < time_s:
+                    furthest = max(furthest, y + lag_s * v + w * turn_s)
+            y += w * time_s + lag_s * (v - w) * gap
+            v += gap * (w - v)
+            furthest = max(furthest, y)
+        self.y, self._v, self.furthest = y, v, furthest

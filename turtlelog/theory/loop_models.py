@@ -57,6 +57,8 @@ class MeasuredTiming:
 class LoopModel:
     """Model of a declared loop for theory.
 
+    Without a model, the methods raise TheoryError; the message is the reason.
+
     Attributes:
         loop: Loop as the law declares it.
         gains: Gains of the controller; None if there is no model.
@@ -85,41 +87,24 @@ class LoopModel:
     left_out: tuple[str, ...] = ()
 
     def analyse(self) -> PidLoop:
-        """Return the properties of the loop.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return the properties of the loop."""
         gains, settings = self.require()
         return analyse_pid_loop(gains, **settings)
 
     def require(self) -> tuple[PidGains, Settings]:
-        """Return the gains and the other arguments of theory's functions.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return the gains and the other arguments of theory's functions."""
         if self.gains is None or self.process is None or self.period_s is None:
             raise TheoryError(f"{self.loop.name}: {self.reason}")
         return self.gains, {"period_s": self.period_s, "process": self.process}
 
     def require_slowest(self) -> Settings:
-        """Return period and process for recommended gains, with the largest possible delay.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return period and process for recommended gains, with the largest possible delay."""
         settings = self.require_latest()
         process = settings["process"]
-        settings["process"] = replace(process, lag_s=process.lag_s + self.ramp_s)
-        return settings
+        return {**settings, "process": replace(process, lag_s=process.lag_s + self.ramp_s)}
 
     def require_latest(self) -> Settings:
-        """Return period and process with the largest possible dead time.
-
-        Raises:
-            TheoryError: If there is no model; the message is the reason.
-        """
+        """Return period and process with the largest possible dead time."""
         _, settings = self.require()
         if self.most_dead_time_s is not None:
             settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)
@@ -185,17 +170,11 @@ def model_loop(
         sources={**told, **timing.sources},
         left_out=left_out,
     )
-    return _refuse_numbers(found)
-
-
-def _refuse_numbers(model: LoopModel) -> LoopModel:
-    """Return the model, or if its numbers are out of theory's range, a model with the reason."""
     try:
-        gains, settings = model.require()
-        is_pid_stable(gains, **settings)
-    except TheoryError as err:
-        return LoopModel(loop=model.loop, reason=str(err), left_out=model.left_out)
-    return model
+        is_pid_stable(gains, period_s=timing.period_s, process=process)
+    except TheoryError as err:  # its numbers are out of theory's range
+        return LoopModel(loop=loop, reason=str(err), left_out=left_out)
+    return found
 
 
 def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:

@@ -1,4 +1,4 @@
-"""The sampled PID loop with a process and zero-order hold: poles, stability, limits, margins.
+"""The sampled PID loop with a process and zero-order hold: poles, stability, step response.
 
 The controller, as the law `sequential-pid` computes it, with e = r - y:
 
@@ -27,23 +27,30 @@ poles take a third of a second; the eigenvalues of a companion matrix would take
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
-from turtlelog.theory import pid_stability
-from turtlelog.theory.inputs import require_period, require_times
-from turtlelog.theory.pid_response import measure_pid_step
+from turtlelog.theory import pid_stability, sampled_loop
 from turtlelog.theory.pid_stability import LoopShape, Margins, PidGains
-from turtlelog.theory.process import INTEGRATOR, Process, build_open_loop, sample_process
-from turtlelog.theory.sampled_loop import (
-    analyse_sampled_loop,
-    compute_sampled_locus,
-    compute_sampled_poles,
-    compute_stability_gain,
+from turtlelog.theory.process import (
+    INTEGRATOR,
+    Process,
+    build_open_loop,
+    require_count,
+    require_level,
+    require_period,
+    require_times,
+    sample_process,
 )
+from turtlelog.theory.sampled_loop import LARGEST_DEVIATION
+
+_LONGEST: Final = 500_000
+"""Longest response for overshoot and settling time [samples]: about 0.2 s of computing, and 2.2 h
+at turtlesim's tick of 16 ms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,11 +110,7 @@ class PidLoop:
 
 
 def analyse_pid_loop(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> PidLoop:
     """Analyse a PID loop: poles, stability, range of its gain, step response, margins.
 
@@ -129,12 +132,14 @@ def analyse_pid_loop(
     overshoot_percent, settling_time_s = None, None
     if whole is not None:
         kp = gains.kp * process.gain
-        known = analyse_sampled_loop(kp, period_s=period_s, dead_time_ticks=whole)
+        known = sampled_loop.analyse_sampled_loop(kp, period_s=period_s, dead_time_ticks=whole)
         overshoot_percent, settling_time_s = known.overshoot_percent, known.settling_time_s
     elif stable:
-        overshoot_percent, settling_time_s = measure_pid_step(
-            gains, poles, period_s=period_s, dead_time_ticks=dead_time_ticks, process=process
-        )
+        dead_time = sample_process(process, period_s, dead_time_ticks).whole
+        settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
+        respond = partial(compute_pid_step_response, gains, period_s=period_s, **settings)
+        overshoot_percent, ticks = sampled_loop.measure_step(poles[0], dead_time, respond, _LONGEST)
+        settling_time_s = None if ticks is None else ticks * float(period_s)
     return PidLoop(
         gains=gains,
         period_s=float(period_s),
@@ -152,11 +157,7 @@ def analyse_pid_loop(
 
 
 def compute_pid_poles(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> NDArray[np.complex128]:
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
@@ -168,8 +169,11 @@ def compute_pid_poles(
     """
     shape, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is None:
-        return _find_poles(shape)
-    return compute_sampled_poles(gains.kp * process.gain, period_s=period_s, dead_time_ticks=whole)
+        found = _solve_quadratic(shape) if shape.degree == 2 else _iterate(shape)
+        return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
+    return sampled_loop.compute_sampled_poles(
+        gains.kp * process.gain, period_s=period_s, dead_time_ticks=whole
+    )
 
 
 def compute_pid_locus(
@@ -191,18 +195,15 @@ def compute_pid_locus(
     _, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is not None:
         own = [gain * process.gain for gain in kp]
-        return compute_sampled_locus(own, period_s=period_s, dead_time_ticks=whole).ravel()
+        found = sampled_loop.compute_sampled_locus(own, period_s=period_s, dead_time_ticks=whole)
+        return found.ravel()
     settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
-    found = [compute_pid_poles(replace(gains, kp=k), period_s=period_s, **settings) for k in kp]
-    return np.concatenate(found)
+    poles = [compute_pid_poles(replace(gains, kp=k), period_s=period_s, **settings) for k in kp]
+    return np.concatenate(poles)
 
 
 def is_pid_stable(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> bool:
     """Return whether all poles of a closed PID loop lie inside the unit circle.
 
@@ -216,11 +217,7 @@ def is_pid_stable(
 
 
 def find_stable_gains(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
+    gains: PidGains, *, period_s: float, dead_time_ticks: int = 0, process: Process = INTEGRATOR
 ) -> tuple[tuple[float, float], ...]:
     """Return the intervals of Kp [1/s] in which a loop is stable with its other gains fixed.
 
@@ -242,7 +239,7 @@ def find_stable_gains(
     gains = gains if gains.is_proportional else replace(gains, kp=1.0 / per_gain)
     held, whole = _prepare(gains, period_s, dead_time_ticks, process)
     if whole is not None:
-        return ((0.0, compute_stability_gain(period_s, whole) / process.gain),)
+        return ((0.0, sampled_loop.compute_stability_gain(period_s, whole) / process.gain),)
     found = pid_stability.find_stable_intervals(lambda p: replace(held, p=p), held)
     return tuple((low / per_gain, high / per_gain) for low, high in found)
 
@@ -274,6 +271,90 @@ def compute_open_loop(
     return pid_stability.evaluate_open_loop(shape, angle)
 
 
+def compute_pid_step_response(
+    gains: PidGains,
+    count: int,
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    push: float = 0.0,
+    process: Process = INTEGRATOR,
+) -> NDArray[np.float64]:
+    """Return a PID loop's response to a unit reference step at sample 0, without limits.
+
+    The response begins at rest, with y[0] to y[d] = 0. An unstable response is limited. The first
+    sample further than 1e9 from the reference, and all later samples, are set to a distance of 1e9
+    on the same side.
+
+    Args:
+        gains: Gains of the controller.
+        count: Number of samples, 1 to 1e8; a million takes about half a second.
+        period_s: Sampling period T [s].
+        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000.
+        push: Disturbance added to the plant's rate from sample 0 on, in steps per second.
+        process: Plant that the command drives. Default: an integrator.
+
+    Returns:
+        Response in steps at the times 0, T, 2 T ..., shape (count,).
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    period_s = require_period(period_s)
+    sampled = sample_process(process, period_s, dead_time_ticks)
+    response = np.empty(require_count(count))
+    push = require_level("push", push)
+    keep, slope = gains.weigh_derivative(period_s)
+    kp, per_error = gains.kp, gains.ki * period_s
+    lag_gap, filter_gap = sampled.lag_gap, sampled.filter_gap
+    # The weights of commands d, d + 1 and d + 2 samples old in the input of the lag.
+    weights = [sampled.ahead, 1.0 - sampled.ahead - sampled.behind, sampled.behind]
+    if lag_gap is None:
+        weights = [*weights[1:], 0.0]
+    newest, older, oldest = (sampled.gain * weight for weight in weights)
+    commands = [0.0] * (sampled.whole + 2)
+    y = last = integral = derivative = filtered = rate = 0.0
+    for k in range(len(response)):
+        response[k] = y
+        error = 1.0 - y
+        if abs(error) > LARGEST_DEVIATION:
+            response[k:] = 1.0 - math.copysign(LARGEST_DEVIATION, error)
+            break
+        derivative = keep * derivative - slope * (y - last)
+        command = kp * error + integral + derivative
+        if filter_gap is not None:
+            command = filtered = filtered + filter_gap * (command - filtered)
+        commands.append(command)
+        integral += per_error * error
+        last = y
+        drive = newest * commands[k + 2] + older * commands[k + 1] + oldest * commands[k]
+        rate = drive if lag_gap is None else rate + lag_gap * (drive - rate)
+        y += period_s * (rate + push)
+    return response
+
+
+def compute_steady_error(gains: PidGains, push: float, *, process: Process = INTEGRATOR) -> float:
+    """Return r - y after a constant disturbance in a stable loop: -push / (K Kp), 0 with Ki.
+
+    At rest the plant's input is 0, so K times the command is -push. Without an integral, Kp e must
+    produce this command. With an integral, the integral produces the command, and is at rest only
+    if e = 0. A derivative is 0 at rest.
+
+    Args:
+        gains: Gains of the controller.
+        push: Disturbance added to the plant's rate, in the signal's unit per second.
+        process: Plant that the command drives; only the gain of the plant is used.
+
+    Returns:
+        Error in the signal's unit.
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    push = require_level("push", push)
+    return 0.0 if gains.ki > 0.0 else -push / (gains.kp * process.gain)
+
+
 def _prepare(
     gains: PidGains, period_s: float, dead_time_ticks: int, process: Process
 ) -> tuple[LoopShape, int | None]:
@@ -286,7 +367,7 @@ def _prepare(
 def _judge(shape: LoopShape, whole: int | None) -> bool:
     if whole is None:
         return pid_stability.is_stable(shape)
-    return compute_stability_gain(1.0, whole) / shape.p > 1.0
+    return sampled_loop.compute_stability_gain(1.0, whole) / shape.p > 1.0
 
 
 _MOST_ROUNDS: Final = 300
@@ -298,12 +379,6 @@ _SMALLEST_STEP: Final = 1e-15
 
 _ON_AXIS: Final = 1e-12
 """Imaginary part of a root, as a share of its magnitude, that counts as rounding."""
-
-
-def _find_poles(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the poles of a loop, largest magnitude first."""
-    found = _solve_quadratic(shape) if shape.degree == 2 else _iterate(shape)
-    return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
 
 
 def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
@@ -333,7 +408,7 @@ def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
     are single, 10 to 40 iterations are enough; roots close together need more.
     """
     angles = 2.0 * math.pi * (np.arange(shape.degree) + 0.37) / shape.degree
-    roots = 0.98 * np.exp(1j * angles)
+    roots: NDArray[np.complex128] = 0.98 * np.exp(1j * angles)
     distances = np.empty((shape.degree, shape.degree), dtype=np.complex128)
     for _ in range(_MOST_ROUNDS):
         np.subtract(roots[:, None], roots, out=distances)
@@ -345,11 +420,7 @@ def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
         roots = roots - step
         if (np.abs(step) <= _SMALLEST_STEP * np.abs(roots)).all():
             break
-    return _mirror(roots)
-
-
-def _mirror(roots: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the roots of a real polynomial as exact conjugate pairs or exact real numbers."""
+    # The roots of a real polynomial are exact conjugate pairs or exact real numbers.
     is_real = np.abs(roots.imag) < _ON_AXIS * np.abs(roots)
     upper = roots[~is_real & (roots.imag > 0.0)]
     if 2 * len(upper) + is_real.sum() != len(roots):  # two that meet, on one side of the axis

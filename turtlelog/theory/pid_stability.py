@@ -15,8 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
-from turtlelog.theory.inputs import require_gain, require_not_negative, require_period
-from turtlelog.theory.process import SampledProcess
+from turtlelog.theory.process import (
+    SampledProcess,
+    require_gain,
+    require_not_negative,
+    require_period,
+)
 
 _Array = NDArray[np.float64]
 
@@ -88,10 +92,14 @@ def is_stable(shape: LoopShape) -> bool:
 
 def _count_unstable(shape: LoopShape) -> int | None:
     """Return the number of poles outside the unit circle; None if rounding could decide."""
+    c0, c1, c2 = shape.numerator
+    last = (-1.0) ** shape.delay * (-2.0) ** shape.integrators
+    last *= 1.0 if shape.a is None else -1.0 - shape.a
+    at_end = (c0 - 2.0 * c1 + 4.0 * c2) / last * _weigh_end(shape)  # L at z = -1
     crossings = _find_crossovers(shape)
     halves = [0.5 * _compute_phase(shape, x) for x in crossings]
     # |1 + L| = 2 cos(half the phase) where |L| = 1.
-    if any(2.0 * math.cos(half) < NEAREST for half in halves) or _is_at_minus_one(shape):
+    if any(2.0 * math.cos(half) < NEAREST for half in halves) or abs(1.0 + at_end) < NEAREST:
         return None
     edges, halves = [0.0, *crossings, 2.0], [0.0, *halves, 0.0]
     phase = 0.0
@@ -149,12 +157,7 @@ def _list_coefficients(shape: LoopShape) -> list[float]:
     from numpy.polynomial.polynomial import polyadd, polymul  # few theories need it
 
     c0, c1, c2 = shape.numerator
-    found = [
-        -c0 * c0,
-        2.0 * (c1 * c0 + 2.0 * c2 * c0 - c1 * c1),
-        4.0 * c2 * (c1 - c2 - c0),
-        0.0,
-    ]
+    found = [-c0 * c0, 2.0 * (c1 * c0 + 2.0 * c2 * c0 - c1 * c1), 4.0 * c2 * (c1 - c2 - c0), 0.0]
     gap = 1.0 if shape.a is None else 1.0 - shape.a
     both, apart = shape.ahead + shape.behind, shape.ahead - shape.behind
     # |W|^2 on the unit circle in rising powers of x.
@@ -217,15 +220,6 @@ def _find_angle(x: float) -> float:
     return 2.0 * math.asin(math.sqrt(0.5 * x))
 
 
-def _is_at_minus_one(shape: LoopShape) -> bool:
-    """Return whether L is -1 within rounding at z = -1, the end of the half circle."""
-    c0, c1, c2 = shape.numerator
-    denominator = (-1.0) ** shape.delay * (-2.0) ** shape.integrators
-    denominator *= 1.0 if shape.a is None else -1.0 - shape.a
-    value = (c0 - 2.0 * c1 + 4.0 * c2) / denominator * _weigh_end(shape)
-    return abs(1.0 + value) < NEAREST
-
-
 def _weigh_end(shape: LoopShape) -> float:
     """Return the factor of lag, low-pass and fractional dead time in the open loop at z = -1."""
     factors = [gap / (gap - 2.0) for gap in shape.gaps]
@@ -244,7 +238,14 @@ def _list_boundaries(held: LoopShape) -> list[float]:
         """Return the real part of Kp T, and the imaginary part divided by -sin(angle)."""
         sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
         x = 2.0 * sine * sine
-        size, turn = _invert_process(held, angle, x)
+        # Magnitude and phase of V.
+        sines, apart = np.sin(angle), held.ahead - held.behind
+        weight = 1.0 - (held.ahead + held.behind) * x
+        size = 1.0 / np.hypot(weight, apart * sines)
+        turn = -np.arctan2(apart * sines, weight)
+        for gap in held.gaps:
+            size *= np.hypot(gap - x, sines) / gap
+            turn += np.arctan2(sines, gap - x)
         turn += (d + 0.5) * angle
         filtered = (1.0 - a) ** 2 + 2.0 * a * x
         real = 2.0 * np.sin(turn) * sine * size + 0.5 * held.i
@@ -258,17 +259,6 @@ def _list_boundaries(held: LoopShape) -> list[float]:
     if end != 0.0:  # at z = -1
         found.append(2.0 * (-1.0) ** d / end + 0.5 * held.i - 2.0 * held.b / (1.0 + a))
     return found
-
-
-def _invert_process(shape: LoopShape, angle: _Array, x: _Array) -> tuple[_Array, _Array]:
-    """Return magnitude and phase of the product of (z - e) / (1 - e), divided by W."""
-    sine = np.sin(angle)
-    real, imaginary = 1.0 - (shape.ahead + shape.behind) * x, (shape.ahead - shape.behind) * sine
-    size, turn = 1.0 / np.hypot(real, imaginary), -np.arctan2(imaginary, real)
-    for gap in shape.gaps:
-        size *= np.hypot(gap - x, sine) / gap
-        turn += np.arctan2(sine, gap - x)
-    return size, turn
 
 
 def list_angles(shape: LoopShape) -> _Array:
@@ -344,7 +334,14 @@ def find_margins(shape: LoopShape, period_s: float) -> Margins:
     found = [(math.pi + _compute_phase(shape, x), _find_angle(x)) for x in _find_crossovers(shape)]
     phases = [(phase % (2.0 * math.pi), angle) for phase, angle in found]
     phase, crossover = min(phases, default=(None, None))
-    factors = _list_factors(shape)
+    # Each factor for which L passes through -1, with the angle w T of the crossing.
+    reals = find_sign_changes(
+        lambda angle: evaluate_open_loop(shape, angle).imag, list_angles(shape)
+    )
+    angles = np.append(reals, math.pi)
+    values = evaluate_open_loop(shape, angles).real
+    kept = (values > -_LARGEST_FACTOR) & (values < -1.0 / _LARGEST_FACTOR)
+    factors = [*zip((-1.0 / values[kept]).tolist(), angles[kept].tolist(), strict=True)]
     above = min(((factor, angle) for factor, angle in factors if factor > 1.0), default=None)
     return Margins(
         gain_margin=None if above is None else above[0],
@@ -354,18 +351,6 @@ def find_margins(shape: LoopShape, period_s: float) -> Margins:
         crossover_rad_s=None if crossover is None else crossover / period_s,
         delay_margin_ticks=min((phase / angle for phase, angle in phases), default=None),
     )
-
-
-def _list_factors(shape: LoopShape) -> list[tuple[float, float]]:
-    """Return each factor for which L passes through -1, with the angle w T of the crossing."""
-
-    def read_imaginary(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-        return evaluate_open_loop(shape, angle).imag
-
-    angles = np.append(find_sign_changes(read_imaginary, list_angles(shape)), math.pi)
-    values = evaluate_open_loop(shape, angles).real
-    kept = (values > -_LARGEST_FACTOR) & (values < -1.0 / _LARGEST_FACTOR)
-    return list(zip((-1.0 / values[kept]).tolist(), angles[kept].tolist(), strict=True))
 
 
 _SMALLEST_LOOP_GAIN: Final = 1e-9

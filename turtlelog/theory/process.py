@@ -15,24 +15,22 @@ Without lag, e = 0, and (w1 z + w0 + w2 / z) / z is (T - m) / T + m / (T z).
 
 The low-pass acts in the controller, before the plant: v += (1 - exp(-T / Tl)) (u - v), once per
 sample.
+
+The end of the file has the valid ranges of theory's inputs: gains, periods, dead times and levels.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
 from turtlelog.libraries import load_library
-from turtlelog.theory.inputs import (
-    MAX_DEAD_TIME_TICKS,
-    require_dead_time,
-    require_not_negative,
-    require_period,
-    require_positive,
-)
 
 if TYPE_CHECKING:
     from turtlelog.theory.pid_stability import LoopShape
@@ -117,10 +115,6 @@ def build_delayed(
     return control.tf(*control.pade(dead_time_s, pade_order)) * system
 
 
-INTEGRATOR: Final = Process()
-"""The plant of turtlesim, 1/s."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampledProcess:
     """A sampled process.
@@ -142,11 +136,6 @@ class SampledProcess:
     filter_gap: float | None
 
     @property
-    def at(self) -> float:
-        """Weight w0; (T - m) / T without lag."""
-        return 1.0 - self.ahead - self.behind
-
-    @property
     def delay(self) -> int:
         """Number of poles at z = 0: d, or one less with a low-pass, whose zero cancels one pole."""
         return self.whole - (self.filter_gap is not None)
@@ -155,13 +144,6 @@ class SampledProcess:
     def gaps(self) -> tuple[float, ...]:
         """1 - e for each pole e of lag and low-pass."""
         return tuple(gap for gap in (self.lag_gap, self.filter_gap) if gap is not None)
-
-    def list_weights(self) -> tuple[float, float, float]:
-        """Return the weights of commands d, d + 1 and d + 2 samples old in the input of the lag."""
-        weights = (self.at, self.behind, 0.0)
-        if self.lag_gap is not None:
-            weights = (self.ahead, self.at, self.behind)
-        return self.gain * weights[0], self.gain * weights[1], self.gain * weights[2]
 
     @property
     def is_integrator(self) -> bool:
@@ -172,7 +154,14 @@ class SampledProcess:
 def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) -> SampledProcess:
     """Return a process sampled with a period, and an additional dead time, up to 1000 samples."""
     period_s = require_period(period_s)
-    whole, part = _split_dead_time(process, period_s, dead_time_ticks)
+    ticks = require_dead_time(dead_time_ticks)
+    samples = ticks + process.dead_time_s / period_s
+    if not samples <= MAX_DEAD_TIME_TICKS + _WHOLE:
+        longest_s = (MAX_DEAD_TIME_TICKS - ticks) * period_s
+        most = f"at most {longest_s:.6g} s ({MAX_DEAD_TIME_TICKS} samples in all)"
+        raise _refuse_time("dead_time_s", process.dead_time_s, most)
+    whole = math.floor(samples + _WHOLE)
+    part = samples - whole if samples - whole > _WHOLE else 0.0
     lag = _scale_time("lag_s", process.lag_s, period_s)
     low_pass = _scale_time("low_pass_s", process.low_pass_s, period_s)
     ahead, behind = _weigh(1.0 / lag, part) if lag else (0.0, part)
@@ -185,19 +174,6 @@ def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) 
         lag_gap=-math.expm1(-1.0 / lag) if lag else None,
         filter_gap=-math.expm1(-1.0 / low_pass) if low_pass else None,
     )
-
-
-def _split_dead_time(process: Process, period_s: float, dead_time_ticks: int) -> tuple[int, float]:
-    """Return the dead time as whole samples and the remaining fraction of a sample, below 1."""
-    ticks = require_dead_time(dead_time_ticks)
-    samples = ticks + process.dead_time_s / period_s
-    if not samples <= MAX_DEAD_TIME_TICKS + _WHOLE:
-        longest_s = (MAX_DEAD_TIME_TICKS - ticks) * period_s
-        most = f"at most {longest_s:.6g} s ({MAX_DEAD_TIME_TICKS} samples in all)"
-        raise _refuse_time("dead_time_s", process.dead_time_s, most)
-    whole = math.floor(samples + _WHOLE)
-    part = samples - whole
-    return whole, part if part > _WHOLE else 0.0
 
 
 def _scale_time(name: str, time_s: float, period_s: float) -> float:
@@ -239,40 +215,148 @@ def _rest(value: float) -> float:
 
 def build_open_loop(shape: "LoopShape", period_s: float) -> Any:
     """Return the open loop of a sampled PID as a discrete, exact `control.TransferFunction`."""
-    lags = [(gap, (gap - 1.0, 1.0)) for gap in shape.gaps]
-    above: list[Any] = [
-        _shift(shape.numerator),
-        (shape.behind, 1.0 - shape.ahead - shape.behind, shape.ahead),
-        *((gap,) for gap, _ in lags),
-    ]
+    from numpy.polynomial import polynomial  # few theories need it
+
+    numerator = np.zeros(1)  # in rising powers of z, from powers of z - 1
+    for power, value in enumerate(shape.numerator):
+        numerator = polynomial.polyadd(numerator, value * polynomial.polypow((-1.0, 1.0), power))
+    weights = [shape.behind, 1.0 - shape.ahead - shape.behind, shape.ahead]
+    delay = shape.delay + 1  # the weights of the process, times z
+    if not shape.behind:
+        weights, delay = weights[1:], shape.delay
+    above: list[Any] = [numerator, weights, *((gap,) for gap in shape.gaps)]
     below: list[Any] = [
         *[(-1.0, 1.0)] * shape.integrators,
         *([(-shape.a, 1.0)] if shape.a is not None else []),
-        *(pole for _, pole in lags),
+        *((gap - 1.0, 1.0) for gap in shape.gaps),
     ]
-    delay = shape.delay + 1  # the weights of the process, times z
-    if not shape.behind:
-        above[1], delay = above[1][1:], shape.delay
     (above if delay < 0 else below).append((0.0,) * abs(delay) + (1.0,))
-    tf = load_library("control").tf
-    return tf(_expand(above), _expand(below), period_s)
+    multiply: Any = polynomial.polymul
+    products = [reduce(multiply, factors, np.ones(1)) for factors in (above, below)]
+    sides = [np.trim_zeros(product[::-1], "f") for product in products]
+    return load_library("control").tf(*sides, period_s)
 
 
-def _shift(coefficients: Sequence[float]) -> Any:
-    """Return a polynomial in z - 1 as a polynomial in z, in rising powers."""
-    from numpy.polynomial import polynomial  # few theories need it
+SMALLEST: Final = 1e-100
+LARGEST: Final = 1e100
+"""Largest magnitude of a number, in its own unit. A product or quotient of two such numbers is
+within 1e-200 to 1e200, so that it neither overflows a double (1.8e308) nor loses digits
+(2.2e-308)."""
 
-    total = np.zeros(1)
-    for power, value in enumerate(coefficients):
-        total = polynomial.polyadd(total, value * polynomial.polypow((-1.0, 1.0), power))
-    return total
+MAX_DEAD_TIME_TICKS: Final = 1000
+"""Largest dead time [samples]: 16 s at turtlesim's tick of 16 ms."""
+
+MAX_COUNT: Final = 100_000_000
+"""Largest number of samples of a response: 800 MB as doubles."""
 
 
-def _expand(factors: Sequence[Any]) -> Any:
-    """Return a product of polynomials in falling powers."""
-    from numpy.polynomial import polynomial  # few theories need it
+def require_gain(kp: Any) -> float:
+    """Return a gain [1/s] as float; raise an error if it is not a positive number."""
+    return require_positive("kp", kp, expected="a gain")
 
-    product = np.ones(1)
-    for factor in factors:
-        product = polynomial.polymul(product, factor)
-    return np.trim_zeros(product[::-1], "f")
+
+def require_period(period_s: Any) -> float:
+    """Return a sampling period [s] as float; raise an error if it is not a positive number."""
+    return require_positive("period_s", period_s, expected="a sampling period")
+
+
+def require_dead_time(ticks: Any) -> int:
+    """Return a dead time [ticks]; raise an error if it is not a whole number from 0 to 1000."""
+    return _require_whole("dead_time_ticks", ticks, 0, MAX_DEAD_TIME_TICKS)
+
+
+def require_count(count: Any) -> int:
+    """Return a number of samples; raise an error if it is not a whole number from 1 to 1e8."""
+    return _require_whole("count", count, 1, MAX_COUNT)
+
+
+def require_level(name: str, value: Any) -> float:
+    """Return a level of a signal as float; raise an error if it is not within +-1e100."""
+    if not _is_real(value) or not abs(value) <= LARGEST:
+        raise _refuse(name, "a number", value)
+    return float(value)
+
+
+def require_positive(name: str, value: Any, *, expected: str = "a number") -> float:
+    """Return a magnitude as float; raise an error if it is not a positive number."""
+    if not _is_real(value) or not value > 0.0:
+        raise _refuse(name, f"{expected} > 0", value, low="greater than 0")
+    if not SMALLEST <= value <= LARGEST:
+        raise _refuse(name, f"{expected} from {SMALLEST:g} to {LARGEST:g}", value)
+    return float(value)
+
+
+def require_not_negative(name: str, value: Any) -> float:
+    """Return a magnitude as float; raise an error if it is not a number from 0 to 1e100."""
+    if not _is_real(value) or not 0.0 <= value <= LARGEST:
+        raise _refuse(name, f"a number from 0 to {LARGEST:g}", value, low="0 or greater")
+    return float(value)
+
+
+def require_array(name: str, expected: str, values: Any) -> NDArray[np.float64]:
+    """Return numbers as an array; raise an error for anything else."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as err:
+        raise TheoryError(f"expected {expected}, found {err}", quantity=name) from err
+
+
+def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
+    """Return gains [1/s] as an array of one axis; raise an error if any is negative."""
+    gains = np.atleast_1d(require_array("kp", "an array of gains", kp))
+    if gains.ndim != 1 or not len(gains):
+        problem = f"expected a list of gains, found an array of shape {gains.shape}"
+        raise TheoryError(problem, quantity="kp")
+    is_outside = ~((gains >= 0.0) & (gains <= LARGEST))
+    if is_outside.any():
+        index = int(np.argmax(is_outside))
+        problem = f"expected gains from 0 to {LARGEST:g}, found {gains[index]} at index {index}"
+        raise TheoryError(problem, quantity="kp")
+    return gains
+
+
+def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
+    """Return times [s] as an array; raise an error if any is not finite."""
+    times = require_array("time_s", "an array of times", time_s)
+    if not np.isfinite(times).all():
+        raise TheoryError("expected finite times, found nan or inf", quantity="time_s")
+    return times
+
+
+def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
+    """Return times [s] at which python-control can simulate; raise an error for other times."""
+    times = require_times(time_s)
+    if times.ndim != 1:
+        problem = f"expected a list of times, found an array of shape {times.shape}"
+        raise TheoryError(problem, quantity="time_s")
+    if len(times) < 2 or times[0] != 0.0:
+        found = f"{len(times)}, the first {times[0]}" if len(times) else "none"
+        problem = f"times must start at 0 and have at least 2 values, found {found}"
+        raise TheoryError(problem, quantity="time_s")
+    steps = np.diff(times)
+    if not steps.min() > 0.0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
+        raise TheoryError("expected even steps forward, found uneven ones", quantity="time_s")
+    return times
+
+
+def _require_whole(name: str, value: Any, lowest: int, highest: int) -> int:
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_whole or not lowest <= value <= highest:
+        low = "0 or greater" if lowest == 0 else ""
+        raise _refuse(name, f"a whole number from {lowest} to {highest}", value, low=low)
+    return int(value)
+
+
+def _refuse(name: str, expected: str, value: Any, *, low: str = "") -> TheoryError:
+    """Return an error on a value; `low` says in short what a finite number up to 0 must be."""
+    is_low = low and _is_real(value) and math.isfinite(value) and value <= 0
+    problem = f"expected {expected}, found {value!r}"
+    return TheoryError(problem, quantity=name, value=value, must=low if is_low else expected)
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+
+
+INTEGRATOR: Final = Process()
+"""The plant of turtlesim, 1/s."""

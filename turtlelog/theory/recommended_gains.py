@@ -12,11 +12,15 @@ from typing import Final
 
 from turtlelog.errors import TheoryError
 from turtlelog.theory import exact_gains as exact
-from turtlelog.theory.exact_gains import LoopDesign
-from turtlelog.theory.inputs import require_not_negative, require_period, require_positive
-from turtlelog.theory.pid_response import StepMotion
+from turtlelog.theory.exact_gains import LoopDesign, StepMotion
 from turtlelog.theory.pid_stability import Margins, PidGains
-from turtlelog.theory.process import INTEGRATOR, Process
+from turtlelog.theory.process import (
+    INTEGRATOR,
+    Process,
+    require_not_negative,
+    require_period,
+    require_positive,
+)
 
 OVERSHOOT_PERCENT: Final = 5.0
 """Default of the wanted overshoot [% of the step]: the overshoot of a second-order loop with a
@@ -83,10 +87,17 @@ def recommend_gains(
         period_s=require_period(period_s),
         filter_s=require_not_negative("filter_s", filter_s),
     )
-    margin_rad = _require_margin(phase_margin_rad)
+    margin_rad = PHASE_MARGIN_RAD if phase_margin_rad is None else phase_margin_rad
+    margin_rad = require_positive("phase_margin_rad", margin_rad)
+    if not margin_rad < math.pi:
+        problem = f"expected less than pi, found {margin_rad!r}"
+        raise TheoryError(problem, quantity="phase_margin_rad")
     rules: list[tuple[str, str, str, Callable[[], PidGains | str]]] = []
     if overshoot_percent is not None:
-        percent = _require_overshoot(overshoot_percent)
+        percent = require_not_negative("overshoot_percent", overshoot_percent)
+        if not percent < 100.0:
+            problem = f"expected less than 100 %, found {percent!r}"
+            raise TheoryError(problem, quantity="overshoot_percent")
         find_pd = partial(exact.find_pd_of_overshoot, margin_rad=margin_rad)
         rules += [
             ("overshoot", "P", _EXACT, partial(exact.find_p_of_overshoot, design, percent)),
@@ -99,7 +110,14 @@ def recommend_gains(
             ("phase-margin", "PI", _EXACT, partial(exact.find_pi_of_margin, design, margin_rad)),
             ("phase-margin", "PD", _EXACT, partial(exact.find_pd_of_margin, design, margin_rad)),
         ]
-    rules += [(*names, partial(compute, design)) for names, compute in _RULES]
+
+    def halve_ultimate_gain() -> PidGains:  # which gives a gain margin of 2
+        return PidGains(kp=0.5 * design.find_ultimate_gain())
+
+    rules += [
+        *(("simc", kind, _SKOGESTAD, partial(_compute_simc, design, kind)) for kind in _KINDS),
+        ("ziegler-nichols", "P", _ZIEGLER_NICHOLS, halve_ultimate_gain),
+    ]
     return tuple(_judge(design, *rule) for rule in rules)
 
 
@@ -134,8 +152,11 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     """
     if given.margins is None or given.motion is None or best.motion is None:
         return False
-    if _are_same(given.gains, best.gains):
-        return True
+    if given.gains is not None and best.gains is not None:
+        ours, theirs = ((one.kp, one.ki, one.kd) for one in (given.gains, best.gains))
+        pairs = zip(ours, theirs, strict=True)
+        if all(math.isclose(one, other, rel_tol=_SAME_GAIN) for one, other in pairs):
+            return True
     settles_s, best_settles_s = given.motion.settling_time_s, best.motion.settling_time_s
     if settles_s is None or (best_settles_s is not None and settles_s > best_settles_s + _EQUAL_S):
         return False
@@ -158,14 +179,6 @@ _EQUAL_RAD: Final = math.radians(0.05)
 
 _SAME_GAIN: Final = 0.005
 """Largest change of a gain by rounding to three digits, as a share of the gain."""
-
-
-def _are_same(given: PidGains | None, best: PidGains | None) -> bool:
-    """Return whether gains are equal to three digits."""
-    if given is None or best is None:
-        return False
-    pairs = [(given.kp, best.kp), (given.ki, best.ki), (given.kd, best.kd)]
-    return all(math.isclose(one, other, rel_tol=_SAME_GAIN) for one, other in pairs)
 
 
 def _judge(
@@ -193,23 +206,6 @@ def _judge(
     )
 
 
-def _require_overshoot(percent: float) -> float:
-    percent = require_not_negative("overshoot_percent", percent)
-    if not percent < 100.0:
-        problem = f"expected less than 100 %, found {percent!r}"
-        raise TheoryError(problem, quantity="overshoot_percent")
-    return percent
-
-
-def _require_margin(margin_rad: float | None) -> float:
-    margin_rad = PHASE_MARGIN_RAD if margin_rad is None else margin_rad
-    margin_rad = require_positive("phase_margin_rad", margin_rad)
-    if not margin_rad < math.pi:
-        problem = f"expected less than pi, found {margin_rad!r}"
-        raise TheoryError(problem, quantity="phase_margin_rad")
-    return margin_rad
-
-
 _SKOGESTAD: Final = (
     "S. Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of"
     " Process Control 13 (2003) 291-309: tight control, tau_c = theta"
@@ -219,46 +215,26 @@ _ZIEGLER_NICHOLS: Final = (
     " the ASME 64 (1942) 759-768: half of the gain at which the loop oscillates without end"
 )
 
+_KINDS: Final = ("P", "PI", "PD")
+
 _INTEGRAL: Final = 8.0
 """SIMC's tau_I = 4 (tau_c + theta) as a multiple of theta, for tau_c = theta."""
 
-Rule = Callable[[LoopDesign], PidGains | str]
 
-
-def _compute_simc_p(design: LoopDesign) -> PidGains:
-    """Return the P gain of the SIMC rule, without integral: Kp = 1 / (K (tau_c + theta)).
+def _compute_simc(design: LoopDesign, kind: str) -> PidGains | str:
+    """Return the gains of the SIMC rule, without integral: Kp = 1 / (K (tau_c + theta)).
 
     The tuning constant tau_c equals the dead time theta. By the half rule, half of the largest lag
-    and all of the other lag count as dead time.
+    and all of the other lag count as dead time. Of PD the derivative time tau_D is the lag: the
+    larger of two, plus half of the smaller one, whose other half is dead time. The paper recommends
+    a derivative only if the lag exceeds the dead time.
     """
-    theta_s, _ = _reduce(design, kept=0)
-    return PidGains(kp=0.5 / (design.process.gain * theta_s))
-
-
-def _compute_simc_pi(design: LoopDesign) -> PidGains:
-    """Return the PI gains of the SIMC rule for an integrator with dead time."""
-    kp, (theta_s, _) = _compute_simc_p(design).kp, _reduce(design, kept=0)
-    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s))
-
-
-def _compute_simc_pd(design: LoopDesign) -> PidGains | str:
-    """Return the PD gains of the SIMC rule for an integrator with lag and dead time.
-
-    The derivative time tau_D is the lag: the larger of two, plus half of the smaller one, whose
-    other half is dead time. The paper recommends a derivative only if the lag exceeds the dead
-    time.
-    """
-    theta_s, lag_s = _reduce(design, kept=1)
-    if lag_s <= theta_s:
+    theta_s, lag_s = _reduce(design, kept=int(kind == "PD"))
+    kp = 0.5 / (design.process.gain * theta_s)
+    if kind == "PD" and lag_s <= theta_s:
         found = f"{1e3 * lag_s:.4g} ms of lag and {1e3 * theta_s:.4g} ms of dead time with the hold"
         return f"the rule takes a derivative where the lag exceeds the dead time; here are {found}"
-    kp = 0.5 / (design.process.gain * theta_s)
-    return PidGains(kp=kp, kd=kp * lag_s)
-
-
-def _compute_ziegler_nichols_p(design: LoopDesign) -> PidGains:
-    """Return half of the ultimate gain, which gives a gain margin of 2."""
-    return PidGains(kp=0.5 * design.find_ultimate_gain())
+    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s) if kind == "PI" else 0.0, kd=kp * lag_s)
 
 
 def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
@@ -269,12 +245,3 @@ def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
     half = 0.5 * lags[kept]
     theta_s = process.dead_time_s + 0.5 * design.period_s + half + sum(lags[kept + 1 :])
     return theta_s, left + half if kept else 0.0
-
-
-_RULES: Final[tuple[tuple[tuple[str, str, str], Rule], ...]] = (
-    (("simc", "P", _SKOGESTAD), _compute_simc_p),
-    (("simc", "PI", _SKOGESTAD), _compute_simc_pi),
-    (("simc", "PD", _SKOGESTAD), _compute_simc_pd),
-    (("ziegler-nichols", "P", _ZIEGLER_NICHOLS), _compute_ziegler_nichols_p),
-)
-"""Name, controller, source and function of each rule."""

@@ -16,13 +16,14 @@ either side of d / (d + 1). For even d, one more root is negative.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.libraries import load_library
-from turtlelog.theory.inputs import (
+from turtlelog.theory.process import (
     require_count,
     require_dead_time,
     require_gain,
@@ -39,6 +40,9 @@ _NEGLIGIBLE_DEVIATION: Final = 1e-20
 
 _ROUNDING: Final = 1e-9
 """Share of a response that is larger than any rounding error of an addition."""
+
+BAND: Final = 0.02
+"""Settling band as a share of the step."""
 
 _LONGEST: Final = 2_000_000
 """Longest response for overshoot and settling time [samples]: 16 MB as doubles, and 8.9 h at
@@ -134,8 +138,19 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
     poles = compute_sampled_poles(kp, period_s=period_s, dead_time_ticks=dead_time_ticks)
     loop_gain = kp * period_s
     gain_margin = _compute_stability_loop_gain(dead_time_ticks) / loop_gain
-    phase_margin_rad, delay_margin_ticks = _compute_margins(loop_gain, dead_time_ticks)
-    overshoot_percent, settling_ticks = _measure_step(poles, loop_gain, dead_time_ticks)
+    phase_margin_rad, delay_margin_ticks = None, None
+    if loop_gain <= 2.0:
+        crossover = 2.0 * math.asin(0.5 * loop_gain)
+        phase_margin_rad = 0.5 * math.pi - (dead_time_ticks + 0.5) * crossover
+        delay_margin_ticks = 0.5 * math.pi / crossover - (dead_time_ticks + 0.5)
+    respond = partial(
+        compute_sampled_step_response, loop_gain, period_s=1.0, dead_time_ticks=dead_time_ticks
+    )
+    overshoot_percent, settling_ticks = measure_step(poles[0], dead_time_ticks, respond, _LONGEST)
+    damping_ratio = 1.0
+    if poles[0] not in {0.0, 1.0}:  # -Re s / |s| for s = log z / T
+        exponent = np.log(complex(poles[0]))
+        damping_ratio = float(-exponent.real / abs(exponent))
     return SampledLoop(
         kp=float(kp),
         period_s=float(period_s),
@@ -143,7 +158,7 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
         poles=poles,
         stable=gain_margin > 1.0,
         overshoots=loop_gain > _compute_meeting_gain(dead_time_ticks),
-        damping_ratio=_compute_damping_ratio(poles[0]),
+        damping_ratio=damping_ratio,
         overshoot_percent=overshoot_percent,
         settling_time_s=None if settling_ticks is None else settling_ticks * float(period_s),
         gain_margin=gain_margin,
@@ -230,37 +245,23 @@ def _compute_stability_loop_gain(dead_time_ticks: int) -> float:
     return 2.0 * math.sin(math.pi / (2 * (2 * dead_time_ticks + 1)))
 
 
-def _compute_margins(loop_gain: float, d: int) -> tuple[float | None, float | None]:
-    """Return phase margin [rad] and delay margin [samples]."""
-    if loop_gain > 2.0:
-        return None, None
-    crossover = 2.0 * math.asin(0.5 * loop_gain)
-    phase_margin_rad = 0.5 * math.pi - (d + 0.5) * crossover
-    return phase_margin_rad, 0.5 * math.pi / crossover - (d + 0.5)
-
-
-def _compute_damping_ratio(pole: complex) -> float:
-    """Return -Re s / |s| for s = log z / T."""
-    if pole in {0.0, 1.0}:
-        return 1.0
-    exponent = np.log(complex(pole))
-    return float(-exponent.real / abs(exponent))
-
-
-def _measure_step(
-    poles: NDArray[np.complex128], loop_gain: float, d: int
+def measure_step(
+    slowest: complex, dead_time: int, respond: Callable[[int], NDArray[np.float64]], longest: int
 ) -> tuple[float | None, int | None]:
-    """Return overshoot [%] and 2 % settling time [samples] of the step response."""
+    """Return overshoot [%] and 2 % settling time [samples] of a step response.
+
+    `slowest` is the slowest pole, and `respond` returns the first samples of the response. The
+    result is None if the loop is unstable, or does not settle within the `longest` response.
+    """
     # A pole at 0, which has no logarithm, counts as one of 1e-3: 0.1 % is left after one sample.
-    decay = -math.log(max(abs(poles[0]), 1e-3)) if abs(poles[0]) < 1.0 else 0.0
+    decay = -math.log(min(max(abs(slowest), 1e-3), 1.0))
     # exp(-12) of the slowest pole is left after so many samples, far below 2 %.
-    if decay * _LONGEST < 12.0:
+    if decay * longest < 12.0:
         return None, None
-    count = 10 * (d + 1) + math.ceil(12.0 / decay)
-    error = 1.0 - compute_sampled_step_response(loop_gain, count, period_s=1.0, dead_time_ticks=d)
+    error = 1.0 - respond(10 * (dead_time + 1) + math.ceil(12.0 / decay))
     if np.abs(error).max() >= LARGEST_DEVIATION:
         return None, None
-    outside = np.flatnonzero(np.abs(error) > 0.02)
+    outside = np.flatnonzero(np.abs(error) > BAND)
     return max(0.0, -100.0 * float(error.min())), int(outside[-1]) + 1
 
 
@@ -382,21 +383,15 @@ def _find_upper(
 
     shape = (len(loop_gains), len(order))
     share = _bisect(rise, np.zeros(shape), np.ones(shape))
-    poles = find_radius(share)[0] * np.exp(1j * (begin + width * share))
+    poles: NDArray[np.complex128] = find_radius(share)[0] * np.exp(1j * (begin + width * share))
     is_fast = np.array(loop_gains)[:, np.newaxis] > 2.0 * _compute_meeting_gain(d)
-    return np.where((order > 0) | is_fast, _polish(poles, logs, d), poles)
-
-
-def _polish(
-    poles: NDArray[np.complex128], logs: NDArray[np.float64], d: int
-) -> NDArray[np.complex128]:
-    """Take Newton steps for log z on d log z + log(1 - z) = log Kp T, which is nearly linear."""
-    for _ in range(3):
-        excess = d * np.log(poles) + np.log1p(-poles) - logs
+    polished = poles
+    for _ in range(3):  # Newton's steps for log z, in which the equation is nearly linear
+        excess = d * np.log(polished) + np.log1p(-polished) - logs
         turns = np.round(excess.imag / (2.0 * math.pi))
-        slope = d - poles / (1.0 - poles)
-        poles = poles * np.exp(-(excess - 2j * math.pi * turns) / slope)
-    return poles
+        slope = d - polished / (1.0 - polished)
+        polished = polished * np.exp(-(excess - 2j * math.pi * turns) / slope)
+    return np.where((order > 0) | is_fast, polished, poles)
 
 
 def _find_negative(loop_gains: Sequence[float], d: int) -> NDArray[np.complex128]:

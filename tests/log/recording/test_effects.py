@@ -35,7 +35,7 @@ from turtlelog.log import (
     write_columns,
     write_recording,
 )
-from turtlelog.log.importers.exported_tables import import_tables
+from turtlelog.log.exported_tables import import_tables
 from turtlelog.log.recording.head import HEAD, describe_run, format_head
 from turtlelog.log.recording.topics import CONTROL, POSE, SCHEMAS, SENSED, SENSED64, SHAPED
 from turtlelog.run import Run

@@ -10,7 +10,7 @@ from tests.log.ros2.bags import make_command, make_poses, write_mcap, write_meta
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_run, recover_recording
 from turtlelog.log.ros2 import read_bag_info
-from turtlelog.log.ros2.bag_metadata import parse_bag_metadata
+from turtlelog.log.ros2.bag_files import parse_bag_metadata
 
 ROWS = 3000
 PAGE = 4096

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.log.ros2.bag_clock import BagTimes, time_rows
+from turtlelog.log.ros2.bag_rows import BagTimes, time_rows
 from turtlelog.log.ros2.stamps import Stamps
 from turtlelog.run import Clock
 

@@ -19,7 +19,7 @@ from tests.log.ros2.stamped_poses import (
 from tests.log.runs import find_shared
 from turtlelog import read_run
 from turtlelog.errors import LogError
-from turtlelog.log.ros2.bag_clock import CLOCK, CLOSE_ROWS
+from turtlelog.log.ros2.bag_rows import CLOCK, CLOSE_ROWS
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock
 from turtlelog.run import Clock
 

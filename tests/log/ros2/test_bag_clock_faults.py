@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.log.ros2.stamped_poses import MS, make_stamps, make_times, read_clock, time_poses
-from turtlelog.log.ros2.bag_clock import CLOCK, CLOSE_ROWS
+from turtlelog.log.ros2.bag_rows import CLOCK, CLOSE_ROWS
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock
 
 

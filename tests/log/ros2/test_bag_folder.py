@@ -20,8 +20,8 @@ from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_run
 from turtlelog.log.engine import limits
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
-from turtlelog.log.ros2.bag import open_bag
-from turtlelog.log.ros2.bag_metadata import parse_bag_metadata
+from turtlelog.log.ros2.bag_files import parse_bag_metadata
+from turtlelog.log.ros2.bag_rows import open_bag
 
 METADATA = "metadata.yaml"
 

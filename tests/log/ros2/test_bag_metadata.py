@@ -9,8 +9,8 @@ from ruamel.yaml import YAML
 
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log.ros2 import BagPart, BagTopic, format_bag_metadata
-from turtlelog.log.ros2.bag_metadata import parse_bag_metadata
+from turtlelog.log.exporters import BagPart, BagTopic, format_bag_metadata
+from turtlelog.log.ros2.bag_files import parse_bag_metadata
 
 NAMES = st.text(
     st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=("C", "Zl", "Zp")),

@@ -28,7 +28,8 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
-from turtlelog.log.ros2.bag_topics import choose_command_topic, choose_pose_topic
+from turtlelog.log.ros2.bag_inputs import choose_command_topic
+from turtlelog.log.ros2.bag_topics import choose_pose_topic
 from turtlelog.log.ros2.reported_motion import describe_leaps
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from tests.log.runs import find_shared
 from turtlelog.log import read_run
+from turtlelog.log.planar_poses import Values
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     MOVED_M,
@@ -12,7 +13,6 @@ from turtlelog.log.ros2.reported_motion import (
     SPEED,
     TURN_RATE,
     TURNED_RAD,
-    Values,
     judge_rates,
 )
 

@@ -25,7 +25,7 @@ from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info, read_run
 from turtlelog.log.engine import sqlite_source
-from turtlelog.log.ros2.bag import open_bag
+from turtlelog.log.ros2.bag_rows import open_bag
 
 MIXED = [
     *make_poses(700),

@@ -10,7 +10,7 @@ from tests.log.ros2.bags import change, make_command, make_poses, write_sqlite
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, recover_recording
 from turtlelog.log.engine import sqlite_source
-from turtlelog.log.ros2.bag import open_bag
+from turtlelog.log.ros2.bag_rows import open_bag
 
 NULLS = (
     "CREATE TABLE loose AS SELECT * FROM messages",

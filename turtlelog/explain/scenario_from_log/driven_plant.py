@@ -11,11 +11,10 @@ from itertools import product
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.explain.scenario_from_log.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.scenario_from_log.resimulation import number_poses
-from turtlelog.explain.scenario_from_log.trace import Trace, Values, list_trace_breaks
+from turtlelog.explain.scenario_from_log.trace import WHITE, Trace, Values, list_trace_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.measure.motion import COARSE, FEWEST_DIFFERENT, OFF_GRID
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
@@ -26,10 +25,6 @@ from turtlelog.simulate import iterate_ticks
 
 _UNKNOWN_TICKS: Final = 20
 """Number of ticks after missing rows in which unknown commands may still act."""
-
-WHITE: Final = 0.5
-"""Largest deviation of noise's whiteness from 1. A wrong setting leaves a curve with a whiteness
-below 0.1."""
 
 FLOOR: Final = 1e-7
 """Residual up to which all settings count as equal [m, rad]: the rounding of a 32-bit pose at a few
@@ -84,10 +79,6 @@ class Playback:
             speed_m_s=speed_m_s,
             turn_rate_rad_s=turn_rate_rad_s,
             phase="control",
-            bearing_rad=0.0,
-            heading_error_rad=0.0,
-            error_x_m=0.0,
-            error_y_m=0.0,
             blocks_ticks=parameters.pause_ticks if number == parameters.pauses_at else 0,
             stop_reason="end" if self._next == len(parameters.commands) else None,
         )
@@ -143,10 +134,7 @@ def drive_plant(
         return None
     read = driven[trace.number[:count]]
     left = np.column_stack(
-        [
-            trace.xy_m[:count] - read[:, :2],
-            subtract_headings(trace.heading_rad[:count], read[:, 2]),
-        ]
+        [trace.xy_m[:count] - read[:, :2], subtract_headings(trace.heading_rad[:count], read[:, 2])]
     )
     return _compare(trace, left, read, count)
 
@@ -188,23 +176,24 @@ def _drive(trace: Trace, guess: Any, samples: int, *, reads_alike: bool) -> Valu
     for tick in iterate_ticks(scenario):
         poses.append((tick.row.x_m, tick.row.y_m, tick.row.heading_rad))
         read += [sample.pose_sequence for sample in tick.computed]
-    if len(read) != samples or (reads_alike and not _reads_as_logged(trace, np.array(read))):
+    if len(read) != samples:
         return None
+    if reads_alike and trace.has_ticks and trace.has_exact_clock:
+        known = trace.number < samples
+        if (np.array(read)[trace.number[known]] != number_poses(trace)[known]).any():
+            return None
     driven = np.array(poses)[read]
     driven[:, :2] = first_xy_m + smaller * (driven[:, :2] - start_xy_m)
     return driven
 
 
-def _reads_as_logged(trace: Trace, read: NDArray[np.int64]) -> bool:
-    """Return whether the samples read the same poses as in the log, if those are known."""
-    if not (trace.has_ticks and trace.has_exact_clock):
-        return True
-    known = trace.number < len(read)
-    return np.array_equal(read[trace.number[known]], number_poses(trace)[known])
-
-
 def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | None:
-    stretches = _list_stretches(trace, count)
+    # After a gap, rows begin where all commands are known.
+    bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
+    missing, skip = {row for row, _ in trace.missing}, _UNKNOWN_TICKS // trace.period_ticks
+    starts = [row + skip if row in missing else row for row in bounds[:-1]]
+    parts = zip(starts, bounds[1:], strict=True)
+    stretches = [slice(first, last) for first, last in parts if last - first > 2]
     if not stretches:
         return None
     kept = np.zeros(count, dtype=bool)
@@ -229,7 +218,13 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
             if number == 0:
                 offsets, spread = found, variance
         noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
-    whiteness = _measure_whiteness(after, stretches)
+    # The mean square of changes over twice the mean square: 1 for noise, 0 for curves.
+    changes, squares = np.zeros(3), np.zeros(3)
+    for stretch in stretches:
+        part = after[stretch]
+        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
+        squares += (part**2).sum(axis=0) / len(part)
+    whiteness = np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(spread) * widen_for_runs(whiteness)
@@ -252,16 +247,6 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     )
 
 
-def _list_stretches(trace: Trace, count: int) -> list[slice]:
-    """Return the rows between breaks. After a gap, rows begin where all commands are known."""
-    bounds = [0, *(row for row in list_trace_breaks(trace) if row < count), count]
-    missing = {row for row, _ in trace.missing}
-    skip = _UNKNOWN_TICKS // trace.period_ticks
-    starts = [row + skip if row in missing else row for row in bounds[:-1]]
-    found = zip(starts, bounds[1:], strict=True)
-    return [slice(first, last) for first, last in found if last - first > 2]
-
-
 def _fit_offsets(
     left: Values, slopes: Values, noise: Values, logged: Values
 ) -> tuple[Values, Values]:
@@ -277,16 +262,6 @@ def _fit_offsets(
         fresh = np.flatnonzero(np.diff(logged[:, axis], prepend=np.nan) != 0.0)
         variance += (np.add.reduceat(estimator[axis], fresh, axis=1) ** 2).sum(axis=1)
     return np.einsum("ijn,ni->j", estimator, left / noise), variance
-
-
-def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
-    """Return the mean square of changes over twice the mean square: 1 for noise, 0 for curves."""
-    changes, squares = np.zeros(3), np.zeros(3)
-    for stretch in stretches:
-        part = left[stretch]
-        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
-        squares += (part**2).sum(axis=0) / len(part)
-    return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -347,20 +322,15 @@ def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
     middle = _solve([0.0, 0.0, 0.0, -1.0], within, sides)
     if middle is None:
         return None
-    ends = []
-    for axis, sign in product(range(3), (1.0, -1.0)):
+    low, high = np.empty(3), np.empty(3)
+    for axis, (ends, sign) in product(range(3), ((low, 1.0), (high, -1.0))):
         cost = [sign * (axis == column) for column in range(3)] + [0.0]
-        ends.append(_solve(cost, within, sides))
-    start = np.array(drive.start)
-    low, high = (
-        [
-            start[axis] + ((ends[2 * axis + end] or middle)[axis] + way * _SOLVED) * unit
-            for axis in range(3)
-        ]
-        for end, way in ((0, -1.0), (1, 1.0))
+        found = _solve(cost, within, sides) or middle
+        ends[axis] = drive.start[axis] + (found[axis] - sign * _SOLVED) * unit
+    best = [drive.start[axis] + middle[axis] * unit for axis in range(3)]
+    return StartBounds(
+        middle=_as_pose(best), low=_as_pose(low.tolist()), high=_as_pose(high.tolist())
     )
-    best = [start[axis] + middle[axis] * unit for axis in range(3)]
-    return StartBounds(middle=_as_pose(best), low=_as_pose(low), high=_as_pose(high))
 
 
 def _solve(cost: list[float], within: Values, sides: Values) -> list[float] | None:

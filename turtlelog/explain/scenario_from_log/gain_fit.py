@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,17 +109,12 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
     )
 
 
-class _Slope(NamedTuple):
-    """A slope through 0, half of its 95 % interval, and size and whiteness of the residual."""
+def _fit_slope(exact: Values, noisy: Values) -> tuple[float, float, float, float]:
+    """Regress noisy values on exact ones.
 
-    value: float
-    reach: float
-    noise: float
-    whiteness: float
-
-
-def _fit_slope(exact: Values, noisy: Values) -> _Slope:
-    """Regress noisy values on exact ones."""
+    The result is a slope through 0, half of its 95 % interval, and size and whiteness of the
+    residual.
+    """
     square, rows = float(exact @ exact), len(exact)
     slope = float(noisy @ exact) / square if square > 0.0 else 0.0
     left = noisy - slope * exact
@@ -128,7 +123,7 @@ def _fit_slope(exact: Values, noisy: Values) -> _Slope:
     whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
     spread = noise / math.sqrt(square) if square > 0.0 else math.inf
     reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
-    return _Slope(slope, reach, noise, whiteness)
+    return slope, reach, noise, whiteness
 
 
 def find_quantile(rows: int) -> float:
@@ -257,12 +252,8 @@ class CommandFit:
             leaves = f"a pattern of {found.noise:.2g} and no noise"
         elif not self.is_read and found.noise > _LARGER * max(self.noise.size, self.noise.grain):
             leaves = f"{found.noise:.2g}, more than the poses have of noise"
-        return f"{_NOT_PROPORTIONAL} {found.value:.4g} leaves {leaves}" if leaves else None
-
-
-_NOT_PROPORTIONAL: Final = (
-    "the commands are not proportional to the error of the logged poses: a gain of"
-)
+        reason = "the commands are not proportional to the error of the logged poses"
+        return f"{reason}: a gain of {found.value:.4g} leaves {leaves}" if leaves else None
 
 
 def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:
@@ -284,8 +275,17 @@ def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> Comm
         is_clipped = bool((np.abs(reproduce(fit.value))[~below] >= largest).all())
     else:
         fit = _fit_noisy(command, error, below)
-        is_clipped = _shows_clipping(error[~below], fit.noise)
-    if _is_read(fit, noise):
+        # The error changes during equal commands by more than its noise.
+        clipped, third = error[~below], int((~below).sum()) // 3
+        change = abs(clipped[:third].mean() - clipped[-third:].mean()) if third else 0.0
+        is_clipped = bool(third and change > _BEYOND * fit.noise * math.sqrt(2.0 / third))
+    # White noise that the logged poses do not contain: the controller read other poses. With a
+    # derivative, noisy poses also leave a larger residual, but its noise alternates.
+    is_white = 1.0 - _WHITE < fit.whiteness < 1.0 + _ALTERNATES
+    own = max(
+        _LARGER * noise.size, _LARGER * noise.grain, _CLEAN * noise.least, _CLEAN * noise.grain
+    )
+    if is_white and fit.noise > own:
         limit = largest if is_clipped else None
         read = _fit_read(command, error, fit, limit or math.inf)
         return CommandFit(gain=read, limit=limit, is_read=True, **known)
@@ -302,17 +302,6 @@ def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainF
     return fit_gain(command[rows][first], lambda gain: gain * means)
 
 
-def _is_read(fit: GainFit, noise: PoseNoise) -> bool:
-    """Return whether the residual of a fit is noise that the logged poses do not contain.
-
-    In this case the controller read other poses than the logged poses. A derivative of noisy poses
-    also leaves a larger residual, but its noise alternates.
-    """
-    is_white = 1.0 - _WHITE < fit.whiteness < 1.0 + _ALTERNATES
-    is_more = fit.noise > _LARGER * max(noise.size, noise.grain)
-    return is_white and is_more and fit.noise > _CLEAN * max(noise.least, noise.grain)
-
-
 def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> GainFit:
     """Regress the commands on the logged errors: noise in the read poses is in the commands.
 
@@ -324,29 +313,16 @@ def _fit_read(command: Values, error: Values, fit: GainFit, limit: float) -> Gai
         rows = np.abs(error) < limit / abs(found.value) - _CLEAR * fit.noise
         if int(rows.sum()) < _FEWEST:
             break
-        found = _regress(command[rows], error[rows])
+        # The noise of the commands is independent of earlier errors.
+        gain, reach, noise, whiteness = _fit_slope(error[rows], command[rows])
+        found = GainFit(
+            value=gain,
+            interval=(gain - reach, gain + reach),
+            noise=noise / abs(gain) if gain else math.inf,
+            whiteness=whiteness,
+            rows=int(rows.sum()),
+        )
     return found
-
-
-def _regress(command: Values, error: Values) -> GainFit:
-    """Return the gain from noisy commands whose noise is independent of earlier errors."""
-    gain, reach, noise, whiteness = _fit_slope(error, command)
-    return GainFit(
-        value=gain,
-        interval=(gain - reach, gain + reach),
-        noise=noise / abs(gain) if gain else math.inf,
-        whiteness=whiteness,
-        rows=len(command),
-    )
-
-
-def _shows_clipping(error: Values, noise: float) -> bool:
-    """Return whether the error changed during equal commands by more than its noise."""
-    third = len(error) // 3
-    if third < 1:
-        return False
-    change = abs(float(error[:third].mean() - error[-third:].mean()))
-    return change > _BEYOND * noise * math.sqrt(2.0 / third)
 
 
 def describe_fitted_gain(fit: CommandFit) -> Finding:

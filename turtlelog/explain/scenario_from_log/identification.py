@@ -7,7 +7,7 @@ scenario reproduces the run, its values are used.
 
 import enum
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -16,9 +16,14 @@ import numpy as np
 from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.errors import ExplainError, ReplayError
 from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
-from turtlelog.explain.scenario_from_log.resimulation import Resimulation
+from turtlelog.explain.scenario_from_log.resimulation import RecordedScenario, Resimulation
+from turtlelog.explain.scenario_from_log.trace import WHITE
+from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.measure.dead_time import LARGEST_TICKS
 from turtlelog.replay import replay_plant
-from turtlelog.run import Run
+from turtlelog.run import CUT_SHORT, Run
+from turtlelog.run.loops import PAUSE, RESERVED, ControlLoop
+from turtlelog.run.stop_reasons import MAX_DURATION
 from turtlelog.scenario import DEFAULT_LAW, Scenario, flatten_scenario
 
 
@@ -135,8 +140,6 @@ LOOP_KEYS: Final = (
 DEAD_TIME: Final = "dead_time."
 """Prefix of the keys of dead times, followed by the name of a loop, or of a phase without loops."""
 
-_NO_SAMPLES: Final = "the recording holds no samples: which pose a command answers is not known"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
@@ -206,26 +209,23 @@ class Identification:
 def identify_plant(run: Run) -> Identification:
     """Return the largest commands and the number of lost ones, for a run without samples."""
     loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
-    findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
-    largest = {
-        "limits.speed_m_s": run.commands.speed_m_s,
-        "limits.turn_rate_rad_s": run.commands.turn_rate_rad_s,
-    }
-    for key, command in largest.items():
+    reason = "the recording holds no samples: which pose a command answers is not known"
+    findings = dict.fromkeys((*LAW_KEYS, *loops), miss(reason))
+    for key in ("speed_m_s", "turn_rate_rad_s"):
+        command = getattr(run.commands, key)
         if len(command):
             seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
-            findings[key] = miss(f"{seen}; without the error it is unknown whether it was clipped")
-    return give_up(run.name, {**findings, "lost_commands": _count_lost(run)}, _NO_SAMPLES)
-
-
-def _count_lost(run: Run) -> Finding:
+            seen += "; without the error it is unknown whether it was clipped"
+            findings[f"limits.{key}"] = miss(seen)
     if run.poses.speed_m_s is None:
-        return miss("the poses hold no applied velocities, which would tell the commands that act")
-    try:
-        use = replay_plant(run).commands
-    except ReplayError as err:
-        return miss(str(err))
-    return find_exactly(use.unseen, f"no pose shows them; {use.taken} others are shown")
+        lost = miss("the poses hold no applied velocities, which would tell the commands that act")
+    else:
+        try:
+            use = replay_plant(run).commands
+            lost = find_exactly(use.unseen, f"no pose shows them; {use.taken} others are shown")
+        except ReplayError as err:
+            lost = miss(str(err))
+    return give_up(run.name, {**findings, "lost_commands": lost}, reason)
 
 
 def give_up(
@@ -311,3 +311,109 @@ def _agrees(finding: Finding, value: object) -> bool:
         low, high = finding.interval
         return bool(low <= value <= high)
     return bool(finding.value == value)
+
+
+_COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
+"""Possible commands in a phase without loops, with the signal and reference of each."""
+
+
+def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
+    """Return a dead time, or no value if its residual is not noise: then it is not constant.
+
+    This happens if a law blocks sometimes: commands then wait for the duration of the block.
+    """
+    if isinstance(found, Missing) or abs(found.whiteness - 1.0) < WHITE:
+        return found
+    reason = f"no single dead time explains the motion; {found.ticks} ticks are the nearest"
+    return Missing(status=Status.UNDETERMINED, reason=reason)
+
+
+def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> int:
+    """Return the number of ticks of the dead times that may be a time constant of the robot.
+
+    The loop with the clearest result decides, because commands of all loops wait equally long. A
+    recorded scenario of turtlesim has no time constant.
+    """
+    if run.scenario_is_complete:
+        return 0
+    known = [one.lag_slack for one in dead_times.values() if isinstance(one, DeadTime)]
+    return min(known, default=LARGEST_TICKS)
+
+
+def find_dead_times(run: Run, loops: Sequence[str] = ()) -> dict[str, DeadTime | Missing]:
+    """Return the dead time of some or all loops, if constant; of each phase if no loop is declared.
+
+    In a phase without loops, it is that of the turn rate, or of the speed if the first is unknown.
+    """
+    declared, found = run.declaration, dict[str, DeadTime | Missing]()
+    for name in loops or [loop.name for loop in declared.loops]:
+        found[name] = find_dead_time(run, name)
+    for phase in [one for one in declared.phases if one != PAUSE and not declared.loops]:
+        name, tried = f"{phase}-loop" if phase in RESERVED else phase, list[DeadTime | Missing]()
+        phases = {one: (name,) if one == phase else () for one in declared.phases}
+        for command, signal, reference in _COMMANDS:
+            loop = ControlLoop(name=name, signal=signal, command=command, reference=reference)
+            driven = replace(run, declaration=replace(declared, loops=(loop,), phases=phases))
+            tried.append(find_dead_time(driven, loop))
+        found[phase] = next((one for one in tried if isinstance(one, DeadTime)), tried[0])
+    return {name: require_noise(one) for name, one in found.items()}
+
+
+def describe_dead_times(
+    dead_times: Mapping[str, DeadTime | Missing], motion: Run, run: Run
+) -> dict[str, Finding]:
+    """Return dead times as findings; `motion` is the run with its gaps spaced out."""
+    findings = {}
+    for name, found in dead_times.items():
+        if isinstance(found, Missing):
+            finding = miss(found.reason)
+        elif found.is_exact:
+            evidence = f"explains all {found.rows} steps to rounding"
+            for change in found.changes:
+                row = int(np.searchsorted(motion.poses.time_ns, change.time_ns))
+                until_s = run.poses.time_ns[row] / 1e9
+                evidence += f"; {change.before} until {until_s:.2f} s"
+            finding = find_exactly(found.ticks, evidence)
+        else:
+            evidence = f"least squares; the next best leaves {found.margin:.3g} times"
+            evidence += "; with a lag a shorter one fits as well" * bool(found.lag_slack)
+            interval = (found.ticks - found.lag_slack, found.ticks)
+            finding = fit_value(found.ticks, evidence, interval)
+        findings[f"{DEAD_TIME}{name}"] = finding
+    return findings
+
+
+def describe_limits(run: Run) -> dict[str, Finding]:
+    """Return the limits at which commands are clipped, as the unclipped commands show."""
+    samples, found = run.samples, dict[str, Finding]()
+    for key, wanted, sent in (
+        ("limits.speed_m_s", samples.wanted_speed_m_s, samples.speed_m_s),
+        ("limits.turn_rate_rad_s", samples.wanted_turn_rate_rad_s, samples.turn_rate_rad_s),
+    ):
+        largest = float(np.abs(sent).max())
+        seen = f"the largest of {len(sent)} commands is {largest:.4g}"
+        clipped = 0 if wanted is None else int((wanted != sent).sum())
+        if wanted is None:
+            found[key] = miss(f"{seen}; unclipped commands are not logged")
+        elif not clipped:
+            found[key] = miss(f"no command is clipped; {seen}")
+        elif not np.array_equal(np.clip(wanted, -largest, largest), sent):
+            reason = "no single limit clips the unclipped commands to those sent"
+            found[key] = miss(f"{reason}; {seen}")
+        else:
+            found[key] = find_exactly(largest, f"{clipped} of {len(sent)} commands are there")
+    return found
+
+
+def describe_stop_rule(run: Run, recorded: RecordedScenario) -> Finding:
+    """Return the rule that ended the run, as recorded and as simulated again."""
+    if run.stop_reason == MAX_DURATION:
+        return find_exactly(MAX_DURATION, "as recorded: no rule of the law had ended the run")
+    again: Any = None if recorded.run is None else recorded.run.stop_reason
+    if again is None:
+        return miss("only a re-simulation shows which rule of the law ended the run")
+    if run.stop_reason is None or run.stop_reason in CUT_SHORT:
+        return miss("the run was cut")
+    if again != run.stop_reason:
+        return miss(f"recorded {run.stop_reason}, simulated again {again}")
+    return find_exactly(again, "as recorded; the re-simulation ends so as well")

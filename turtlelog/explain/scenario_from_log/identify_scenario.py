@@ -1,7 +1,11 @@
-"""Identification of the scenario that produced a log."""
+"""Identification of the scenario that produced a log.
+
+Commands show the parameters of sequential-p. For any other law, only facts about the loop are
+found: dead times, limits and queues, from poses, commands and the clock.
+"""
 
 from collections import ChainMap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
@@ -10,39 +14,30 @@ import numpy as np
 
 from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
-from turtlelog.explain.scenario_from_log import loop_settings, other_law
+from turtlelog.explain.scenario_from_log import identification, law_identification, loop_settings
 from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
 from turtlelog.explain.scenario_from_log.identification import (
     DEAD_TIME,
     LAW_KEYS,
+    LOOP_KEYS,
     Certainty,
     Finding,
     Identification,
     fit_value,
     give_up,
-    identify_plant,
-    list_unseen,
     miss,
-    take_findings,
     take_recorded,
 )
-from turtlelog.explain.scenario_from_log.law_identification import (
-    PHASES,
-    RULE_KEYS,
-    Ending,
-    find_pause,
-    find_stop_rule,
-    identify_rotation,
-    identify_translation,
-)
+from turtlelog.explain.scenario_from_log.law_identification import PHASES, RULE_KEYS
 from turtlelog.explain.scenario_from_log.resimulation import (
     LONGEST_S,
-    Resimulation,
+    NOT_DETERMINISTIC,
+    RecordedScenario,
     check_recorded_scenario,
     compare_samples,
     cut_where_logged,
 )
-from turtlelog.explain.scenario_from_log.setting_search import Fits, search_loop
+from turtlelog.explain.scenario_from_log.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.scenario_from_log.trace import (
     Trace,
     describe_trace_breaks,
@@ -50,10 +45,12 @@ from turtlelog.explain.scenario_from_log.trace import (
     space_out,
     trace_run,
 )
+from turtlelog.laws import LAWS
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.measure.dead_time import shows_lag
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, require_run, slice_run
-from turtlelog.scenario import DEFAULT_LAW, Scenario, override_scenario
+from turtlelog.scenario import DEFAULT_LAW, flatten_scenario, override_scenario
 from turtlelog.simulate import simulate_run
 
 _MOST_PHASES: Final = 6
@@ -71,11 +68,6 @@ the others."""
 _MOST_ALIKE: Final = 8
 """Largest number of equally good settings that are simulated again for their dead times: a second
 of work."""
-
-_UNEXPLAINED: Final = (
-    "an effect that does not show in a log, such as loss, jitter or a disturbance, or commands"
-    " that the log does not contain"
-)
 
 
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
@@ -105,7 +97,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """
     require_run(run)
     if not len(run.samples):
-        return identify_plant(run)
+        return identification.identify_plant(run)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:
         return _identify_beginning(run, length_s, trust_law=trust_law)
@@ -113,12 +105,10 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     with np.errstate(over="ignore", invalid="ignore"):
         reason = _find_other_law(run)
         if reason:
-            return other_law.identify_other_law(run, reason, trust_law=trust_law)
+            return _identify_other_law(run, reason, trust_law=trust_law)
         recorded, plant = _identify_recorded(run), find_plant(run).name
         if recorded is None and plant != TURTLESIM.name:
-            return other_law.identify_other_law(
-                run, f"its plant is {plant}: {other_law.AROUND}", trust_law=trust_law
-            )
+            return _identify_other_law(run, f"its plant is {plant}: {_AROUND}", trust_law=trust_law)
         return recorded or _prefer_recorded(run, _identify_samples(run))
 
 
@@ -146,24 +136,23 @@ def _identify_recorded(run: Run) -> Identification | None:
     An effect may be invisible, or look like another setting. So the recorded settings are used if
     they reproduce every sample; None if they do not, or contain no such effect.
     """
-    unseen = list_unseen(run)
+    unseen = identification.list_unseen(run)
     if not (unseen and run.scenario_is_complete):
         return None
     trace = mark_breaks(trace_run(run, PHASES))
     recorded = check_recorded_scenario(run, trace, trust_law=False)
     if recorded.scenario is None:
         return None
-    motion = space_out(trace)
-    rotation, turning = identify_rotation(trace)
-    translation, driving = identify_translation(trace)
+    rotation, turning = law_identification.identify_rotation(trace)
+    translation, driving = law_identification.identify_translation(trace)
     is_law = _contradict_law(trace, turning, driving) is None
     findings = {**loop_settings.describe_goal(trace), **(rotation | translation if is_law else {})}
-    for loop in PHASES:
-        dead_time = other_law.require_noise(find_dead_time(motion, loop))
-        findings[f"{DEAD_TIME}{loop}"] = other_law.describe_dead_time(dead_time, motion, run)
+    motion = space_out(trace)
+    dead_times = identification.find_dead_times(motion, PHASES)
+    findings |= identification.describe_dead_times(dead_times, motion, run)
     note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
-    findings |= take_findings(findings, recorded.scenario, note)
-    findings["stop_reason"] = other_law.describe_stop_rule(run, recorded)
+    findings |= identification.take_findings(findings, recorded.scenario, note)
+    findings["stop_reason"] = identification.describe_stop_rule(run, recorded)
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
     return Identification(
         name=run.name,
@@ -227,20 +216,15 @@ def _add_recorded(run: Run, found: Identification) -> Identification:
 def _identify_samples(run: Run) -> Identification:
     trace = mark_breaks(trace_run(run, PHASES))
     motion = space_out(trace)
-    dead_times = {loop: other_law.require_noise(find_dead_time(motion, loop)) for loop in PHASES}
-    findings = {
-        f"{DEAD_TIME}{loop}": other_law.describe_dead_time(found, motion, run)
-        for loop, found in dead_times.items()
-    }
+    dead_times = identification.find_dead_times(motion, PHASES)
+    findings = identification.describe_dead_times(dead_times, motion, run)
     findings |= loop_settings.describe_goal(trace)
-    rotation, turning = identify_rotation(trace)
-    translation, driving = identify_translation(trace)
-    obstacle = _contradict_law(trace, turning, driving)
+    rotation, turning = law_identification.identify_rotation(trace)
+    translation, driving = law_identification.identify_translation(trace)
     breaks = describe_trace_breaks(trace)
-    if obstacle:
+    if obstacle := _contradict_law(trace, turning, driving):
         return give_up(run.name, findings, obstacle, breaks)
-    obstacle = _find_obstacle(trace)
-    if obstacle:
+    if obstacle := _find_obstacle(trace):
         # Commands that follow their errors bit for bit determine their gain alone.
         pairs = ((rotation, turning), (translation, driving))
         sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
@@ -249,7 +233,9 @@ def _identify_samples(run: Run) -> Identification:
     is_certain = all(
         fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
     )
-    ending = find_stop_rule(trace, is_certain=is_certain, is_finished=run.is_complete)
+    ending = law_identification.find_stop_rule(
+        trace, is_certain=is_certain, is_finished=run.is_complete
+    )
     findings |= ending.rules
     hints = loop_settings.read_hints(trace)
     tables = ("start.", "goal.", "law.", "limits.", "loop.")
@@ -257,22 +243,24 @@ def _identify_samples(run: Run) -> Identification:
     known |= loop_settings.read_start(trace)
     try:
         fits = search_loop(trace, known, hints, tuple(dead_times.values()))
-        scenario = _cut_scenario(trace, fits, ending)
+        scenario = fits.scenario
+        if not fits.is_reproduced and ending.reason.value in {None, "cut"}:
+            scenario = cut_where_logged(scenario, trace)  # no search has found the log's end
         again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
     findings |= loop_settings.describe_start(trace, fits)
-    fits = other_law.reject_lag(fits, dead_times)
-    slack = other_law.find_lag_slack(run, dead_times)
+    fits = _reject_lag(fits, dead_times)
+    slack = identification.find_lag_slack(run, dead_times)
     findings |= loop_settings.describe_loop(trace, fits, slack)
     if fits.is_fitted and not (fits.is_exact or fits.is_partial):
         findings |= _describe_dead_times_again(dead_times, fits, slack)
-    if not (fits.is_exact or fits.is_close):
+    if not fits.is_reproduced:
         findings |= _withhold_law(findings, turning, driving)
-    if not (fits.is_exact or fits.is_close or fits.is_fitted):
+    if not (fits.is_reproduced or fits.is_fitted):
         reason = "no setting of the loop explains the motion"
         findings |= {key: miss(reason, findings[key].used) for key in LAW_KEYS}
-    findings |= {**find_pause(hints), **loop_settings.describe_pause(trace, fits)}
+    findings |= loop_settings.describe_pause(trace, hints, fits)
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
     return Identification(
@@ -283,7 +271,7 @@ def _identify_samples(run: Run) -> Identification:
         tried=fits.ranges,
         notes=(
             *breaks,
-            *_describe_difference(trace, fits, resimulation),
+            *loop_settings.describe_difference(trace, fits, resimulation),
             *_list_candidates(findings),
         ),
     )
@@ -298,11 +286,8 @@ def _describe_dead_times_again(
         return found
     runs = [simulate_run(scenario) for scenario in fits.scenarios]
     for loop, logged in dead_times.items():
-        is_hidden = (
-            not logged.is_exact
-            if isinstance(logged, DeadTime)
-            else (logged.status is Status.UNDETERMINED)
-        )
+        is_hidden = isinstance(logged, DeadTime) and not logged.is_exact
+        is_hidden |= isinstance(logged, Missing) and logged.status is Status.UNDETERMINED
         again = [find_dead_time(run, loop) for run in runs] if is_hidden else []
         ticks = [one.ticks for one in again if isinstance(one, DeadTime)]
         if ticks and len(ticks) == len(runs):
@@ -344,13 +329,6 @@ def _find_other_law(run: Run) -> str | None:
     return None
 
 
-def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
-    """Return the scenario, ended with a log that was cut off if no search found the log's end."""
-    if fits.is_exact or fits.is_close or ending.reason.value not in {None, "cut"}:
-        return fits.scenario
-    return cut_where_logged(fits.scenario, trace)
-
-
 def _contradict_law(
     trace: Trace, turning: CommandFit | None, driving: CommandFit | None
 ) -> str | None:
@@ -367,8 +345,11 @@ def _contradict_law(
 def _find_obstacle(trace: Trace) -> str | None:
     """Return why this is not a whole run of the sequential law, or cannot be simulated."""
     if trace.rotating + trace.translating < len(trace) or not trace.rotating:
-        listed = ", ".join(_list_phases(trace))
-        return f"its phases are not one rotation and one translation: {listed}"
+        phases, names = trace.run.samples.phase, trace.run.phase_names
+        begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
+        listed = [names[phase] for phase in phases[begins[:_MOST_PHASES]].tolist()]
+        listed += ["..."] * (len(begins) > _MOST_PHASES)
+        return f"its phases are not one rotation and one translation: {', '.join(listed)}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
     if trace.answered_after_s >= TURTLESIM.period_s:
@@ -386,39 +367,6 @@ def _find_obstacle(trace: Trace) -> str | None:
     return None
 
 
-def _list_phases(trace: Trace) -> list[str]:
-    """Return the phases in order, up to `_MOST_PHASES`."""
-    phases = trace.run.samples.phase
-    names = trace.run.phase_names
-    begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
-    labels = [names[phase] for phase in phases[begins[:_MOST_PHASES]].tolist()]
-    return [*labels, "..."] if len(begins) > _MOST_PHASES else labels
-
-
-def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -> list[str]:
-    if fits.is_exact:
-        return []
-    if fits.is_close:
-        return ["the re-simulation agrees to rounding, not bit for bit"]
-    if resimulation.is_exact:
-        return ["poses and commands are reproduced, but not the times at which they were answered"]
-    reach = _describe_reach(trace, fits)
-    if not fits.is_fitted:
-        return [f"{reach}: no setting explains the motion: {_UNEXPLAINED}"]
-    noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
-    left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
-    return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]
-
-
-def _describe_reach(trace: Trace, fits: Fits) -> str:
-    """Return how far the re-simulation agrees with the log, and where they first differ."""
-    rows = int(np.searchsorted(trace.number, fits.reproduced))
-    if rows >= len(trace):
-        return f"the re-simulation reproduces all {len(trace)} samples and goes on"
-    at_s = float(trace.time_ns[rows] - trace.run.start_ns) / 1e9
-    return f"the re-simulation reproduces the first {rows:,} samples and departs at {at_s:.3f} s"
-
-
 def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
     return [
         f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike:"
@@ -426,3 +374,87 @@ def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
         for key, finding in findings.items()
         if finding.certainty is Certainty.AMBIGUOUS
     ]
+
+
+_AROUND: Final = "a loop is identified from commands only around turtlesim"
+
+_UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
+
+
+def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
+    """Return facts about the loop around a law whose parameters, for a reason, are unknown."""
+    kind = str(run.parameters.get("law.kind", ""))
+    trace = mark_breaks(trace_run(run))
+    motion = space_out(trace)
+    dead_times = identification.find_dead_times(motion)
+    if not run.scenario_is_complete:
+        recorded = RecordedScenario(reach="")
+    elif not trust_law and kind not in LAWS:
+        reach = "the recorded scenario is not tested, as the code of its law is not trusted"
+        recorded = RecordedScenario(reach=reach)
+    else:
+        recorded = check_recorded_scenario(run, trace, trust_law=trust_law)
+    fits, settings, plant = None, dict[str, Finding](), find_plant(run).name
+    around = reason if plant == TURTLESIM.name else f"its plant is {plant}: {_AROUND}"
+    if plant == TURTLESIM.name:  # only its motion shows the loop around it
+        fits = _reject_lag(_fit_loop(trace, recorded, [*dead_times.values()]), dead_times)
+        if recorded.scenario is not None and fits.is_driven:
+            recorded = RecordedScenario(reach=NOT_DETERMINISTIC)
+        slack = identification.find_lag_slack(run, dead_times)
+        precision = loop_settings.describe_start(trace, fits)["loop.pose_precision"]
+        settings = loop_settings.describe_loop(trace, fits, slack)
+        settings["loop.pose_precision"] = precision
+    findings = {
+        **{key: miss(reason) for key in LAW_KEYS},
+        **{key: miss(around) for key in (*LOOP_KEYS, "lost_commands")},
+        **identification.describe_dead_times(dead_times, motion, run),
+        **loop_settings.describe_goal(trace),
+        **identification.describe_limits(run),
+        **settings,
+        **({} if recorded.scenario is None else identification.take_seconds(recorded.scenario)),
+        "stop_reason": identification.describe_stop_rule(run, recorded),
+    }
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=recorded.resimulation,
+        scenario=recorded.scenario,
+        is_recorded=recorded.scenario is not None,
+        law=kind,
+        tried={} if fits is None else fits.ranges,
+        notes=(
+            *describe_trace_breaks(trace),
+            *dict.fromkeys(filter(None, (reason, around, recorded.reach))),
+        ),
+    )
+
+
+def _fit_loop(
+    trace: Trace, recorded: RecordedScenario, dead_times: Sequence[DeadTime | Missing]
+) -> Fits:
+    """Return the settings that reproduce the log, with its law if known, else without a law."""
+    hints = replace(loop_settings.read_hints(trace), pauses=())
+    scenario = recorded.scenario
+    if scenario is not None:
+        known = flatten_scenario(scenario)
+        # Only a fit that explains every step rules out other settings.
+        sure = [
+            one if isinstance(one, DeadTime) and one.is_exact else _UNSURE for one in dead_times
+        ]
+        fits = search_loop(
+            trace,
+            {key: known[key] for key in known if key not in {"name", "max_duration_s"}},
+            hints,
+            sure,
+            recorded={key: known[key] for key in LOOP_KEYS if key.startswith("loop.")},
+        )
+        if fits.is_reproduced:
+            return fits
+    return drive_loop(trace, hints, dead_times)
+
+
+def _reject_lag(fits: Fits, dead_times: Mapping[str, DeadTime | Missing]) -> Fits:
+    """Return settings without an explained motion if the robot clearly has a time constant."""
+    if fits.drive is None or not any(map(shows_lag, dead_times.values())):
+        return fits
+    return replace(fits, drive=replace(fits.drive, explains=False))

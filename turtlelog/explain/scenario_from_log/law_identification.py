@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from turtlelog.explain.scenario_from_log.identification import (
     leave_open,
     miss,
 )
-from turtlelog.explain.scenario_from_log.loop_settings import Hints
 from turtlelog.explain.scenario_from_log.trace import Trace, Values
 from turtlelog.laws import SequentialPParameters
 from turtlelog.measure.motion import CERTAIN
@@ -44,14 +43,12 @@ def describe_phase(kind: str, phase: str) -> str:
     """Return a phase of a law in words: `the rotation`, `phase approach`."""
     if phase in {PAUSE, DONE}:
         return "the pause" if phase == PAUSE else "the run"
-    noun = _NOUNS.get(phase) if kind == DEFAULT_LAW else None
-    return f"the {noun}" if noun else f"phase {phase}"
+    return f"the {_NOUNS[phase]}" if kind == DEFAULT_LAW and phase in _NOUNS else f"phase {phase}"
 
 
 def describe_loop_name(kind: str, loop: str) -> str:
     """Return the action of a law's loop, or else its name: `rotating`, `of align`."""
-    adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
-    return adverb or f"of {loop}"
+    return _ADVERBS.get(loop, f"of {loop}") if kind == DEFAULT_LAW else f"of {loop}"
 
 
 def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:
@@ -70,7 +67,17 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
     noise = gain_fit.measure_pose_noise(np.unwrap(trace.read_heading_rad)[:, None])
     plain = gain_fit.fit_command(command, partial(np.multiply, error[rows]), noise)
     wrapped = gain_fit.fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
-    wraps, wrap_finding = _choose_wrapping(command, error[rows], plain, wrapped)
+    size, wraps = np.abs(error[rows]), wrapped.is_certain
+    evidence = "the heading error exceeds half a turn"
+    if plain.is_certain != wrapped.is_certain and (size >= math.pi).any():
+        wrap_finding = find_exactly(wraps, evidence)
+    elif (size >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
+        left = gain_fit.compute_gain_misfit(wrapped, command, wrap_angle(error[rows]))
+        wraps = left < gain_fit.compute_gain_misfit(plain, command, error[rows])
+        wrap_finding = fit_value(wraps, evidence)
+    else:
+        wraps = False
+        wrap_finding = miss("the heading error stays within half a turn", assumed=False)
     fit = wrapped if wraps else plain
     error = wrap_angle(error) if wraps else error
     return {
@@ -124,19 +131,6 @@ def _project(errors: Values, headings: Values) -> Reproduce:
         return np.asarray(gain * x * cosine + gain * y * sine)
 
     return reproduce
-
-
-def _choose_wrapping(
-    command: Values, error: Values, plain: CommandFit, wrapped: CommandFit
-) -> tuple[bool, Finding]:
-    evidence = "the heading error exceeds half a turn"
-    if plain.is_certain != wrapped.is_certain and (np.abs(error) >= math.pi).any():
-        return wrapped.is_certain, find_exactly(wrapped.is_certain, evidence)
-    if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
-        return False, miss("the heading error stays within half a turn", assumed=False)
-    left = gain_fit.compute_gain_misfit(wrapped, command, wrap_angle(error))
-    chosen = left < gain_fit.compute_gain_misfit(plain, command, error)
-    return chosen, fit_value(chosen, evidence)
 
 
 def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
@@ -245,20 +239,14 @@ def find_round_number(low: float, high: float) -> float:
         return float(f"1e{int(np.ceil(np.log10(high))) - 1}")  # the power of ten below it
     for digits in range(1, gain_fit.DIGITS + 1):
         exponent = int(np.floor(np.log10(high))) - digits + 1
-        found = [
-            number
-            for place in range(exponent - 1, exponent + 1)
-            for number in _list_multiples(low, high, place)
-        ]
+        found = []
+        for place in range(exponent - 1, exponent + 1):
+            first = int(np.ceil(low / 10.0**place))
+            found += [float(f"{multiple}e{place}") for multiple in range(first, first + 20)]
+        found = [number for number in found if low <= number < high]
         if found:
-            return min(found, key=lambda number: _rank(number))
+            return min(found, key=_rank)
     return low
-
-
-def _list_multiples(low: float, high: float, place: int) -> list[float]:
-    first = int(np.ceil(low / 10.0**place))
-    numbers = [float(f"{multiple}e{place}") for multiple in range(first, first + 20)]
-    return [number for number in numbers if low <= number < high]
 
 
 def _rank(number: float) -> tuple[int, int]:
@@ -283,13 +271,8 @@ _ENDLESS_SAMPLES: Final = 1_000_000
 _ROUND_DIGITS: Final = 2
 """Largest number of digits of a typed time or number."""
 
-_PAUSE_KEYS: Final = (
-    *("pause.seconds", "pause.held_turn_rate_rad_s", "pause.turned_rad", "pause.burst"),
-)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ending:
+class Ending(NamedTuple):
     """The rule that ended a run (`stop_reason`), and rules with unusual values, by key."""
 
     reason: Finding
@@ -321,20 +304,12 @@ class _Rule:
         return self.now + self.slack > self.usual >= self.before - self.slack
 
     @property
+    def beyond(self) -> float:
+        return max(self.longest, self.before - self.slack)
+
+    @property
     def is_contradicted(self) -> bool:
-        return max(self.longest, self.before - self.slack) > self.usual
-
-
-def find_pause(hints: Hints) -> dict[str, Finding]:
-    """Return how long the controller was silent after rotating; `describe_pause` adds the rest."""
-    if hints.pause_s is None:
-        return dict.fromkeys(_PAUSE_KEYS, miss("the log does not show the end of a rotation"))
-    reason = "no setting reproduces every sample"
-    return {
-        "pause.seconds": find_exactly(hints.pause_s, "from the last answer to the next one"),
-        "pause.held_turn_rate_rad_s": miss(reason),
-        "pause.burst": miss(f"{reason}; by the clock {hints.burst - 1} or {hints.burst}"),
-    }
+        return self.beyond > self.usual
 
 
 def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
@@ -346,23 +321,41 @@ def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Endi
     """
     speed = trace.speed_m_s[trace.rotating :]
     if not len(speed):
-        return Ending(reason=find_exactly("cut", "the log ends while the robot rotates"), rules={})
+        return Ending(find_exactly("cut", "the log ends while the robot rotates"), {})
     rules = [_judge_standstill(trace), *_judge_times(trace)]
-    contradicted = {rule.key: _describe_beyond(rule) for rule in rules if rule.is_contradicted}
-    if speed[-1] == 0.0:
-        return Ending(
-            reason=_say(WITHIN_TOLERANCE, "the last command is 0", is_certain=is_certain),
-            rules=contradicted,
+    contradicted = {
+        rule.key: miss(
+            f"the run goes on after {rule.beyond:.4g}: more than the usual {rule.usual:g}",
+            _ENDLESS_SAMPLES if rule.name == STANDSTILL else math.inf,
+            (rule.beyond, math.inf),
         )
+        for rule in rules
+        if rule.is_contradicted
+    }
+    if speed[-1] == 0.0:
+        reason = _say(WITHIN_TOLERANCE, "the last command is 0", is_certain=is_certain)
+        return Ending(reason, contradicted)
     met = [rule for rule in rules if rule.ends_here and not rule.is_contradicted]
     if met:
         needs_poses = met[0].name == SETTLED
         reason = _say(met[0].name, met[0].evidence, is_certain=is_certain or not needs_poses)
-        return Ending(reason=reason, rules=contradicted)
+        return Ending(reason, contradicted)
     if not is_finished:
         evidence = "no rule of the law ends the run at the last sample"
-        return Ending(reason=_say("cut", evidence, is_certain=is_certain), rules=contradicted)
-    return _guess_rule(rules, contradicted)
+        return Ending(_say("cut", evidence, is_certain=is_certain), contradicted)
+    # The rules that may have ended the run if their values are not the defaults.
+    likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
+    # A rounder value was more likely typed.
+    likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
+    for rule in likely[:1]:
+        value = _round_value(rule)
+        contradicted[rule.key] = miss(f"{value:.6g} would end the run as the log does", value)
+    told = "the log says that the run ended, and no rule with its usual value ends it"
+    if len(likely) < 2:
+        known = [f"; with another {rule.name} would" for rule in likely]
+        return Ending(miss("".join([told, *known])), contradicted)
+    names = tuple(rule.name for rule in likely)
+    return Ending(leave_open(names, told, names[0]), contradicted)
 
 
 def _say(reason: str, evidence: str, *, is_certain: bool) -> Finding:
@@ -431,35 +424,6 @@ def _count_held(holds: Any) -> Any:
     """Return, for each row, how many rows up to it a condition has been true."""
     rows = np.arange(1, len(holds) + 1)
     return rows - np.maximum.accumulate(np.where(holds, 0, rows))
-
-
-def _describe_beyond(rule: _Rule) -> Finding:
-    seen = max(rule.longest, rule.before - rule.slack)
-    is_count = rule.key == "law.standstill_samples"
-    return miss(
-        f"the run goes on after {seen:.4g}: more than the usual {rule.usual:g}",
-        _ENDLESS_SAMPLES if is_count else math.inf,
-        (seen, math.inf),
-    )
-
-
-def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
-    """Return the stop rules that may have ended a run if their values are not the defaults."""
-    likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
-    findings = dict(contradicted)
-    # A rounder value was more likely typed.
-    likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
-    for rule in likely[:1]:
-        value = _round_value(rule)
-        findings[rule.key] = miss(f"{value:.6g} would end the run as the log does", value)
-    reason = "the log says that the run ended, and no rule with its usual value ends it"
-    if len(likely) < 2:
-        known = [f"; with another {rule.name} would" for rule in likely]
-        return Ending(reason=miss("".join([reason, *known])), rules=findings)
-    return Ending(
-        reason=leave_open(tuple(rule.name for rule in likely), reason, likely[0].name),
-        rules=findings,
-    )
 
 
 def _round_value(rule: _Rule) -> float:

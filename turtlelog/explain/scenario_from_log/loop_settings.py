@@ -19,7 +19,12 @@ from turtlelog.explain.scenario_from_log.identification import (
     leave_open,
     miss,
 )
-from turtlelog.explain.scenario_from_log.resimulation import list_lost_commands, read_pause
+from turtlelog.explain.scenario_from_log.resimulation import (
+    Resimulation,
+    describe_departure,
+    list_lost_commands,
+    read_pause,
+)
 from turtlelog.explain.scenario_from_log.trace import Trace, count_leading
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
@@ -233,9 +238,6 @@ def set_pause(guess: Guess, ticks: int | None) -> Guess:
 
 START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
-
-_HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
-
 _QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
 """Settings that get the default as their single value, because the clock does not show them."""
 
@@ -243,8 +245,6 @@ _LIKE_A_LAG: Final = MappingProxyType(
     {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
 )
 """Settings that a time constant of the robot may imitate, with their smallest values."""
-
-_PERIOD: Final = "the usual distance of the poses answered"
 
 
 def describe_loop(trace: Trace, fits: "Fits", lag_slack: int = 0) -> dict[str, Finding]:
@@ -260,12 +260,21 @@ def describe_loop(trace: Trace, fits: "Fits", lag_slack: int = 0) -> dict[str, F
         findings = {key: miss(reason, fits.guesses[0][key]) for key in keys}
         return {**findings, "lost_commands": miss(reason)}
     findings = {key: _describe_setting(trace, fits, key) for key in keys}
-    if lag_slack and not (fits.is_exact or fits.is_close):
+    if lag_slack and not fits.is_reproduced:
         findings |= _allow_lag(findings, lag_slack)
     for key in _QUEUES:
         if fits.is_driven and len(fits.ranges[key]) == 1:
             findings[key] = miss("no other value was tried", fits.guesses[0][key])
-    findings["lost_commands"] = _describe_lost(fits)
+    if fits.is_exact:
+        likeliest, *others = list_lost_commands(fits.scenarios)
+        lost = find_exactly(likeliest, "the re-simulation's plant never takes them")
+        if counts := {*others} - {likeliest}:
+            because = "the settings that fit lose different numbers"
+            lost = leave_open(sorted({likeliest, *counts}), because, likeliest)
+    else:
+        never = "no setting reproduces every sample"
+        lost = miss("only a re-simulation shows" if fits.is_driven else never)
+    findings["lost_commands"] = lost
     if "law.pause_ticks" in keys and not trace.shows_pause:
         assumed = fits.guesses[0]["law.pause_ticks"]
         seen = f": at least {assumed - 1} ticks" if assumed else ""
@@ -273,11 +282,29 @@ def describe_loop(trace: Trace, fits: "Fits", lag_slack: int = 0) -> dict[str, F
     return findings
 
 
-def describe_pause(trace: Trace, fits: "Fits") -> dict[str, Finding]:
-    """Return the plant's motion after the pause begins, and the number of poses answered then."""
-    if not trace.shows_pause:
-        return {}
-    return {"pause.turned_rad": _describe_turn(trace, fits), **_describe_queues(fits)}
+def describe_pause(trace: Trace, hints: Hints, fits: "Fits") -> dict[str, Finding]:
+    """Return the silence after the rotation, the command held in it, and what follows it."""
+    keys = ("pause.seconds", "pause.held_turn_rate_rad_s", "pause.turned_rad", "pause.burst")
+    if hints.pause_s is None:
+        return dict.fromkeys(keys, miss("the log does not show the end of a rotation"))
+    reason = "no setting reproduces every sample"
+    held, burst = miss(reason), miss(f"{reason}; by the clock {hints.burst - 1} or {hints.burst}")
+    if fits.is_exact:
+        again = [read_pause(scenario) for scenario in fits.scenarios]
+        rates, bursts = ([*dict.fromkeys(values)] for values in zip(*again, strict=True))
+        if 0 in bursts:
+            held = burst = miss("the re-simulation has no pause")
+        else:
+            burst = _settle(bursts, "poses answered at once after it")
+            reason = "the queue is not empty before the pause ends: no command is held"
+            last = "the last command before the rotation's end"
+            held = miss(reason) if None in rates else _settle(rates, last)
+    return {
+        "pause.seconds": find_exactly(hints.pause_s, "from the last answer to the next one"),
+        "pause.held_turn_rate_rad_s": held,
+        "pause.burst": burst,
+        "pause.turned_rad": _describe_turn(trace, fits),
+    }
 
 
 def _describe_turn(trace: Trace, fits: "Fits") -> Finding:
@@ -288,27 +315,13 @@ def _describe_turn(trace: Trace, fits: "Fits") -> Finding:
         return miss("the pose jumps after the rotation: how far the robot turned is unknown")
     turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
     evidence = "heading at the end, less at the rotation's"
-    if fits.is_exact or fits.is_close:
+    if fits.is_reproduced:
         return find_exactly(turned, evidence)
     if not (fits.is_fitted and fits.drive):
         return miss("no setting explains the motion")
     # Each of the two headings has its own noise.
     reach = find_quantile(fits.drive.rows) * float(np.sqrt(2.0)) * fits.drive.noise[2]
     return fit_value(turned, evidence, (turned - reach, turned + reach))
-
-
-def _describe_queues(fits: "Fits") -> dict[str, Finding]:
-    if not fits.is_exact:
-        return {}
-    again = [read_pause(scenario) for scenario in fits.scenarios]
-    held, bursts = ([*dict.fromkeys(values)] for values in zip(*again, strict=True))
-    if 0 in bursts:
-        return dict.fromkeys(_HELD_AND_BURST, miss("the re-simulation has no pause"))
-    found = {"pause.burst": _settle(bursts, "poses answered at once after it")}
-    reason = "the queue is not empty before the pause ends: no command is held"
-    last = "the last command before the rotation's end"
-    found["pause.held_turn_rate_rad_s"] = miss(reason) if None in held else _settle(held, last)
-    return found
 
 
 def _settle(values: list[Any], evidence: str) -> Finding:
@@ -319,16 +332,15 @@ def _settle(values: list[Any], evidence: str) -> Finding:
 
 def _describe_setting(trace: Trace, fits: "Fits", key: str) -> Finding:
     values, chosen = fits.list_values(key), fits.guesses[0][key]
-    is_reproduced = fits.is_exact or fits.is_close
     if reason := _find_obstacle(fits, key, chosen):
         return miss(reason, chosen)
     if len(values) > 1:
-        how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
+        how = "reproduces every sample" if fits.is_reproduced else "leaves as little as the others"
         return leave_open(values, f"each {how}", chosen)
     also = _name_alike(key, chosen)
     if fits.is_exact:
         if key == "loop.period_ticks":
-            return find_exactly(chosen, _PERIOD)
+            return find_exactly(chosen, "the usual distance of the poses answered")
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     evidence = f"likeliest of {fits.tried} settings; none is exact"
     if fits.is_driven:
@@ -342,12 +354,11 @@ def _describe_setting(trace: Trace, fits: "Fits", key: str) -> Finding:
 
 def _find_obstacle(fits: "Fits", key: str, chosen: Any) -> str:
     """Return why a setting has no value; empty if it has a value."""
-    is_reproduced = fits.is_exact or fits.is_close
-    if not (is_reproduced or fits.is_fitted):
+    if not (fits.is_reproduced or fits.is_fitted):
         if fits.is_driven and fits.drive is None:
             return f"none of {fits.tried} settings answers the poses that were answered"
         return f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
-    if fits.is_partial and not is_reproduced:
+    if fits.is_partial and not fits.is_reproduced:
         return "the log is too long to try all settings that may explain it"
     return "a deeper queue gives the same run" if key in fits.hidden else ""
 
@@ -377,17 +388,6 @@ def _name_alike(key: str, chosen: Any) -> str:
     return "; so does a command queue of 1" if chosen == "newest" else ""
 
 
-def _describe_lost(fits: "Fits") -> Finding:
-    if not fits.is_exact:
-        never = "no setting reproduces every sample"
-        return miss("only a re-simulation shows" if fits.is_driven else never)
-    likeliest, *others = list_lost_commands(fits.scenarios)
-    if counts := {*others} - {likeliest}:
-        because = "the settings that fit lose different numbers"
-        return leave_open(sorted({likeliest, *counts}), because, likeliest)
-    return find_exactly(likeliest, "the re-simulation's plant never takes them")
-
-
 _GOAL_KEYS: Final = ("goal.x_m", "goal.y_m")
 
 
@@ -414,36 +414,50 @@ def describe_start(trace: Trace, fits: "Fits") -> dict[str, Finding]:
     """Return the start and the precision of the poses, by key of the scenario."""
     read = read_start(trace)
     precision = read.pop("loop.pose_precision")
-    return {
-        **_describe_pose(fits, read),
-        "loop.pose_precision": _describe_precision(fits, precision),
-    }
-
-
-def _describe_pose(fits: "Fits", read: dict[str, Any]) -> dict[str, Finding]:
-    if fits.is_exact and fits.bounds is None:
-        return {key: find_exactly(value, "first pose read") for key, value in read.items()}
     if fits.bounds is not None:
         evidence = "between the steps of logged poses; all poses agree with it"
         bounds = zip(read, fits.bounds.middle, fits.bounds.low, fits.bounds.high, strict=True)
-        return {key: bound_value(value, evidence, (low, high)) for key, value, low, high in bounds}
-    if fits.drive is None or not fits.is_fitted:
-        reason = "no setting explains the motion; taken from the first pose read"
-        return {key: miss(reason, value) for key, value in read.items()}
-    if fits.drive.is_rounding:
-        reason = "the rounding of the poses does not bound it; taken from the first pose read"
-        return {key: miss(reason, value) for key, value in read.items()}
-    found = zip(read, fits.drive.start, fits.drive.reach, strict=True)
-    return {
-        key: fit_value(value, "least squares of all poses, 95 %", (value - reach, value + reach))
-        for key, value, reach in found
-    }
-
-
-def _describe_precision(fits: "Fits", precision: str) -> Finding:
-    if precision == "float64" and not fits.is_exact:
-        return miss("poses have more than 32 bits, which noise may have added", precision)
-    evidence = "every pose is a 32-bit float"
+        found = {key: bound_value(value, evidence, (low, high)) for key, value, low, high in bounds}
+    elif fits.is_exact:
+        found = {key: find_exactly(value, "first pose read") for key, value in read.items()}
+    elif fits.drive is None or not fits.is_fitted or fits.drive.is_rounding:
+        reason = "no setting explains the motion"
+        if fits.drive is not None and fits.is_fitted:
+            reason = "the rounding of the poses does not bound it"
+        reason += "; taken from the first pose read"
+        found = {key: miss(reason, value) for key, value in read.items()}
+    else:
+        evidence, sides = "least squares of all poses, 95 %", (fits.drive.start, fits.drive.reach)
+        found = {
+            key: fit_value(value, evidence, (value - reach, value + reach))
+            for key, value, reach in zip(read, *sides, strict=True)
+        }
+    find = find_exactly if fits.is_exact else fit_value
+    known = find(precision, "every pose is a 32-bit float")
     if precision == "float64":
-        evidence = "poses have more than 32 bits"
-    return (find_exactly if fits.is_exact else fit_value)(precision, evidence)
+        reason = "poses have more than 32 bits"
+        hidden = f"{reason}, which noise may have added"
+        known = find_exactly(precision, reason) if fits.is_exact else miss(hidden, precision)
+    return {**found, "loop.pose_precision": known}
+
+
+def describe_difference(trace: Trace, fits: "Fits", resimulation: Resimulation) -> list[str]:
+    """Return how the re-simulation differs from the log, in at most one sentence."""
+    if fits.is_exact:
+        return []
+    if fits.is_close:
+        return ["the re-simulation agrees to rounding, not bit for bit"]
+    if resimulation.is_exact:
+        return ["poses and commands are reproduced, but not the times at which they were answered"]
+    way = f"reproduces all {len(trace)} samples and goes on"
+    if np.searchsorted(trace.number, fits.reproduced) < len(trace):
+        way = describe_departure(trace, fits.reproduced)
+    reach = f"the re-simulation {way}"
+    if not fits.is_fitted:
+        return [
+            f"{reach}: no setting explains the motion: an effect that does not show in a log, such"
+            " as loss, jitter or a disturbance, or commands that the log does not contain"
+        ]
+    noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
+    left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
+    return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]

@@ -4,7 +4,7 @@ A re-simulation of the recorded scenario either reproduces every sample or is re
 """
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
-from turtlelog.explain.scenario_from_log.trace import Trace, Values
+from turtlelog.explain.scenario_from_log.trace import Trace
 from turtlelog.laws import LAWS
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
@@ -20,7 +20,6 @@ from turtlelog.run.angles import subtract_headings
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import (
     PlainLoop,
-    SampleRow,
     Tick,
     declare_scenario,
     iterate_ticks,
@@ -156,7 +155,11 @@ def count_equal(
         for sample in tick.computed:
             if equal == len(rows):
                 return equal + 1, gauge.needed
-            again = (*poses[sample.pose_sequence], *_describe(sample, phases))[:width]
+            again = (
+                *poses[sample.pose_sequence],
+                *(sample.speed_m_s, sample.turn_rate_rad_s, phases[sample.phase]),
+                *(sample.pose_sequence, sample.time_ns),
+            )[:width]
             row = rows[equal]
             if row not in {None, again} and not (to_rounding and _agrees(again, row)):
                 return equal, gauge.needed
@@ -166,35 +169,34 @@ def count_equal(
 
 
 def _agrees(again: Row, recorded: Row) -> bool:
-    x, y, heading, *commands = (
-        abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)
-    )
-    is_close = max(x, y, heading) < CLOSE and max(commands) < CLOSE_COMMAND
+    apart = [abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)]
+    is_close = max(apart[:3]) < CLOSE and max(apart[3:]) < CLOSE_COMMAND
     return is_close and again[5:] == recorded[5:]
-
-
-def _describe(sample: SampleRow, phases: tuple[str, ...]) -> Row:
-    return (
-        sample.speed_m_s,
-        sample.turn_rate_rad_s,
-        phases[sample.phase],
-        sample.pose_sequence,
-        sample.time_ns,
-    )
 
 
 def compare_samples(trace: Trace, again: Run) -> Resimulation:
     """Return a comparison of a simulated run with the log."""
-    pairs = [*_pair_phases(trace, again)]
-    left = np.concatenate([rows for rows, _ in pairs])
-    right = np.concatenate([rows for _, rows in pairs])
+    pairs: list[tuple[Any, Any]] = []
+    if trace.number[-1] + 1 > len(trace):
+        rows = np.flatnonzero(trace.number < len(again.samples))
+        pairs.append((rows, trace.number[rows]))
+    else:
+        logged, simulated = (
+            np.array(run.phase_names)[run.samples.phase] for run in (trace.run, again)
+        )
+        for phase in trace.run.phase_names:
+            both = np.flatnonzero(logged == phase), np.flatnonzero(simulated == phase)
+            count = min(map(len, both))
+            pairs.append((both[0][:count], both[1][:count]))
+    left, right = (np.concatenate(rows) for rows in zip(*pairs, strict=True))
     read = again.samples.pose_sequence[right]
     xy = np.abs(trace.xy_m[left] - again.poses.xy_m[read])
     turned = np.abs(subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read]))
     speed = np.abs(trace.speed_m_s[left] - again.samples.speed_m_s[right])
     turn_rate = np.abs(trace.turn_rate_rad_s[left] - again.samples.turn_rate_rad_s[right])
-    error = PoseError(x_m=_max(xy[:, 0]), y_m=_max(xy[:, 1]), heading_rad=_max(turned))
-    command_error = max(_max(speed), _max(turn_rate))
+    columns = (*xy.T, turned, speed, turn_rate)
+    x_m, y_m, heading_rad, *commands = (float(one.max(initial=0.0)) for one in columns)
+    error, command_error = PoseError(x_m=x_m, y_m=y_m, heading_rad=heading_rad), max(commands)
     is_whole = len(trace) == len(left) and int(trace.number[-1]) + 1 == len(again.samples)
     return Resimulation(
         samples=len(left),
@@ -202,19 +204,6 @@ def compare_samples(trace: Trace, again: Run) -> Resimulation:
         max_command_error=command_error,
         is_exact=is_whole and error == PoseError() and command_error == 0.0,
     )
-
-
-def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
-    if trace.number[-1] + 1 > len(trace):
-        left = np.flatnonzero(trace.number < len(again.samples))
-        yield left, trace.number[left]
-        return
-    logged = np.array(trace.run.phase_names)[trace.run.samples.phase]
-    simulated = np.array(again.phase_names)[again.samples.phase]
-    for phase in trace.run.phase_names:
-        left, right = np.flatnonzero(logged == phase), np.flatnonzero(simulated == phase)
-        count = min(len(left), len(right))
-        yield left[:count], right[:count]
 
 
 def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
@@ -254,22 +243,17 @@ def list_lost_commands(scenarios: Sequence[Scenario]) -> list[int]:
         found = (lost for other, needed, lost in known if depths.hold(needed) and other == alike)
         lost = next(found, None)
         if lost is None:
-            lost, needed = _count_lost(scenario)
+            gauge, loops, superseded = QueueGauge(scenario), list[PlainLoop](), 0
+            for number, tick in enumerate(iterate_ticks(scenario, made=loops)):
+                gauge.receive(number)
+                superseded += max(len(tick.published) - 1, 0)
+                gauge.answer(tick)
+            is_newest = scenario.loop.queue_policy == "newest"
+            lost, needed = superseded if is_newest else loops[0].now.commands_dropped, gauge.needed
             if depths.hold(needed):
                 known.append((alike, needed, lost))
         counts.append(lost)
     return counts
-
-
-def _count_lost(scenario: Scenario) -> tuple[int, Depths]:
-    gauge, loops = QueueGauge(scenario), list[PlainLoop]()
-    superseded = 0
-    for number, tick in enumerate(iterate_ticks(scenario, made=loops)):
-        gauge.receive(number)
-        superseded += max(len(tick.published) - 1, 0)
-        gauge.answer(tick)
-    is_newest = scenario.loop.queue_policy == "newest"
-    return superseded if is_newest else loops[0].now.commands_dropped, gauge.needed
 
 
 def read_pause(scenario: Scenario) -> tuple[float | None, int]:
@@ -288,14 +272,9 @@ def read_pause(scenario: Scenario) -> tuple[float | None, int]:
     return None, 0
 
 
-def _max(values: Values) -> float:
-    return float(values.max()) if len(values) else 0.0
-
-
 LONGEST_S: Final = 3600.0
 """Longest run that is simulated again [s]: 225,000 ticks, about five seconds for each
 simulation."""
-
 
 NOT_DETERMINISTIC: Final = (
     "the recorded scenario reproduces every sample once, and not when it is simulated again:"
@@ -341,7 +320,9 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     try:
         count, _ = count_equal(scenario, rows, to_rounding=True)
         if count < len(rows):
-            return RecordedScenario(reach=_describe_reach(trace, count))
+            way = describe_departure(trace, count)
+            reach = f"the recorded scenario {way}: nothing is claimed of the law"
+            return RecordedScenario(reach=reach)
         if count > len(rows):
             end_s = find_end_s(trace, scenario, len(rows))
             scenario = replace(scenario, max_duration_s=end_s)
@@ -361,10 +342,8 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     )
 
 
-def _describe_reach(trace: Trace, equal: int) -> str:
+def describe_departure(trace: Trace, equal: int) -> str:
+    """Return how many samples a re-simulation reproduces, fewer than all, and where it departs."""
     row = int(np.searchsorted(trace.number, equal))
     at_s = float(trace.time_ns[row] - trace.run.start_ns) / 1e9
-    return (
-        f"the recorded scenario reproduces the first {row:,} samples and departs at {at_s:.3f} s:"
-        " nothing is claimed of the law"
-    )
+    return f"reproduces the first {row:,} samples and departs at {at_s:.3f} s"

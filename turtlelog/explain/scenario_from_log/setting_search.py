@@ -8,37 +8,11 @@ from math import ceil
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from turtlelog.explain.scenario_from_log.driven_plant import (
-    FLOOR,
-    Drive,
-    StartBounds,
-    bound_start,
-    drive_plant,
-    join_bounds,
-    join_starts,
-    keep_in_world,
-)
-from turtlelog.explain.scenario_from_log.loop_settings import (
-    DEPTHS,
-    PAUSE_KEY,
-    START_KEYS,
-    Guess,
-    Hints,
-    agrees_with_clock,
-    list_neighbours,
-    list_queues,
-    set_pause,
-)
-from turtlelog.explain.scenario_from_log.resimulation import (
-    Depths,
-    Row,
-    count_equal,
-    find_end_s,
-    list_rows,
-    read_depths,
-)
+from turtlelog.explain.scenario_from_log import driven_plant, loop_settings, resimulation
+from turtlelog.explain.scenario_from_log.driven_plant import Drive
+from turtlelog.explain.scenario_from_log.loop_settings import Guess, Hints, set_pause
+from turtlelog.explain.scenario_from_log.resimulation import Depths, Row
 from turtlelog.explain.scenario_from_log.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.measure.motion import CERTAIN, COARSE, LIKE_THE_BEST
@@ -62,7 +36,6 @@ _SPARE_S: Final = 3.0
 """Time by which a simulation may be longer than the log before it counts as different [s]."""
 
 _USUAL_S: Final = Scenario().max_duration_s
-
 
 Settings = Mapping[str, Any]
 
@@ -102,7 +75,12 @@ class Fits:
     is_driven: bool = False
     is_partial: bool = False
     hidden: frozenset[str] = frozenset()
-    bounds: StartBounds | None = None
+    bounds: driven_plant.StartBounds | None = None
+
+    @property
+    def is_reproduced(self) -> bool:
+        """Whether the settings reproduce every sample, bit for bit or within rounding."""
+        return self.is_exact or self.is_close
 
     @property
     def scenario(self) -> Scenario:
@@ -136,10 +114,10 @@ def search_loop(
     order in which they act; at least one.
     """
     search = _Search(trace, known, hints)
-    tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    tiers = loop_settings.list_queues(trace, hints, dead_times[0], dead_times[-1])
     if recorded is not None:
         others = [[guess for guess in tier if guess != recorded] for tier in tiers]
-        tiers = [[recorded, *list_neighbours(recorded)], *others]
+        tiers = [[recorded, *loop_settings.list_neighbours(recorded)], *others]
     found = search.find_in_tiers(tiers)
     if found is None:
         likeliest = search.find_likeliest(next(filter(None, tiers)))
@@ -152,7 +130,7 @@ def search_loop(
 def drive_loop(trace: Trace, hints: Hints, dead_times: Sequence[DeadTime | Missing]) -> Fits:
     """Return the settings with which the log's commands move the plant best; no law is used."""
     search = _Search(trace, {}, hints)
-    tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    tiers = loop_settings.list_queues(trace, hints, dead_times[0], dead_times[-1])
     return search.drive_only([guess for tier in tiers for guess in tier])
 
 
@@ -164,10 +142,12 @@ class _Search:
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, dict(known), hints
-        self._rows = list_rows(trace)
+        self._rows = resimulation.list_rows(trace)
         # A law without a known pause has none to search.
         self._pauses = pauses = hints.pauses or (None,)
-        near = [pause for pause in hints.pauses if agrees_with_clock(pause, hints, trace)]
+        near = [
+            pause for pause in hints.pauses if loop_settings.agrees_with_clock(pause, hints, trace)
+        ]
         self._near: Sequence[int | None] = near or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = self._simulated = 0
@@ -190,8 +170,8 @@ class _Search:
             self._base_values = known
         base, values = self._base, dict(guess)
         law = base.law
-        if PAUSE_KEY in values:
-            pause_ticks = values.pop(PAUSE_KEY)
+        if loop_settings.PAUSE_KEY in values:
+            pause_ticks = values.pop(loop_settings.PAUSE_KEY)
             law = replace(law, parameters=replace(law.parameters, pause_ticks=pause_ticks))
         loop = {key.removeprefix("loop."): value for key, value in values.items()}
         return replace(base, law=law, loop=replace(base.loop, **loop))
@@ -235,29 +215,26 @@ class _Search:
     def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
         """Return whether time stamps and pose numbers contradict the pause, and the queue."""
         return (
-            guess.get(PAUSE_KEY) not in self._near,
+            guess.get(loop_settings.PAUSE_KEY) not in self._near,
             guess["loop.start_backlog"] not in self._hints.backlogs,
         )
 
     def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
         """Return the found settings as scenarios that end with the log."""
+        rows = self._rows
         hidden = {
             key
-            for key in DEPTHS
-            if any(
-                self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
-                for guess, _ in exact
-            )
+            for key in loop_settings.DEPTHS
+            if any(self._count({**one, key: one[key] + 1}, rows) >= len(rows) for one, _ in exact)
         }
         return Fits(
             guesses=tuple(guess for guess, _ in exact),
             scenarios=tuple(
-                self._end(self.build(guess), goes_on=count > len(self._rows))
-                for guess, count in exact
+                self._end(self.build(guess), goes_on=count > len(rows)) for guess, count in exact
             ),
             is_exact=not self.to_rounding,
             is_close=self.to_rounding,
-            reproduced=len(self._rows),
+            reproduced=len(rows),
             tried=self._tried,
             ranges=self._list_ranges(),
             hidden=frozenset(hidden),
@@ -291,7 +268,7 @@ class _Search:
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
             scenarios=(),
             is_exact=False,
-            drive=join_starts(drives) if drives else None,
+            drive=driven_plant.join_starts(drives) if drives else None,
             reproduced=0,
             tried=self._tried,
             ranges=self._list_ranges(),
@@ -302,34 +279,31 @@ class _Search:
 
     def _find_hidden(self, driven: Sequence[_Driven]) -> frozenset[str]:
         """Return queue depths above which deeper queues move the plant equally."""
-        return frozenset(
-            key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in driven)
-        )
 
-    def _is_deeper_alike(self, guess: Guess, drive: Drive, key: str) -> bool:
-        guess = {**guess, key: guess[key] + 1}
-        deeper = drive_plant(self._trace, guess, reads_alike=self.is_driven)
-        return deeper is not None and np.array_equal(deeper.left, drive.left)
+        def is_alike(guess: Guess, drive: Drive, key: str) -> bool:
+            deeper = {**guess, key: guess[key] + 1}
+            found = driven_plant.drive_plant(self._trace, deeper, reads_alike=self.is_driven)
+            return found is not None and np.array_equal(found.left, drive.left)
+
+        return frozenset(
+            key for key in loop_settings.DEPTHS if any(is_alike(*one, key) for one in driven)
+        )
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return settings that reproduce every sample from a start that is not a 32-bit float.
 
         A plant has such a start if it moved before, as in a second run without a reset.
         """
-        trace = self._trace
-        poses = np.column_stack([trace.xy_m, trace.heading_rad])
-        is_single = bool((poses == poses.astype(np.float32)).all())
-        if fits.bounds is None or not is_single:
+        poses = np.column_stack([self._trace.xy_m, self._trace.heading_rad])
+        if fits.bounds is None or not (poses == poses.astype(np.float32)).all():
             return None
-        start = keep_in_world(fits.bounds.middle)
-        kept = self._known
-        precise = {**dict(zip(START_KEYS, start, strict=True)), "start.precision": "float64"}
-        self._known = {**kept, **precise}
-        found = self.find_in_tiers(tiers)
-        if found is None:
-            self._known = kept
-            return None
-        return replace(found, bounds=fits.bounds)
+        start, kept = driven_plant.keep_in_world(fits.bounds.middle), self._known
+        precise = dict(zip(loop_settings.START_KEYS, start, strict=True))
+        self._known = {**kept, **precise, "start.precision": "float64"}
+        if found := self.find_in_tiers(tiers):
+            return replace(found, bounds=fits.bounds)
+        self._known = kept
+        return None
 
     def _drive(
         self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
@@ -345,7 +319,9 @@ class _Search:
         tried = every[: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
         self._is_partial |= len(tried) < len(every)
         self._tried += len(tried)
-        drive = partial(drive_plant, self._trace, rows=rows, reads_alike=self.is_driven)
+        drive = partial(
+            driven_plant.drive_plant, self._trace, rows=rows, reads_alike=self.is_driven
+        )
         driven = [(guess, found) for guess in tried if (found := drive(guess)) is not None]
         if not driven:
             return []
@@ -353,39 +329,37 @@ class _Search:
         first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
         misfits = [one.compute_misfit(first.whiteness) for _, one in driven]
         order = np.argsort(misfits, kind="stable").tolist()
-        within = self._list_within_steps([one for _, one in driven], order[0])
+        # Residuals within the quantisation of the poses are as good as the best.
+        steps, spans = np.array(self._trace.coarse_steps), np.array([d.spans for _, d in driven])
+        most = np.maximum(COARSE * steps, LIKE_THE_BEST * spans[order[0]] + driven_plant.FLOOR)
+        within = (spans <= most).all(axis=1) & steps.any()
         return [
             driven[row] for row in order if within[row] or misfits[row] < min(misfits) + CERTAIN
         ]
 
-    def _list_within_steps(self, drives: Sequence[Drive], best: int) -> NDArray[np.bool_]:
-        """Return which drives have residuals within the quantisation of the poses."""
-        steps = np.array(self._trace.coarse_steps)
-        spans = np.array([drive.spans for drive in drives])
-        if not steps.any():
-            return np.asarray(np.arange(len(drives)) == best)
-        most = np.maximum(COARSE * steps, LIKE_THE_BEST * spans[best] + FLOOR)
-        return np.asarray((spans <= most).all(axis=1))
-
     def _build_nearest(self, guesses: Sequence[Guess], drives: Sequence[Drive]) -> Fits:
-        drive = join_starts([*drives]) if drives else None
+        drive = driven_plant.join_starts([*drives]) if drives else None
         start: dict[str, float] = {}
         if drive is not None:
-            start = dict(zip(START_KEYS, keep_in_world(drive.start), strict=True))
+            start = dict(
+                zip(loop_settings.START_KEYS, driven_plant.keep_in_world(drive.start), strict=True)
+            )
         self.to_rounding = True
         scenarios = tuple(self._end(self.build(guess, **start), goes_on=False) for guess in guesses)
-        counts = [self._count(guess, self._rows) for guess in guesses[:1]]
+        reproduced = self._count(guesses[0], self._rows)
+        bounds = None
+        if len(drives) <= _MOST_BOUNDED:
+            found = [driven_plant.bound_start(one, self._trace) for one in drives]
+            bounds = driven_plant.join_bounds(found)
         self.to_rounding = False
         return Fits(
             guesses=tuple(guesses),
             scenarios=scenarios,
             is_exact=False,
             drive=drive,
-            bounds=join_bounds([bound_start(one, self._trace) for one in drives[:_MOST_BOUNDED]])
-            if len(drives) <= _MOST_BOUNDED
-            else None,
+            bounds=bounds,
             is_partial=self._is_partial,
-            reproduced=counts[0],
+            reproduced=reproduced,
             tried=self._tried,
             ranges=self._list_ranges(),
         )
@@ -394,35 +368,31 @@ class _Search:
         for key, value in (pair for guess in guesses for pair in guess.items()):
             self._values.setdefault(key, set()).add(value)
         if self._hints.pauses:
-            self._values.setdefault(PAUSE_KEY, set()).update(pauses)
+            self._values.setdefault(loop_settings.PAUSE_KEY, set()).update(pauses)
 
     def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
         return {key: tuple(sorted(values)) for key, values in self._values.items()}
 
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
-        equal = self._count_equal(guess, rows)
-        self._simulated += equal
-        return equal
-
-    def _count_equal(self, guess: Guess, rows: list[Row | None]) -> int:
-        """Simulate a guess, unless a guess with other sufficient queue depths was simulated."""
         scenario = self.build(guess)
-        others = frozenset(pair for pair in guess.items() if pair[0] not in DEPTHS)
-        start = tuple(self._known.get(key) for key in (*START_KEYS, "start.precision"))
+        others = frozenset(pair for pair in guess.items() if pair[0] not in loop_settings.DEPTHS)
+        start = tuple(
+            self._known.get(key) for key in (*loop_settings.START_KEYS, "start.precision")
+        )
         key = (others, start, len(rows), self.to_rounding)
-        alike, depths = self._counted.setdefault(key, []), read_depths(scenario)
-        known = next((equal for needed, equal in alike if depths.hold(needed)), None)
-        if known is not None:
-            return known
-        equal, needed = count_equal(scenario, rows, to_rounding=self.to_rounding)
-        if depths.hold(needed):
-            alike.append((needed, equal))
+        alike, depths = self._counted.setdefault(key, []), resimulation.read_depths(scenario)
+        equal = next((equal for needed, equal in alike if depths.hold(needed)), None)
+        if equal is None:  # no guess with other sufficient queue depths was simulated
+            equal, needed = resimulation.count_equal(scenario, rows, to_rounding=self.to_rounding)
+            if depths.hold(needed):
+                alike.append((needed, equal))
+        self._simulated += equal
         return equal
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
         """Return the scenario, ended with a log that was cut off, else with the usual duration."""
         if not goes_on:
             return replace(scenario, max_duration_s=max(_USUAL_S, ceil(self._most_s)))
-        end_s = find_end_s(self._trace, scenario, len(self._rows))
+        end_s = resimulation.find_end_s(self._trace, scenario, len(self._rows))
         return replace(scenario, max_duration_s=end_s)

@@ -146,8 +146,14 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         names = np.array(run.phase_names)[samples.phase]
         rotating = count_leading(names == phases[0])
         translating = count_leading(names[rotating:] == phases[1])
-    has_ticks, tick_ns = _has_ticks(run), find_plant(run).period_ns
-    poses = run.poses
+    poses, tick_ns = run.poses, find_plant(run).period_ns
+    # A log has a pose per tick, like a recording, or only a pose per sample. The applied velocity
+    # is published by the plant; a controller does not know it.
+    has_ticks = not np.array_equal(read, np.arange(len(poses)))
+    if not has_ticks and poses.speed_m_s is not None:
+        has_ticks = bool((np.diff(poses.time_ns) == tick_ns).all())
+    answered_ns = np.diff(poses.time_ns[read])
+    usual_ns = float(np.median(answered_ns)) if len(answered_ns) else 0.0
     return Trace(
         run=run,
         number=samples.sequence if has_ticks else np.arange(len(samples)),
@@ -162,8 +168,8 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         rotating=rotating,
         translating=translating,
         goal_xy_m=_find_goal(run),
-        period_ticks=_find_period(run),
-        has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % tick_ns).any(),
+        period_ticks=max(round(usual_ns / tick_ns), 1),
+        has_exact_clock=not (np.r_[samples.time_ns, poses.time_ns] % tick_ns).any(),
         has_ticks=has_ticks,
     )
 
@@ -188,6 +194,11 @@ def estimate_trace_noise(values: Values, order: int = 2) -> float:
     return float(np.median(bends)) / (0.6745 * math.sqrt(math.comb(2 * order, order)))
 
 
+WHITE: Final = 0.5
+"""Largest deviation of noise's whiteness from 1. A wrong setting leaves a curve with a whiteness
+below 0.1."""
+
+
 def count_leading(holds: NDArray[np.bool_]) -> int:
     """Return how many values are true before the first false value."""
     return len(holds) if holds.all() else int(holds.argmin())
@@ -205,24 +216,6 @@ def _find_goal(run: Run) -> tuple[float, float] | None:
     first_x_m, first_y_m = run.poses.xy_m[samples.pose_sequence[0]].tolist()
     bearing_rad = math.atan2(y_m - first_y_m, x_m - first_x_m)
     return (x_m, y_m) if abs(bearing_rad - samples.bearing_rad[0]) < 1e-6 else None
-
-
-def _has_ticks(run: Run) -> bool:
-    """Return whether a log has a pose per tick, like a recording, or only a pose per sample."""
-    if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
-        return True
-    # The plant publishes the applied velocity; a controller does not know it.
-    is_plants = run.poses.speed_m_s is not None
-    return is_plants and bool((np.diff(run.poses.time_ns) == find_plant(run).period_ns).all())
-
-
-def _find_period(run: Run) -> int:
-    """Return the usual spacing of the answered poses [ticks]."""
-    read = run.samples.pose_sequence
-    if len(read) < 2:
-        return 1
-    step_ns = float(np.median(np.diff(run.poses.time_ns[read])))
-    return max(round(step_ns / find_plant(run).period_ns), 1)
 
 
 _NOISE_STEPS: Final = 8.0
@@ -308,30 +301,23 @@ def _find_jumps(trace: Trace) -> tuple[int, ...]:
         return ()
     ticks = np.maximum(np.rint(np.diff(trace.pose_time_ns) / trace.tick_ns), 1.0) + 1.0
     moved, turned = _measure_steps(trace)
-    speed, turn_rate = _find_fastest(trace)
-    reach_m, reach_rad = (ticks * (trace.tick_ns / 1e9) * rate for rate in (speed, turn_rate))
+    run, reaches = trace.run, []
+    for name, command, applied in (
+        ("speed", trace.speed_m_s, run.poses.speed_m_s),
+        ("turn_rate", trace.turn_rate_rad_s, run.poses.turn_rate_rad_s),
+    ):
+        fastest = float(np.abs(command).max())  # that the robot can have had
+        if find_plant(run).name == LAGGED:
+            key, seen = PLANT_KEYS[name], 0.0 if applied is None else float(np.abs(applied).max())
+            backwards = read_number(run.parameters, f"{key}reverse_gain")
+            gain = max(abs(read_number(run.parameters, f"{key}gain", 1.0)), abs(backwards))
+            fastest = max(fastest * gain, seen)
+        reaches.append(ticks * (trace.tick_ns / 1e9) * fastest)
+    reach_m, reach_rad = reaches
     is_jump = moved > reach_m + _find_slack(trace.xy_m, trace.grain_m)
     unwrapped = np.unwrap(trace.heading_rad)[:, None]
     is_jump |= turned > reach_rad + _find_slack(unwrapped, trace.grain_rad)
     return tuple((np.flatnonzero(is_jump) + 1).tolist())
-
-
-def _find_fastest(trace: Trace) -> tuple[float, float]:
-    """Return the largest speed [m/s] and turn rate [rad/s] that the robot can have had."""
-    run = trace.run
-    speed, turn_rate = (float(np.abs(v).max()) for v in (trace.speed_m_s, trace.turn_rate_rad_s))
-    if find_plant(run).name != LAGGED:
-        return speed, turn_rate
-    gains = [
-        max(
-            abs(read_number(run.parameters, f"{PLANT_KEYS[name]}{of}gain", default))
-            for of, default in (("", 1.0), ("reverse_", 0.0))
-        )
-        for name in ("speed", "turn_rate")
-    ]
-    shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
-    seen = [0.0 if values is None else float(np.abs(values).max()) for values in shown]
-    return max(speed * gains[0], seen[0]), max(turn_rate * gains[1], seen[1])
 
 
 def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:

@@ -1,20 +1,19 @@
-from .bag import (
+from .bag_files import (
+    METADATA_FILE as METADATA_FILE,
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )
-from .bag_metadata import (
-    METADATA_FILE as METADATA_FILE,
-    BagPart as BagPart,
-    BagTopic as BagTopic,
-    format_bag_metadata as format_bag_metadata,
+from .bag_inputs import (
+    choose_command_topic as choose_command_topic,
+)
+from .bag_poses import (
+    read_bag_trajectory as read_bag_trajectory,
 )
 from .bag_reader import (
     read_bag as read_bag,
 )
-from .bag_robots import (
-    BagRobot as BagRobot,
-    find_robots as find_robots,
-    select_robot as select_robot,
+from .bag_rows import (
+    open_bag as open_bag,
 )
 from .bag_surroundings import (
     OccupancyMap as OccupancyMap,
@@ -26,11 +25,9 @@ from .bag_topics import (
     COMMAND_TYPES as COMMAND_TYPES,
     NEEDS_WHEELBASE as NEEDS_WHEELBASE,
     NEEDS_WHEELS as NEEDS_WHEELS,
+    BagRobot as BagRobot,
     NoPosesError as NoPosesError,
-    choose_command_topic as choose_command_topic,
     choose_pose_topic as choose_pose_topic,
-)
-from .pose_types import (
-    JOINTS as JOINTS,
-    POSE_TYPES as POSE_TYPES,
+    find_robots as find_robots,
+    select_robot as select_robot,
 )

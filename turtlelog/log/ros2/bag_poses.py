@@ -1,47 +1,37 @@
-"""The source of the poses in a bag: a topic, or transforms of two frames."""
+"""The poses in a bag: their source, a topic or transforms of two frames, and as a trajectory."""
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.read_choice import ReadChoice, parse_joints, parse_wheels
-from turtlelog.log.ros2.bag import Bag
-from turtlelog.log.ros2.bag_topics import (
-    NEEDS_WHEELS,
-    NoPosesError,
-    Pick,
-    choose_joint_topic,
-    choose_pose_topic,
-    list_by_fields,
-    list_first_names,
-)
-from turtlelog.log.ros2.bag_transforms import (
-    TRANSFORM,
-    Tree,
-    build_link_columns,
-    choose_frames,
-    collect_links,
-    trace_frame,
-)
-from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
-from turtlelog.log.ros2.pose_types import (
+from turtlelog.log.planar_poses import (
     FIX,
     JOINTS,
     POSITIONS,
     TRANSFORM_TYPES,
+    Fields,
+    PoseShape,
+    Values,
     find_pose_shape,
 )
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
+from turtlelog.log.ros2 import bag_topics, bag_transforms
+from turtlelog.log.ros2.bag_rows import Bag
+from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
+from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
+from turtlelog.run import Trajectory, build_trajectory, turn_headings
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
-
-_FRAMES: Final = ("header.frame_id", "frame_id")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +51,7 @@ class PoseSource:
     found: Found
     home: str
     frame: str
-    tree: Tree = field(default_factory=dict)
+    tree: bag_transforms.Tree = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -85,29 +75,34 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
         try:
             return _trace_poses(bag, pick, topics, choice)
         except LogError:
-            fix = _pick_fix(topics) if choice.pose_topic is None else None
-            if fix is None:
+            fixes = [one for one in topics if one.type == FIX and one.count and not one.reason]
+            if choice.pose_topic is not None or len(fixes) != 1:
                 raise
-            pick = fix
+            pick = bag_topics.Pick(topic=fixes[0])
     if asked:
-        name = asked[0]
-        raise LogError(
-            f"{name}: expected poses from transforms, found {pick.describe()}, which are not"
-        )
+        found_instead = f"found {pick.describe()}, which are not"
+        raise LogError(f"{asked[0]}: expected poses from transforms, {found_instead}")
     return _read_poses(bag, pick, found)
 
 
-def _read_poses(bag: Bag, pick: Pick, found: Found | None) -> PoseSource:
+def _read_poses(bag: Bag, pick: bag_topics.Pick, found: Found | None) -> PoseSource:
     """Return the messages of a topic of poses; `found` contains them if they were read before."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
-        raise LogError(f"pose_topic {pick.describe()}: {NEEDS_WHEELS}")
+        raise LogError(f"pose_topic {pick.describe()}: {bag_topics.NEEDS_WHEELS}")
     found = [*bag.read({name})] if found is None else found
+    messages = [file[name] for file in found if name in file]
     notes = note_pick("pose_topic", pick)
     if pick.topic.type != FIX:
-        frame = _read_frame(found, name)
+        frames = (
+            str(columns.fields[place][0]).lstrip("/")
+            for columns in messages
+            for place in ("header.frame_id", "frame_id")
+            if place in columns.fields and len(columns)
+        )
+        frame = next(frames, "")
         return PoseSource(topic=pick.topic, found=found, home=name, frame=frame, notes=notes)
-    columns, more = locate_fixes([file[name] for file in found if name in file])
+    columns, more = locate_fixes(messages)
     return PoseSource(
         topic=replace(pick.topic, count=len(columns)),
         found=[{name: columns}],
@@ -122,13 +117,12 @@ def _integrate_wheels(
 ) -> PoseSource:
     """Return the odometry of two wheels as messages of a separate topic."""
     if choice.wheel_joints is None or choice.wheels is None:
-        given, needed = "wheels", "wheel_joints"
-        given, needed = (needed, given) if choice.wheels is None else (given, needed)
-        raise LogError(f"{given}: needs {needed}, too: {NEEDS_WHEELS}")
+        needs = "wheels: needs wheel_joints" if choice.wheels else "wheel_joints: needs wheels"
+        raise LogError(f"{needs}, too: {bag_topics.NEEDS_WHEELS}")
     if frames:
         raise LogError(f"{frames[0]}: expected poses from transforms, found wheel_joints")
     joints, wheels_m = parse_joints(choice.wheel_joints), parse_wheels(choice.wheels)
-    topic = choose_joint_topic(topics, choice.pose_topic)
+    topic = bag_topics.choose_joint_topic(topics, choice.pose_topic)
     messages = bag.read_topic(topic.topic, is_flat=False)
     columns, note = integrate_wheels(messages, joints, wheels_m)
     return PoseSource(
@@ -136,24 +130,18 @@ def _integrate_wheels(
         found=[{topic.topic: columns}],
         home=topic.topic,
         frame="",
-        notes={**note_pick("pose_topic", Pick(topic=topic)), "wheels": note},
+        notes={**note_pick("pose_topic", bag_topics.Pick(topic=topic)), "wheels": note},
     )
 
 
-def _pick_fix(topics: Collection[TopicInfo]) -> Pick | None:
-    """Return the topic of a satellite receiver if there is exactly one."""
-    found = [topic for topic in topics if topic.type == FIX and topic.count and not topic.reason]
-    return Pick(topic=found[0]) if len(found) == 1 else None
-
-
-def note_pick(name: str, pick: Pick, more: str = "") -> dict[str, str]:
+def note_pick(name: str, pick: bag_topics.Pick, more: str = "") -> dict[str, str]:
     """Return notes on a chosen topic and its alternatives."""
-    others = {f"other_{name}s": list_first_names(pick.others)} if pick.others else {}
+    others = {f"other_{name}s": bag_topics.list_first_names(pick.others)} if pick.others else {}
     still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
     return {name: pick.describe() + more, **others, **still}
 
 
-def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
+def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> bag_transforms.Tree:
     """Return all transforms of a bag, or those of the robot's own topics (/robot1/tf), if any."""
     held = [topic.topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     place = home.rpartition("/")[0]
@@ -167,7 +155,7 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> Tree:
     for is_static in (True, False):
         own = [name for name in names if _is_static(name) == is_static]
         found = (file[name] for name in own for file in files if name in file)
-        links.update(collect_links(found, is_static=is_static))
+        links.update(bag_transforms.collect_links(found, is_static=is_static))
     return links
 
 
@@ -175,14 +163,16 @@ def _is_static(topic: str) -> bool:
     return topic.rpartition("/")[2] == "tf_static"
 
 
-def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
+def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> bag_topics.Pick:
     """Return the topic of poses, by its type or else by its fields, which must be read."""
     try:
-        return choose_pose_topic(topics, asked)
-    except NoPosesError:
-        for topic in list_by_fields(topics):
-            if _holds_poses(bag, topic.topic):
-                return Pick(topic=topic)
+        return bag_topics.choose_pose_topic(topics, asked)
+    except bag_topics.NoPosesError:
+        for topic in bag_topics.list_by_fields(topics):
+            with suppress(LogError):  # another encoding, or texts and lists: no poses
+                files = [file for file in bag.read({topic.topic}) if topic.topic in file]
+                if any(find_pose_shape(file[topic.topic].fields) for file in files):
+                    return bag_topics.Pick(topic=topic)
         raise
 
 
@@ -191,7 +181,9 @@ _FEWEST_STILL: Final = 20
 robot."""
 
 
-def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[Pick, Found | None]:
+def _pick_moving(
+    bag: Bag, topics: Collection[TopicInfo], pick: bag_topics.Pick
+) -> tuple[bag_topics.Pick, Found | None]:
     """Return a moving topic instead of one that never moves, with its messages if they were read.
 
     Some robots publish an odometry of zeros next to a computed odometry.
@@ -209,7 +201,7 @@ def _pick_moving(bag: Bag, topics: Collection[TopicInfo], pick: Pick) -> tuple[P
             continue  # it was not requested
         if read is not None and read[1]:
             others = (pick.topic.topic, *(name for name in pick.others if name != other.topic))
-            return Pick(topic=other, others=others, still=pick.topic.topic), read[0]
+            return bag_topics.Pick(topic=other, others=others, still=pick.topic.topic), read[0]
     return pick, first[0]
 
 
@@ -228,38 +220,32 @@ def _read_moving(bag: Bag, topic: TopicInfo) -> tuple[Found, bool] | None:
     return found, any((column != column[0]).any() for column in columns)
 
 
-def _holds_poses(bag: Bag, topic: str) -> bool:
-    try:
-        found = bag.read({topic})
-    except LogError:
-        return False  # another encoding, or texts and lists: no poses
-    return any(topic in file and find_pose_shape(file[topic].fields) for file in found)
-
-
-def _pick_transforms(topics: Collection[TopicInfo]) -> Pick:
+def _pick_transforms(topics: Collection[TopicInfo]) -> bag_topics.Pick:
     fitting = [topic for topic in topics if topic.type in TRANSFORM_TYPES and topic.count]
     moving = [topic for topic in fitting if not _is_static(topic.topic)]
     if not moving:
         raise LogError("no transforms (/tf)")
-    return Pick(topic=min(moving, key=lambda topic: (topic.topic.count("/"), topic.topic)))
+    return bag_topics.Pick(
+        topic=min(moving, key=lambda topic: (topic.topic.count("/"), topic.topic))
+    )
 
 
 def _trace_poses(
-    bag: Bag, pick: Pick, topics: Collection[TopicInfo], choice: ReadChoice
+    bag: Bag, pick: bag_topics.Pick, topics: Collection[TopicInfo], choice: ReadChoice
 ) -> PoseSource:
     """Return poses of one frame in another frame as messages of a separate topic."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
     frames = {"robot": choice.pose_frame, "world": choice.world_frame}
-    chosen = choose_frames(tree, **frames, name=choice.robot)
-    link, held = trace_frame(tree, chosen)
+    chosen = bag_transforms.choose_frames(tree, **frames, name=choice.robot)
+    link, held = bag_transforms.trace_frame(tree, chosen)
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:
         unheld |= link.time_ns < one.time_ns[0]
-    columns = build_link_columns(link, topic).select(~unheld)
+    columns = bag_transforms.build_link_columns(link, topic).select(~unheld)
     notes = note_pick("pose_topic", pick, f": {chosen.world} -> {chosen.robot}")
     if chosen.others:
-        notes["other_frames"] = list_first_names(chosen.others)
+        notes["other_frames"] = bag_topics.list_first_names(chosen.others)
     if held:
         names = ", ".join(one.describe() for one in held)
         notes["held_transforms"] = f"{names}: the newest that was recorded counts"
@@ -275,7 +261,7 @@ def _trace_poses(
     if not prefix and any(one.topic.startswith(f"/{name}/") for one in topics):
         prefix = name  # as /turtle1/cmd_vel belongs to turtle1
     return PoseSource(
-        topic=TopicInfo(topic=topic, type=TRANSFORM, count=len(columns)),
+        topic=TopicInfo(topic=topic, type=bag_transforms.TRANSFORM, count=len(columns)),
         found=[{topic: columns}],
         home=f"/{prefix}/tf" if prefix else topic,
         frame=chosen.world,
@@ -284,10 +270,69 @@ def _trace_poses(
     )
 
 
-def _read_frame(found: Found, topic: str) -> str:
-    """Return the frame in the first message; empty if there is none."""
-    for of_file in found:
-        for name in _FRAMES if topic in of_file and len(of_file[topic]) else ():
-            if name in of_file[topic].fields:
-                return str(of_file[topic].fields[name][0]).lstrip("/")
-    return ""
+def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> Trajectory | None:
+    """Return the poses of a bag, with heights and rotations if it has them; None without poses.
+
+    The result is also None if the poses are computed, or have a reader of their own.
+    """
+    with name_file(bag.path, expected="a bag"):
+        is_asked = choice.pose_topic is not None and choice.robot is None
+        topics = bag.topics if is_asked else bag_topics.select_robot(bag.topics, choice.robot)[0]
+        try:
+            source = find_poses(bag, topics, choice)
+        except bag_topics.NoPosesError:
+            return None  # a run may be made of commands alone
+        rows, is_spatial = list[tuple[Values, Values]](), True
+        files = (of_file.get(source.topic.topic) for of_file in source.found)
+        kept = [columns for columns in files if columns is not None and len(columns)]
+        for columns in kept:
+            shape = find_pose_shape(columns.fields)
+            if shape is None:
+                return None
+            is_spatial &= shape.heading is None and f"{shape.position}z" in columns.fields
+            rows.append(_read_spatial_poses(columns.fields, shape))
+        if not rows:
+            return None
+        time_ns, clock = _choose_times(kept, choice)
+        xyz_m, turns = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        turns[(turns**2).sum(axis=1) == 0.0] = np.nan
+        never = time_ns <= 0
+        if never.all() and len(never) > 1:
+            raise LogError(
+                f"topic {source.topic.topic}: expected times of poses, found 0 or before 1970 in"
+                f" all {len(never)}"
+            )
+        turns[never if never.sum() > 1 else []] = np.nan  # a simulation begins at 0 once
+        name = bag.path.name if bag.path.is_dir() else bag.path.stem
+        name += f":{source.topic.topic}" if names_topic else ""
+        notes = {CHOSEN: f"poses from {source.notes['pose_topic']}", "timed_by": clock}
+        found = build_trajectory(name, time_ns, xyz_m, turns, notes=notes)
+    return found if is_spatial else replace(found, space="plane")
+
+
+def _choose_times(
+    found: Sequence[TopicColumns], choice: ReadChoice
+) -> tuple[NDArray[np.int64], str]:
+    """Return the times of poses and the name of their clock."""
+    log_ns, stamp_ns = join_arrays([columns.log_time_ns for columns in found]), join_stamps(found)
+    if choice.time == "log" or stamp_ns is None:
+        return log_ns, "the recorder's clock"
+    order = np.argsort(log_ns, kind="stable")
+    clock = read_stamp_clock(Stamps(log_ns=log_ns[order], stamp_ns=stamp_ns[order]))
+    if not clock.reason:
+        return stamp_ns, "header stamps"
+    if choice.time == "stamp":
+        raise LogError(f"time: expected usable stamps of poses, but {clock.reason}: take log")
+    return log_ns, f"the recorder's clock ({clock.reason})"
+
+
+def _read_spatial_poses(fields: Fields, shape: PoseShape) -> tuple[Values, Values]:
+    """Return positions [m] and rotations as quaternions w, x, y, z."""
+    place = {axis: fields[f"{shape.position}{axis}"].astype(np.float64) for axis in "xy"}
+    height = fields.get(f"{shape.position}z", 0.0 * place["x"]).astype(np.float64)
+    xyz_m = np.column_stack([*place.values(), height])
+    if shape.heading is not None:
+        heading = fields[shape.heading].astype(np.float64)
+        return xyz_m, turn_headings(np.radians(heading) if shape.is_degrees else heading)
+    parts = [fields[f"{shape.orientation}{axis}"].astype(np.float64) for axis in "wxyz"]
+    return xyz_m, np.column_stack(parts)

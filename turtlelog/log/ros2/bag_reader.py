@@ -1,57 +1,63 @@
 """Reading of a bag as a run: choice of topics, and their contents."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, Unpack
+from typing import Any, Final, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_short, format_utc
+from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
+from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
+from turtlelog.log.engine.opening import strip_suffixes
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
-from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE64, SENSED, SHAPED
-from turtlelog.log.ros2.bag import Bag, open_bag
-from turtlelog.log.ros2.bag_clock import time_rows
-from turtlelog.log.ros2.bag_commands import (
-    NEVER_IN_BAGS,
-    add_samples,
-    build_commands,
-    choose_commands,
-    name_bag,
-    order_commands,
-    read_commands_alone,
-)
-from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
-from turtlelog.log.ros2.bag_references import RobotTrack, add_references
-from turtlelog.log.ros2.bag_robots import BagRobot, describe_robots, require_robot, select_robot
-from turtlelog.log.ros2.bag_rows import (
-    Held,
-    OrderedRows,
+from turtlelog.log.planar_poses import (
+    TRANSFORMS,
     Values,
-    drop_not_finite,
-    order_topic,
+    extract_poses,
+    lift_poses,
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.ros2.bag_topics import NoPosesError, Pick, describe_unread_topics
-from turtlelog.log.ros2.pose_types import TRANSFORMS, extract_poses
-from turtlelog.log.ros2.reported_motion import (
-    LATERAL,
-    PATH_NOTE,
-    SPEED,
-    describe_leaps,
-    describe_paths,
-    describe_small_leaps,
-    judge_rates,
-    measure_paths,
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
+from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
+from turtlelog.log.recording.topics import (
+    CONTROL,
+    CONTROL_COLUMNS,
+    LAW_STATE,
+    PHASE,
+    POSE,
+    REFERENCE64,
+    SENSED,
+    SHAPED,
 )
-from turtlelog.log.spatial_poses import describe_height, describe_level, lift_poses
+from turtlelog.log.ros2 import bag_inputs
+from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
+from turtlelog.log.ros2.bag_rows import (
+    Bag,
+    Held,
+    OrderedRows,
+    drop_not_finite,
+    open_bag,
+    order_topic,
+    time_rows,
+)
+from turtlelog.log.ros2.bag_topics import (
+    NoPosesError,
+    Pick,
+    describe_robots,
+    describe_unread_topics,
+    select_robot,
+)
+from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
+from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import PoseColumns, Run, SampleColumns
+from turtlelog.run.loops import DONE, PAUSE, Declaration
 
 NOT_READ: Final = "not_read"
 """Name of the note on messages that were not read."""
@@ -90,9 +96,9 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         try:
             source = find_poses(bag, distinct, choice)
         except NoPosesError as err:
-            run, topic = read_commands_alone(bag, distinct, choice, err)
-            return _note_chosen(_note_robots(run, robots, topic, choice.robot), bag, distinct)
-        commands, lack = choose_commands(distinct, choice, pose_topic=source.home)
+            run, topic = _read_commands_alone(bag, distinct, choice, err)
+            return _note_rest(run, bag, distinct, describe_robots(robots, topic, choice.robot))
+        commands, lack = bag_inputs.choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
@@ -100,35 +106,38 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         source = replace(source, found=[])
         run, track = _build_run(bag.path, found, source, commands, choice)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
-        run = add_references(run, bag, source, track, choice)
+        run = bag_inputs.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
-            run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
+            run = _add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     # In transforms, the name of a robot may occur in the frames alone.
     has_frames = any((one.topic, one.type) == (source.topic.topic, TRANSFORMS) for one in distinct)
     asked = None if has_frames else choice.robot
-    return _note_chosen(_note_robots(run, robots, source.topic.topic, asked), bag, distinct)
+    named = describe_robots(robots, source.topic.topic, asked)
+    return _note_rest(run, bag, distinct, named)
 
 
-def _note_robots(run: Run, robots: Sequence[BagRobot], topic: str, asked: str | None) -> Run:
-    """Return a run with a note on the robots of its bag and the one that the topic belongs to.
-
-    A requested robot is refused if the topic belongs to another.
-    """
-    words = {*topic.split("/")[:-1]}
-    if asked is not None:
-        require_robot(asked, topic, robots)
-    chosen = next((robot.name for robot in robots if robot.name in words), None)
-    notes = {"robots": describe_robots(robots, chosen)} if robots else {}
-    return replace(run, notes={**run.notes, **notes})
-
-
-def _note_chosen(run: Run, bag: Bag, topics: Sequence[TopicInfo]) -> Run:
-    """Return a run with notes on its bag's other contents and on the choices made."""
-    unread = describe_unread_topics(topics)
-    of_files = {name: text for info in bag.infos.values() for name, text in info.notes.items()}
-    notes = {**run.notes, **_note_rest(topics, run), **of_files}
-    notes |= {NOT_UNDERSTOOD: unread} if unread else {}
-    return replace(run, notes={**notes, CHOSEN: _describe_chosen(notes)})
+def _note_rest(run: Run, bag: Bag, topics: Sequence[TopicInfo], robots: str) -> Run:
+    """Return a run with notes on its bag's robots and other contents, and on the choices made."""
+    # turtlelog's own topics are read only from its recordings.
+    sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
+    control = () if len(run.samples) else (CONTROL,)
+    own = {topic.name: topic.schema for topic in (*control, REFERENCE64, SHAPED, *sensed)}
+    rest = [
+        f"{topic.count} of {topic.topic}"
+        for topic in topics
+        if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
+    ]
+    found = {"robots": robots, NOT_READ: ", ".join(rest)}
+    notes = {**run.notes, **{name: text for name, text in found.items() if text}}
+    for info in bag.infos.values():
+        notes |= info.notes
+    if unread := describe_unread_topics(topics):
+        notes[NOT_UNDERSTOOD] = unread
+    poses, commands = notes.get("pose_topic"), notes.get("command_topic")
+    line = f"poses from {poses}" if poses else "no poses"
+    line += f", commands from {commands}" if commands else ", no commands"
+    more = [f"; {text.format(notes[name])}" for name, text in _MORE.items() if name in notes]
+    return replace(run, notes={**notes, CHOSEN: "".join([line, *more])})
 
 
 @contextmanager
@@ -142,15 +151,6 @@ def _name_once(bag: Bag) -> Iterator[None]:
         if not any(text.startswith(f"{file}: ") for file in bag.infos):
             raise
         raise LogError(text) from err
-
-
-def _describe_chosen(notes: Mapping[str, str]) -> str:
-    """Return one line on the topics that were read, with the alternatives."""
-    poses, commands = notes.get("pose_topic"), notes.get("command_topic")
-    line = f"poses from {poses}" if poses else "no poses"
-    line += f", commands from {commands}" if commands else ", no commands"
-    more = [f"; {text.format(notes[name])}" for name, text in _MORE.items() if name in notes]
-    return "".join([line, *more])
 
 
 _MORE: Final = {
@@ -167,29 +167,15 @@ _MORE: Final = {
 """Notes that follow the topics, in order."""
 
 
-def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
-    """Return a note on turtlelog's topics, which are read only from turtlelog's recordings."""
-    sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
-    control = () if len(run.samples) else (CONTROL,)
-    own = {topic.name: topic.schema for topic in (*control, REFERENCE64, SHAPED, *sensed)}
-    rest = [
-        f"{topic.count} of {topic.topic}"
-        for topic in topics
-        if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
-    ]
-    return {NOT_READ: ", ".join(rest)} if rest else {}
-
-
 def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
-) -> tuple[Run, RobotTrack]:
+) -> tuple[Run, bag_inputs.RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
-    poses, dropped = _order_poses(found, source.topic)
-    commands = None
+    poses, dropped, unturned, vertical = _order_poses(found, source.topic)
+    commands, lost = None, 0
     if command_pick is not None:
-        commands, lost = order_commands(found, command_pick.topic, choice)
-        dropped = replace(dropped, commands=lost)
-    track = RobotTrack(
+        commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
+    track = bag_inputs.RobotTrack(
         time_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
         frame=source.frame,
@@ -206,206 +192,269 @@ def _build_run(
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
-    name, source_words = name_bag(path)
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
-    plane = describe_height(columns.get("z"), columns.get("tilt"))
-    others = source.notes.get("other_pose_topics")
+    counts = [
+        describe_count(count, kind)
+        for kind, count in (("pose", dropped), ("command", lost))
+        if count
+    ]
+    without = f", {unturned} of the poses without a heading" if unturned else ""
     notes = {
         "original_timestamp": format_utc(start_ns),
         **source.notes,
         **({"frame": source.frame} if source.frame else {}),
-        **_note_rows(tables, dropped, moved=moved, wrapped=wrapped),
+        "sorted_rows": str(sum(rows.late for rows in tables)),
+        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
+        "moved_rows": str(moved),
+        "wrapped_headings": str(wrapped),
+        **({"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}),
         **times.notes,
         **rate_notes,
-        **_note_crowded(time_ns),
-        **_note_plane(plane, dropped.vertical, track, columns.get("z")),
-        **({} if plane else _note_paths(poses, columns, commands, others)),
+        **note_crowded(time_ns),
+        **note_motion(
+            poses,
+            columns,
+            track.xy_m,
+            commands=commands,
+            vertical=vertical,
+            others=source.notes.get("other_pose_topics"),
+        ),
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
+    name, source_words = _name_bag(path)
     run = Run(
         name=name,
         source=source_words,
-        poses=_build_poses(time_ns, heading_rad, columns, sensed),
-        commands=build_commands(commands, start_ns),
+        poses=PoseColumns(
+            time_ns=time_ns,
+            xy_m=np.column_stack([columns["x"], columns["y"]]),
+            heading_rad=heading_rad,
+            speed_m_s=columns.get("speed"),
+            turn_rate_rad_s=columns.get("turn_rate"),
+            measured_speed_m_s=columns.get("measured_speed"),
+            measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
+            sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
+            sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+            **lift_poses(columns.get("z"), columns.get("tilt")),
+        ),
+        commands=bag_inputs.build_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
-        absent=(*absent, *(() if commands else ("commands",)), *NEVER_IN_BAGS),
+        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
         notes=notes,
     )
     return run, track
 
 
-def _build_poses(
-    time_ns: NDArray[np.int64],
-    heading_rad: Values,
-    columns: Mapping[str, Values],
-    sensed: Values | None,
-) -> PoseColumns:
-    """Return the poses of a run; `sensed` has x, y and heading in columns."""
-    return PoseColumns(
-        time_ns=time_ns,
-        xy_m=np.column_stack([columns["x"], columns["y"]]),
-        heading_rad=heading_rad,
-        speed_m_s=columns.get("speed"),
-        turn_rate_rad_s=columns.get("turn_rate"),
-        measured_speed_m_s=columns.get("measured_speed"),
-        measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-        sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
-        sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
-        **lift_poses(columns.get("z"), columns.get("tilt")),
-    )
+def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
+    """Return the finite poses in order of time, and three numbers of dropped ones.
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Dropped:
-    """Numbers of rows that were left out.
-
-    Attributes:
-        poses: Poses with NaN or infinity.
-        commands: Commands with NaN or infinity.
-        unturned: Poses at a place, but without a heading.
-        vertical: Poses without a heading because the forward axis points up or down.
+    All are counted, those at a place but without a heading, and of these, those whose forward axis
+    points up or down. Speeds that are NaN throughout are dropped.
     """
-
-    poses: int
-    commands: int = 0
-    unturned: int
-    vertical: int
-
-
-def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, _Dropped]:
-    """Return the finite poses in order of time, and the numbers of dropped ones."""
-    poses = order_topic(found, topic, extract_poses)
-    has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
-    unturned = has_place & np.isnan(poses.columns["heading"])
-    vertical = _count_vertical(poses.columns, unturned)
-    poses, dropped = _drop_nan(poses, topic.topic)
-    return poses, _Dropped(poses=dropped, unturned=int(unturned.sum()), vertical=vertical)
-
-
-def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
-    """Return the finite poses and the number of dropped poses. Speeds with NaN are dropped."""
-    speeds = [name for name in rows.columns if name.removeprefix("measured_") in _RATES]
-    unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
-    columns = {name: column for name, column in rows.columns.items() if name not in unknown}
+    rows = order_topic(found, topic, extract_poses)
+    columns = rows.columns
+    is_unturned = np.isnan(columns["heading"])
+    # A quaternion that was never set has a tilt of 0.
+    is_vertical = is_unturned & (columns.get("tilt", np.zeros(1)) > 0.0)
+    has_place = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
+    speeds = [name for name in columns if name.removeprefix("measured_") in _RATES]
+    unknown = [name for name in speeds if not np.isfinite(columns[name]).any()]
+    columns = {name: column for name, column in columns.items() if name not in unknown}
     # Height and tilt are only described, and few robots move sideways.
     needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
     kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
-    if not len(kept.time_ns) and _count_vertical(columns, np.isnan(columns["heading"])) == dropped:
+    if not len(kept.time_ns) and is_vertical.sum() == dropped:
         raise LogError(
-            f"topic {topic}: the forward axis points up or down in all {dropped} poses: there is no"
-            " heading"
+            f"topic {topic.topic}: the forward axis points up or down in all {dropped} poses: there"
+            " is no heading"
         )
     if not len(kept.time_ns):
         raise LogError(
-            f"topic {topic}: expected numbers in x, y and heading, found nan or infinity in all"
-            f" {dropped} poses"
+            f"topic {topic.topic}: expected numbers in x, y and heading, found nan or infinity in"
+            f" all {dropped} poses"
         )
-    return kept, dropped
+    return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
 
 
-_CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]: the fastest motion capture takes a
-pose every 100 us."""
-
-
-def _note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
-    """Return a note on poses that are too close in time for a sensor, if they are."""
-    steps_ns = np.diff(time_ns)
-    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
-        return {}
-    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
-    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
-    return {"crowded": text}
-
-
-def _list_speeds(commands: OrderedRows | None) -> tuple[NDArray[np.int64], Values] | None:
-    """Return publication times [ns] and speeds [m/s] of the commands."""
-    if commands is None:
-        return None
-    speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
-    return commands.time_ns, np.hypot(speed, lateral)
-
-
-def _count_vertical(columns: Mapping[str, Values], rows: NDArray[np.bool_]) -> int:
-    """Return the number of poses without a heading because the forward axis points up or down."""
-    tilt_rad = columns.get("tilt")
-    # A quaternion that was never set has a tilt of 0.
-    return 0 if tilt_rad is None else int((tilt_rad[rows] > 0.0).sum())
-
-
-def _note_rows(
-    tables: Sequence[OrderedRows], dropped: _Dropped, *, moved: int, wrapped: int
-) -> dict[str, str]:
-    """Return notes on rows that were sorted, changed or left out."""
-    notes = {
-        "sorted_rows": str(sum(rows.late for rows in tables)),
-        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
-        "moved_rows": str(moved),
-        "wrapped_headings": str(wrapped),
-    }
-    kinds = {"pose": dropped.poses, "command": dropped.commands}
-    counts = [describe_count(count, kind) for kind, count in kinds.items() if count]
-    if not counts:
-        return notes
-    without = f", {dropped.unturned} of the poses without a heading" if dropped.unturned else ""
-    return {**notes, "dropped_nan": f"{' and '.join(counts)}{without}"}
-
-
-def _note_plane(
-    plane: str | None, vertical: int, track: RobotTrack, z_m: Values | None
-) -> dict[str, str]:
-    """Return notes on poses off the plane, on leaps, and on the height of a level robot."""
-    notes = {}
-    if plane is not None or vertical:
-        lost = ""
-        if vertical:
-            which = "pose has" if vertical == 1 else "poses have"
-            lost = (
-                f"; left out: {vertical} {which} no heading, as the forward axis points up or down"
-            )
-        notes["plane"] = f"{plane or 'the robot leaves the plane'}{lost}"
-    leaps = describe_leaps(track.xy_m) or describe_small_leaps(track.xy_m)
-    if leaps is not None:
-        notes["leaps"] = leaps
-    level = describe_level(z_m) if plane is None else None
-    return notes if level is None else {**notes, "height": level}
-
-
-def _note_paths(
-    poses: OrderedRows,
-    columns: Mapping[str, Values],
-    commands: OrderedRows | None,
-    others: str | None,
-) -> dict[str, str]:
-    """Return a note on lengths of paths that differ; `others` are the other topics of poses.
-
-    The robot must stay in the plane: speeds are along its axes, and differ from those seen from
-    above if it leaves the plane.
-    """
-    reported = poses.columns if SPEED in columns else columns
-    paths = describe_paths(measure_paths(poses.time_ns, reported, _list_speeds(commands)))
-    if paths is None:
-        return {}
-    is_of_poses = others is not None and "poses" in paths
-    return {PATH_NOTE: f"{paths}; others: {others}" if is_of_poses else paths}
-
-
-def _match_sensed(found: Held, time_ns: NDArray[np.int64], moved: int) -> Values | None:
+def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> Values | None:
     """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
 
     The result is None if there are no sensed poses, or their times do not identify the poses, as
     with a wall clock.
     """
-    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     if moved or not any(SENSED.name in of_file for of_file in found):
         return None
+    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     sensed = order_topic(found, kind, extract_poses)
     rows = np.searchsorted(time_ns, sensed.time_ns)
-    is_known = np.isin(sensed.time_ns, time_ns).all()
-    if not is_known or (np.diff(sensed.time_ns) == 0).any():
+    if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
         return None
     values = np.full((len(time_ns), 3), np.nan)
     values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
     return values
+
+
+_NEVER_IN_BAGS: Final = (
+    *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
+)
+"""Fields of `Run` that no bag of a robot contains."""
+
+
+def _read_commands_alone(
+    bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, err: NoPosesError
+) -> tuple[Run, str]:
+    """Return the run of a bag that contains commands but no poses, and the topic's name."""
+    pick, lack = bag_inputs.choose_commands(topics, choice, pose_topic="")
+    if pick is None:
+        raise NoPosesError(f"no poses; {lack}") if lack else err
+    if not choice.allow_no_poses:
+        if err.is_unread:  # the reason of unreadable poses is more helpful
+            raise err
+        raise NoPosesError(
+            f"no poses, only commands on {pick.describe()}: info, metrics, check, plot and replay"
+            " take commands alone, and what was asked for needs poses"
+        )
+    for name in ("goal", "path_topic"):
+        if getattr(choice, name) is not None:
+            raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
+    found: Held = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
+    rows, dropped = bag_inputs.order_commands(found, pick.topic, choice)
+    if rows is None:
+        raise LogError(
+            f"topic {pick.topic.topic}: expected numbers, found nan or infinity in all"
+            f" {dropped} commands"
+        )
+    times = time_rows(rows.stamps, None, choice.time, noun="commands")
+    rows = rows.take(times.poses.rows, times.poses.time_ns)
+    start_ns = int(rows.time_ns[0])
+    name, source = _name_bag(bag.path)
+    run = Run(
+        name=name,
+        source=source,
+        poses=PoseColumns.build_empty(),
+        commands=bag_inputs.build_commands(rows, start_ns),
+        samples=SampleColumns.build_empty(),
+        clock=times.clock,
+        absent=("poses", "poses.speed_m_s", "poses.turn_rate_rad_s", *_NEVER_IN_BAGS),
+        notes={
+            "original_timestamp": format_utc(start_ns),
+            "sorted_rows": str(rows.late),
+            "dropped_duplicates": str(rows.duplicates),
+            **({"dropped_nan": describe_count(dropped, "command")} if dropped else {}),
+            **times.notes,
+            **note_pick("command_topic", pick),
+        },
+    )
+    return run, pick.topic.topic
+
+
+def _name_bag(path: Path) -> tuple[str, str]:
+    """Return the name and the source of a run from a bag."""
+    name = path.resolve().name
+    storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
+    return (name if path.is_dir() else strip_suffixes(path)), f"{storage}: {name}"
+
+
+def _add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
+    """Return a run with the samples of its bag if they fit its poses. A note describes the result.
+
+    The run has the poses of `/turtle1/pose`; its time 0 is `start_ns` on the recorder's clock.
+    """
+    kinds = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
+    if (CONTROL.name, CONTROL.schema) not in kinds:
+        return run
+    names = {CONTROL.name, *({PHASE.name} if (PHASE.name, PHASE.schema) in kinds else ())}
+    files = bag.read(names)
+    found = [of_file[CONTROL.name] for of_file in files if CONTROL.name in of_file]
+    phases = [of_file[PHASE.name] for of_file in files if PHASE.name in of_file]
+    try:
+        time_ns, columns = _join(found)
+        written = sum(topic.count for topic in bag.topics if topic.topic == POSE.name)
+        _require_fit(run, written, time_ns - start_ns, columns)
+    except LogError as err:
+        return replace(run, notes={**run.notes, "samples": f"not read: {err}"})
+    told = _read_names(phases, time_ns, columns["phase"])
+    usual = "as those of sequential-p, as nothing else names them"
+    note = (
+        f"from {CONTROL.name}; phases are named {usual if told is None else 'by /turtle1/phase'};"
+        " the law, its loops and its parameters are not known"
+    )
+    return replace(
+        run,
+        samples=SampleColumns(time_ns=time_ns - start_ns, **columns),
+        declaration=_declare(told, int(columns["phase"].max())),
+        absent=("declaration", *(name for name in run.absent if name != "samples")),
+        notes={**run.notes, "samples": note},
+    )
+
+
+def _join(found: list[TopicColumns]) -> tuple[NDArray[np.int64], dict[str, Any]]:
+    """Return times and columns of the samples of all files, sorted by sample number."""
+    names = [name for parts in CONTROL_COLUMNS.values() for name in parts]
+    try:
+        fields = {
+            name: np.concatenate([columns.fields[name] for columns in found]) for name in names
+        }
+    except KeyError as err:
+        raise LogError(f"the field {err.args[0]} is missing") from err
+    order = np.argsort(fields["sequence"], kind="stable")
+    time_ns = np.concatenate([columns.log_time_ns for columns in found])[order]
+    numbers = fields["sequence"][order].astype(np.int64)
+    if (np.diff(numbers) <= 0).any() or (np.diff(time_ns) < 0).any():
+        raise LogError("expected numbers and times that rise together, found others")
+    columns: dict[str, Any] = {}
+    for name, parts in CONTROL_COLUMNS.items():
+        values = np.column_stack([fields[part][order] for part in parts])
+        kind = np.float64 if values.dtype.kind == "f" else np.int64
+        columns[name] = (values if len(parts) > 1 else values[:, 0]).astype(kind)
+    return time_ns, {
+        name: None if name in MAY_BE_ABSENT and lacks_values(name, values) else values
+        for name, values in columns.items()
+    }
+
+
+def _require_fit(run: Run, written: int, time_ns: TimesNs, columns: Mapping[str, Any]) -> None:
+    """Refuse samples whose pose numbers are not rows of the run's poses.
+
+    The file has `written` poses; `time_ns` is when each sample was answered, on the run's clock.
+    """
+    read, poses = columns["pose_sequence"], run.poses
+    if written != len(poses):
+        raise LogError(f"expected the {written} poses as they are numbered, found {len(poses)}")
+    if int(read.max()) >= len(poses):
+        raise LogError(f"expected pose {read.max()}, which a sample read, found {len(poses)} poses")
+    early = time_ns < poses.time_ns[read]
+    if early.any() or (np.diff(read) < 0).any():
+        row = int(early.argmax())
+        raise LogError(f"expected pose {read[row]} before the sample that read it, found it later")
+    speeds = columns["speed_m_s"], columns["turn_rate_rad_s"]
+    if not np.isfinite(speeds).all():
+        raise LogError("expected commands that are numbers, found nan or infinity")
+
+
+def _read_names(
+    phases: list[TopicColumns], time_ns: TimesNs, phase: NDArray[np.int64]
+) -> dict[int, str] | None:
+    """Return the phase names by number; None if the phase messages contradict the samples."""
+    named: dict[int, str] = {}
+    for columns in phases:
+        pairs = zip(columns.log_time_ns.tolist(), columns.fields["data"].tolist(), strict=True)
+        for at_ns, name in pairs:
+            row = int(np.searchsorted(time_ns, at_ns))
+            if name in {PAUSE, DONE} or row >= len(time_ns) or time_ns[row] != at_ns:
+                continue
+            if named.setdefault(int(phase[row]), name) != name:
+                return None
+    is_whole = {*phase.tolist()} <= {*named}
+    return named if is_whole and len({*named.values()}) == len(named) else None
+
+
+def _declare(named: Mapping[int, str] | None, highest: int) -> Declaration:
+    """Return phases without loops, by number. An unnamed phase gets its number as name."""
+    usual = dict(enumerate(SEQUENTIAL_P.phase_names))
+    if named is None or all(usual.get(number) == name for number, name in named.items()):
+        named = usual
+    names = [named.get(number, f"phase_{number}") for number in range(max(highest, *named) + 1)]
+    return Declaration(phases=dict.fromkeys(names, ()))

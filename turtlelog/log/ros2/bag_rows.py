@@ -1,27 +1,105 @@
-"""The rows of a bag's topic in order of time: sorted, without duplicates, with finite numbers."""
+"""The rows of a bag's topics: sorted, without duplicates, with finite numbers, and on one clock.
+
+A message has two times: its stamp, set by the publisher, and its log time, when the recorder
+received it. The two times differ by the offset of two clocks and the transport delay. Stamps have
+less jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed
+by their stamps, mapped to the recorder's clock by the messages with the shortest transport delay.
+The shortest delay is unknown, so all pose times are late by this delay.
+"""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.files.urls import make_path
+from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
 from turtlelog.log.file_access import name_place
-from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps
-from turtlelog.run.angles import wrap_angle
-
-ROWS_AT_ONCE: Final = 65_536
-"""Number of rows that are compared or computed at once."""
+from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
+from turtlelog.log.planar_poses import ROWS_AT_ONCE, Fields, Values
+from turtlelog.log.read_choice import TimeSource
+from turtlelog.log.ros2.bag_files import find_bag_files
+from turtlelog.log.ros2.stamps import (
+    FIRST_WALL_NS,
+    StampClock,
+    Stamps,
+    TimesNs,
+    join_arrays,
+    join_stamps,
+    place_log_times,
+    read_stamp_clock,
+)
+from turtlelog.run import Clock
 
 Held = list[dict[str, TopicColumns]]
 """Messages by topic, for each file, in file order."""
 
-Fields = Mapping[str, NDArray[Any]]
-Values = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bag:
+    """The files of a bag and their contents, for any storage.
+
+    Attributes:
+        path: The folder, or the single file.
+        infos: Contents of each file, in order of time.
+    """
+
+    path: Path
+    infos: Mapping[Path, RecordingInfo]
+
+    @property
+    def topics(self) -> Sequence[TopicInfo]:
+        """The topics of all files, without duplicates."""
+        first, *others = (info.topics for info in self.infos.values())
+        return merge_topics(chain(first, *others)) if others else first
+
+    def read(
+        self, names: Collection[str], *, is_flat: bool = True
+    ) -> tuple[Mapping[str, TopicColumns], ...]:
+        """Return the messages of some topics, by topic, for each file; empty topics are omitted.
+
+        Args:
+            names: Names of the topics.
+            is_flat: Whether to refuse types with sequences of texts or messages.
+        """
+        held = (
+            (file, {*names} & {topic.topic for topic in info.topics if topic.count})
+            for file, info in self.infos.items()
+        )
+        return tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
+
+    def read_topic(self, name: str, *, is_flat: bool = True) -> list[TopicColumns]:
+        """Return the messages of a topic, for each file that has some."""
+        files = self.read({name}, is_flat=is_flat)
+        return [file[name] for file in files if name in file and len(file[name])]
+
+
+def open_bag(path: str | Path) -> Bag:
+    """Return a ROS 2 bag: a folder, or a single file.
+
+    Raises:
+        LogError: If the path is not a bag, or one of its files cannot be read, is truncated or is
+            damaged.
+    """
+    path = make_path(path)
+    found = find_bag_files(path)
+    infos = {file: read_info(file) for file in found.files}
+    if found.notes:
+        first = found.files[0]
+        infos[first] = replace(infos[first], notes={**infos[first].notes, **found.notes})
+    for file, info in infos.items():
+        if not info.complete:
+            is_left = any(topic.count for topic in info.topics)
+            fix = "; turtlelog convert --recover reads what is left" if is_left else ""
+            lost = info.notes["partial"]
+            raise LogError(f"{file}: truncated or unfinished (no end of an MCAP file): {lost}{fix}")
+    return Bag(path=path, infos=infos)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,11 +114,11 @@ class OrderedRows:
         stamp_ns: Stamp of each row [ns], shape (n,); None if the type has no stamps.
     """
 
-    time_ns: NDArray[np.int64]
+    time_ns: TimesNs
     columns: Mapping[str, Values]
     late: int
     duplicates: int
-    stamp_ns: NDArray[np.int64] | None = None
+    stamp_ns: TimesNs | None = None
 
     @property
     def stamps(self) -> Stamps:
@@ -48,7 +126,7 @@ class OrderedRows:
         return Stamps(log_ns=self.time_ns, stamp_ns=self.stamp_ns)
 
     def take(
-        self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: NDArray[np.int64] | None = None
+        self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: TimesNs | None = None
     ) -> "OrderedRows":
         """Return some of the rows in any order, with given new times, if any."""
         if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
@@ -63,12 +141,11 @@ class OrderedRows:
 
 def _is_whole(rows: NDArray[Any]) -> bool:
     """Return whether row numbers are those of all rows in order."""
+    parts = (rows[first : first + ROWS_AT_ONCE] for first in range(0, len(rows), ROWS_AT_ONCE))
+    firsts = range(0, len(rows), ROWS_AT_ONCE)
     return all(
-        np.array_equal(
-            rows[first : first + ROWS_AT_ONCE],
-            np.arange(first, min(first + ROWS_AT_ONCE, len(rows))),
-        )
-        for first in range(0, len(rows), ROWS_AT_ONCE)
+        np.array_equal(part, np.arange(first, first + len(part)))
+        for first, part in zip(firsts, parts, strict=True)
     )
 
 
@@ -135,28 +212,7 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     return rows.take(kept), int((~kept).sum())
 
 
-def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Return strictly increasing times, and how many were moved to 1 ns after the previous time.
-
-    Rows with equal times are different ticks; dropping one would lose a step of the motion.
-    """
-    rows = np.arange(len(time_ns))
-    moved = np.maximum.accumulate(time_ns - rows) + rows
-    return moved, int((moved != time_ns).sum())
-
-
-def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
-    """Return headings within a float32 step of [-pi, pi), and the number of changed headings.
-
-    turtlesim's own rounding exceeds that interval by less than a step; such headings are kept.
-    """
-    far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
-    return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
-
-
-def _find_duplicates(
-    time_ns: NDArray[np.int64], contents: Sequence[NDArray[Any]]
-) -> NDArray[np.bool_]:
+def _find_duplicates(time_ns: TimesNs, contents: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
     """Return which rows repeat an earlier row. Only rows of equal time are compared."""
     repeated = np.zeros(len(time_ns), dtype=bool)
     same = np.flatnonzero(np.diff(time_ns) == 0)
@@ -170,3 +226,173 @@ def _find_duplicates(
         equal &= np.diff(key[order]) == 0
     repeated[order[1:][equal]] = True
     return repeated
+
+
+CLOCK: Final = "clock"
+"""Name of the note on the clock of a run's poses."""
+
+CLOSE_ROWS: Final = "close_rows"
+"""Name of the note on dropped poses at nearly equal times."""
+
+_CLOSEST_NS: Final = 1_000_000
+"""Smallest time between two poses that gives a usable rate [ns]: noise of 0.2 mm becomes 0.2 m/s
+and more."""
+
+_CLOSEST_SHARE: Final = 0.25
+"""Share of the usual step below which poses count as close, because a motion capture may run at 2
+kHz."""
+
+_SAME_CLOCK_NS: Final = 1_000_000_000
+"""Largest time between a stamp of a command and its reception [ns] for stamps of the poses'
+simulation. Stamps of another simulation, or of a wall clock, differ by more."""
+
+_SHOWN_DRIFT_NS: Final = 1_000_000
+"""Smallest total drift that is mentioned [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _TimedRows:
+    """The rows of a topic in order of the times used.
+
+    Attributes:
+        rows: Indices of the given rows, shape (m,).
+        time_ns: Time on the recorder's clock [ns], shape (m,), not decreasing.
+    """
+
+    rows: NDArray[np.int64]
+    time_ns: TimesNs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BagTimes:
+    """Times of the poses and commands of a bag.
+
+    Attributes:
+        poses: Times of the poses that are kept.
+        commands: Times of all commands.
+        clock: Clock that times the poses; None if the poses have no stamps.
+        notes: Description of the timing, for the notes of a run.
+    """
+
+    poses: _TimedRows
+    commands: _TimedRows
+    clock: Clock | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def time_rows(
+    poses: Stamps, commands: Stamps | None, time: TimeSource, *, noun: str = "poses"
+) -> BagTimes:
+    """Return the times of poses and commands on one timeline.
+
+    The timeline is the recorder's clock. If stamps run at another rate, as in simulation, the
+    motion follows the stamps: the timeline has the rate of the stamps, and commands are mapped to
+    it. Commands with usable stamps are timed by their stamps, like poses.
+
+    Both topics are in order of log time. With `auto`, stamps of poses are used if they are usable.
+    In a bag without poses, its commands are given as poses, with this noun. No command is dropped,
+    however close in time.
+
+    Raises:
+        LogError: If stamps are requested and no pose has a usable stamp.
+    """
+    commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
+    if poses.stamp_ns is None:
+        if time == "stamp":
+            raise LogError(f"time: expected {noun} with stamps, found a type without: take log")
+        return BagTimes(poses=_sort(poses.log_ns), commands=_sort(commands.log_ns))
+    found = read_stamp_clock(poses)
+    if time == "stamp" and found.pace is None:
+        raise LogError(f"time: expected usable stamps of {noun}, but {found.reason}: take log")
+    used: Literal["log", "stamp"] = "stamp"
+    if time == "log" or (time == "auto" and found.reason):
+        used = "log"
+    rows = _sort(poses.log_ns if used == "log" else found.time_ns)
+    commands_ns, how = commands.log_ns, ""
+    if used == "stamp" and noun == "poses":
+        commands_ns, how = _time_commands(commands, poses, found)
+    notes = {CLOCK: f"{noun} are timed by {_describe(found, used)}{how}"}
+    if noun == "poses":
+        kept = _find_apart(rows.time_ns)
+        if close := int(len(kept) - kept.sum()):
+            closest = f"{describe_count(close, 'pose')} less than 1 ms before another left out"
+            notes |= {CLOCK: f"{notes[CLOCK]}; {closest}", CLOSE_ROWS: str(close)}
+        rows = _TimedRows(rows=rows.rows[kept], time_ns=rows.time_ns[kept])
+    offset_s, jitter_s = (
+        None if time_ns is None else time_ns / 1e9 for time_ns in (found.offset_ns, found.jitter_ns)
+    )
+    clock = Clock(used=used, ratio=found.pace, offset_s=offset_s, jitter_s=jitter_s)
+    return BagTimes(poses=rows, commands=_sort(commands_ns), clock=clock, notes=notes)
+
+
+def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[TimesNs, str]:
+    """Return the times of commands on the poses' timeline, and a description of their source."""
+    if not len(commands.log_ns):
+        return commands.log_ns, ""
+    own = read_stamp_clock(commands)
+    if not found.is_other_pace:
+        if own.reason or own.is_other_pace:
+            return commands.log_ns, "; commands by the recorder's clock"
+        return own.time_ns, "; commands by their stamps, likewise"
+    placed_ns = place_log_times(found, poses.log_ns, commands.log_ns)
+    if not own.reason and not found.jumps and commands.stamp_ns is not None:
+        stamped_ns = commands.stamp_ns + (found.offset_ns or 0)
+        if np.abs(stamped_ns - placed_ns).max() < _SAME_CLOCK_NS:
+            return stamped_ns, "; commands by their stamps of the same clock"
+    return placed_ns, "; commands are mapped to it by the poses that were received with them"
+
+
+def _describe(found: StampClock, used: Literal["log", "stamp"]) -> str:
+    """Return the clock that is used, and its relation to the other one."""
+    if used == "log":
+        text = f"the recorder's clock, as {found.reason or 'given'}"
+        if found.reason or not found.is_other_pace:
+            return text
+        return f"{text}: rates are those of the motion times {found.pace:.3g}, the stamps' pace"
+    texts = ["their stamps"]
+    pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
+    is_wall = int(found.time_ns[found.known[0]]) - offset_ns >= FIRST_WALL_NS
+    if found.is_other_pace:
+        why = "of another pace" if is_wall else "a simulation's"
+        ratio = f"{pace:.3g}" if abs(pace - 1.0) > 0.01 else f"{pace:.5g}"  # differs from 1
+        texts.append(
+            f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
+            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {ratio}"
+        )
+    else:
+        sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
+        offset = f"{offset_s:.3f}" if offset_s < 1000.0 else f"{offset_s:.0f}"  # decades
+        texts.append(
+            f" {sign} {offset} s, mapped to the recorder's clock by the fastest message,"
+            f" whose transport is unknown; usually others take {jitter_ns / 1e6:.1f} ms more"
+        )
+        if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
+            drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
+            whose = "clock" if is_wall else "clock, which was never set or is a simulation's,"
+            texts.append(f"; their {whose} drifts by {drift}, taken out")
+    if found.jumps:
+        texts.append(f"; their clock was set {describe_count(found.jumps, 'time')}")
+    if found.odd:
+        texts.append(f"; {found.odd} without a usable stamp by when they were received")
+    if found.disordered:
+        verb = "is" if found.disordered == 1 else "are"
+        texts.append(f"; {found.disordered} received out of order {verb} sorted")
+    return "".join(texts)
+
+
+def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
+    """Return which rows to keep: those that no other row follows too closely for a rate.
+
+    The last of several close rows is kept: if poses were delayed, its time is correct.
+    """
+    step_ns = np.diff(time_ns)
+    moving_ns = step_ns[step_ns > 0]
+    if not len(moving_ns):
+        return np.ones(len(time_ns), dtype=bool)
+    least_ns = min(_CLOSEST_NS, _CLOSEST_SHARE * float(np.median(moving_ns)))
+    return np.append(step_ns >= least_ns, True)
+
+
+def _sort(time_ns: TimesNs) -> _TimedRows:
+    rows = np.argsort(time_ns, kind="stable")
+    return _TimedRows(rows=rows, time_ns=time_ns[rows])

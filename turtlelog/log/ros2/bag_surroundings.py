@@ -12,8 +12,9 @@ from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.ros2.bag import Bag, open_bag
+from turtlelog.log.planar_poses import Values
 from turtlelog.log.ros2.bag_poses import read_tree
+from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names
 from turtlelog.log.ros2.bag_transforms import (
     Tree,
@@ -21,14 +22,11 @@ from turtlelog.log.ros2.bag_transforms import (
     is_robot_frame,
     locate_frame,
     name_frame,
+    place_points,
 )
-from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock, read_stamps
-from turtlelog.log.spatial_poses import place_points
+from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
-
-Values = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
@@ -119,7 +117,7 @@ class Surroundings:
         notes: Sources and parts left out, in sentences.
     """
 
-    time_ns: Times
+    time_ns: TimesNs
     scans_xy_m: tuple[Values, ...]
     walls_xy_m: Values
     maps: tuple[OccupancyMap, ...] = ()
@@ -175,13 +173,11 @@ def _read(
     if scan is not None and scan.count > _MOST_MESSAGES:
         notes.append(f"{scan.topic} has {scan.count} scans, more than {_MOST_MESSAGES}: left out.")
     elif scan is not None:
-        times, points = _place_scans(
-            bag.read_topic(scan.topic, is_flat=False), run, start_ns, tree, notes
-        )
+        messages = bag.read_topic(scan.topic, is_flat=False)
+        times, points = _place_scans(messages, run, start_ns, tree, notes)
         notes += _name_others(bag.topics, SCAN, [scan])
-    placed = [
-        _place_map(bag.read_topic(grid.topic, is_flat=False), run, tree, notes) for grid in grids
-    ]
+    read = (bag.read_topic(grid.topic, is_flat=False) for grid in grids)
+    placed = [_place_map(messages, run, tree, notes) for messages in read]
     notes += _name_others(bag.topics, GRID, grids)
     return Surroundings(
         time_ns=times,
@@ -203,12 +199,16 @@ def _name_others(
 
 def _place_scans(
     messages: Sequence[TopicColumns], run: Run, start_ns: int, tree: Tree, notes: list[str]
-) -> tuple[Times, tuple[Values, ...]]:
+) -> tuple[TimesNs, tuple[Values, ...]]:
     """Return times of scans [ns], and their points in the frame of the poses [m]."""
     scans = [(columns, row) for columns in messages for row in range(len(columns))]
     time_ns = np.concatenate([_time_scans(columns, run) for columns in messages]) - start_ns
     order = np.argsort(time_ns, kind="stable")
-    known = order[_has_pose(run, time_ns[order])]
+    # Each scan needs a pose shortly before and shortly after it.
+    beyond = [_LONGEST_GAP_NS + 1]
+    gaps_ns = np.concatenate([beyond, np.diff(run.poses.time_ns), beyond])
+    after = np.searchsorted(run.poses.time_ns, time_ns[order])
+    known = order[gaps_ns[after] <= _LONGEST_GAP_NS]
     if not len(known):
         notes.append(f"No scan of {messages[0].topic} was taken while the poses are known.")
         return np.zeros(0, dtype=np.int64), ()
@@ -219,11 +219,11 @@ def _place_scans(
     placed = [
         _to_world(_to_robot(scans[row], tree, carriers), run, int(time_ns[row])) for row in kept
     ]
-    notes += _describe(messages, carriers, len(scans), len(kept), len(known))
+    notes += _describe(messages[0].topic, carriers, len(scans), len(kept), len(known))
     return time_ns[kept], tuple(placed)
 
 
-def _time_scans(columns: TopicColumns, run: Run) -> Times:
+def _time_scans(columns: TopicColumns, run: Run) -> TimesNs:
     """Return the times of scans on the clock of the run's poses [ns]."""
     log_ns, stamp_ns = columns.log_time_ns, read_stamps(columns)
     if run.clock is None or run.clock.used == "log" or stamp_ns is None:
@@ -232,17 +232,6 @@ def _time_scans(columns: TopicColumns, run: Run) -> Times:
     if found.is_other_pace and run.clock.offset_s is not None:
         return np.asarray(stamp_ns + round(run.clock.offset_s * 1e9))
     return log_ns if found.reason else found.time_ns
-
-
-def _has_pose(run: Run, time_ns: Times) -> NDArray[np.bool_]:
-    """Return whether there is a pose shortly before and shortly after each time."""
-    poses_ns = run.poses.time_ns
-    after = np.searchsorted(poses_ns, time_ns)
-    inside = (after > 0) & (after < len(poses_ns))
-    after = np.clip(after, 1, max(len(poses_ns) - 1, 1))
-    if len(poses_ns) < 2:
-        return np.zeros(len(time_ns), dtype=bool)
-    return np.asarray(inside & (poses_ns[after] - poses_ns[after - 1] <= _LONGEST_GAP_NS))
 
 
 def _to_robot(
@@ -296,13 +285,8 @@ def _thin(points: Sequence[Values]) -> Values:
 
 
 def _describe(
-    messages: Sequence[TopicColumns],
-    carriers: dict[str, str | None],
-    count: int,
-    kept: int,
-    known: int,
+    topic: str, carriers: dict[str, str | None], count: int, kept: int, known: int
 ) -> Iterator[str]:
-    topic = messages[0].topic
     thinned = "" if kept == known else f", {kept} of them shown"
     yield f"Scans of {topic}: {describe_count(count, 'scan')}{thinned}."
     if known < count:

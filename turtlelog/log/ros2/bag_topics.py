@@ -1,30 +1,31 @@
 """The topics of a bag with poses and commands, chosen by type and name or as requested."""
 
 import re
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
 from turtlelog.log.read_choice import match_topic
-from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
-from turtlelog.log.ros2.pose_types import JOINTS, POSE_TYPES, TRANSFORM_TYPES
+from turtlelog.log.recording.topics import POSE64
 
 PATH: Final = "nav_msgs/msg/Path"
-_GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
 _POSES_IN_SHORT: Final = (
     "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
 )
+
 TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
 ACKERMANN_TYPES: Final = (
     "ackermann_msgs/msg/AckermannDrive",
     "ackermann_msgs/msg/AckermannDriveStamped",
 )
-COMMAND_TYPES: Final = (*TWIST_TYPES, *ACKERMANN_TYPES)
 
+COMMAND_TYPES: Final = (*TWIST_TYPES, *ACKERMANN_TYPES)
 NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
 NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
 
@@ -32,9 +33,6 @@ _MOST_UNREAD: Final = 3
 """Largest number of unread topics that one line lists with their reasons."""
 
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
-
-_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
-"""Topics of a turtlelog recording that have the type of commands but contain none."""
 
 _NO_ROBOT: Final = re.compile(
     r"(?:^|[/_])(?:goals?|goal_?pose|targets?|waypoints?|initial_?pose|set_?pose|clicked|via"
@@ -47,19 +45,6 @@ _MEASURED: Final = re.compile(
     r"(?:^|[/_])(?:odom|odometry|measured|actual|feedback|estimated?|current|state|imu)(?=$|[/_\d])"
 )
 """Words in names of measured velocities."""
-
-_VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
-"""Names of velocities that are measured if a pose has the same namespace: velocity_local and
-velocity_body of /mavros/local_position/pose, twist of a motion capture's body."""
-
-_COMMAND_NAMES: Final = (
-    re.compile(r"cmd_vel"),
-    re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
-    # The smoother's output comes from the planner and passes through the collision monitor.
-    re.compile(r"cmd_vel_smoothed"),
-    re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
-)
-"""Patterns for names of command topics; the topic that a base usually listens to is first."""
 
 _POSE_NAMES: Final = (
     re.compile(r"odom|odometry|pose"),
@@ -114,21 +99,31 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return Pick(topic=_find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
-    present = _drop_unread(held)
+        return Pick(topic=find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
+    present = drop_unread(held)
     usual = [
         topic for topic in present if topic.type in POSE_TYPES and not is_another_thing(topic.topic)
     ]
-    fitting = _drop_two_types(usual, present)
+    fitting = drop_two_types(usual, present)
     if not fitting:
-        text, is_unread = _describe_no_poses(held, present)
-        raise NoPosesError(text, is_unread=is_unread)
-    homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
-    best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
+        raise _deny_poses(held, present)
+    homes = {take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
+
+    def rank(topic: TopicInfo) -> tuple[int, ...]:
+        return (
+            int(topic.count < 2),  # a single message shows no motion
+            int(topic.topic == POSE64.name),
+            POSE_TYPES[topic.type][0],
+            rank_name(topic.topic, _POSE_NAMES),
+            int(take_home(topic.topic) not in homes),
+            topic.topic.count("/"),
+        )
+
+    best = list_first(fitting, rank)
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # If robots differ only by number, the first is chosen.
         best = [min(best, key=lambda topic: list_numbers(topic.topic))]
-    chosen = _require_one(best, "pose_topic")
+    chosen = require_one(best, "pose_topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
@@ -137,88 +132,12 @@ def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicI
     """Return the requested topic of joint states, or else the one with the usual name."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
-        return _find_asked(held, asked, (JOINTS,), "pose_topic")
-    fitting = [topic for topic in _drop_unread(held) if topic.type == JOINTS]
+        return find_asked(held, asked, (JOINTS,), "pose_topic")
+    fitting = [topic for topic in drop_unread(held) if topic.type == JOINTS]
     if not fitting:
         raise LogError(f"wheel_joints: expected a topic of {JOINTS}, found {_describe(held)}")
-    named = [topic for topic in fitting if _take_last(topic.topic) == "joint_states"]
-    return _require_one(named or fitting, "pose_topic")
-
-
-def choose_command_topic(
-    topics: Iterable[TopicInfo],
-    asked: str | None,
-    *,
-    pose_topic: str,
-    types: Collection[str] = COMMAND_TYPES,
-) -> Pick | None:
-    """Return the requested topic, or else the most likely one; None if there is none.
-
-    The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
-    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
-    chosen. Without poses, `pose_topic` is empty.
-
-    Raises:
-        LogError: If several topics are equally likely.
-    """
-    held = [topic for topic in topics if topic.count]
-    if asked is not None:
-        return Pick(topic=_find_asked(held, asked, COMMAND_TYPES, "command_topic"))
-    present = _drop_unread(held)
-    known = _drop_two_types([topic for topic in present if topic.type in types], present)
-    fitting = [
-        topic
-        for topic in known
-        if topic.topic not in _NO_COMMANDS
-        and not is_measured(topic.topic)
-        and not _is_measured_beside(topic.topic, pose_topic)
-        and not _is_another_robots(topic.topic, pose_topic)
-    ]
-    if not fitting:
-        return None
-    best = _list_first(fitting, lambda topic: _rank_commands(topic.topic, pose_topic))
-    chosen = _require_one(best, "command_topic")
-    return Pick(topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen))
-
-
-def choose_path_topics(
-    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
-) -> list[TopicInfo]:
-    """Return the requested path topic, or all topics that may contain plans, in order.
-
-    A controller's short local plan (local_plan) and topics with the name of a trace are not
-    references.
-    """
-    held = [topic for topic in topics if topic.count]
-    if asked is not None:
-        return [_find_asked(held, asked, (PATH,), "path_topic")]
-    present = _drop_unread(held)
-    counts = Counter(topic.topic for topic in present)
-    fitting = [
-        topic
-        for topic in present
-        if topic.type == PATH
-        and counts[topic.topic] == 1
-        and not _LOCAL.search(topic.topic)
-        and not _is_another_robots(topic.topic, pose_topic)
-    ]
-    return sorted(fitting, key=lambda topic: _rank_path(topic.topic, pose_topic))
-
-
-def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick | None:
-    """Return the topic of goals, preferably next to the poses; None if there is none."""
-    present = _drop_unread(topic for topic in topics if topic.count)
-    fitting = [
-        topic
-        for topic in present
-        if topic.type == _GOAL_TYPE
-        and _GOAL.fullmatch(_take_last(topic.topic))
-        and not _is_another_robots(topic.topic, pose_topic)
-    ]
-    if not fitting:
-        return None
-    near = sorted(fitting, key=lambda topic: _rank_place(topic.topic, pose_topic))
-    return Pick(topic=near[0], others=tuple(topic.topic for topic in near[1:]))
+    named = [topic for topic in fitting if take_last(topic.topic) == "joint_states"]
+    return require_one(named or fitting, "pose_topic")
 
 
 def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
@@ -229,7 +148,7 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
         if topic.count
         and not topic.reason
         and not is_another_thing(topic.topic)
-        and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(_take_last(topic.type)))
+        and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(take_last(topic.type)))
     ]
 
 
@@ -242,15 +161,15 @@ def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     return _join_reasons(filter(_is_of_a_run, unread))
 
 
-def _describe_no_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> tuple[str, bool]:
-    """Return the reason why a bag has no poses, and whether it has unreadable ones."""
+def _deny_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> NoPosesError:
+    """Return the error of a bag without readable poses."""
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons(filter(_is_of_a_run, unread)):
-        return reasons, True
+        return NoPosesError(reasons, is_unread=True)
     found = f"no poses; it contains {_describe(held)}; poses are read from {_POSES_IN_SHORT}"
     has_joints = any(topic.type == JOINTS for topic in present)
     parts = [found, NEEDS_WHEELS if has_joints else "", _join_reasons(unread)]
-    return "; ".join(filter(None, parts)), False
+    return NoPosesError("; ".join(filter(None, parts)))
 
 
 def _join_reasons(unread: Iterable[TopicInfo]) -> str:
@@ -266,7 +185,7 @@ def _is_of_a_run(topic: TopicInfo) -> bool:
     return last in _RUN_WORDS or bool(_POSE_LIKE.search(last))
 
 
-def _drop_unread(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
+def drop_unread(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
     """Return readable topics, and topics with two types, which are refused later."""
     held = list(topics)
     counts = Counter(topic.topic for topic in held)
@@ -279,12 +198,9 @@ _RUN_WORDS: Final = frozenset(
 
 _POSE_LIKE: Final = re.compile(r"(?i)pose|odom|locali[sz]ation")
 _NUMBER: Final = re.compile(r"\d+")
-_WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
-_LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
-_GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
 
 
-def _list_first(
+def list_first(
     topics: Sequence[TopicInfo], rank: Callable[[TopicInfo], tuple[int, ...]]
 ) -> list[TopicInfo]:
     """Return the topics with the best rank."""
@@ -292,42 +208,12 @@ def _list_first(
     return [topic for topic in topics if rank(topic) == least]
 
 
-def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
-    """Return a sort key for pose topics, the most likely first; commands are in `homes`."""
-    return (
-        int(topic.count < 2),  # a single message shows no motion
-        int(topic.topic == POSE64.name),
-        POSE_TYPES[topic.type].tier,
-        _rank_name(topic.topic, _POSE_NAMES),
-        int(_take_home(topic.topic) not in homes),
-        topic.topic.count("/"),
-    )
-
-
-def _rank_commands(topic: str, pose_topic: str) -> tuple[int, ...]:
-    near, depth = _rank_place(topic, pose_topic)
-    name = _rank_name(topic, _COMMAND_NAMES)
-    # A robot's own commands have priority over others, and topics named as commands over the rest.
-    return int(name == len(_COMMAND_NAMES)), near, name, depth
-
-
 def is_measured(topic: str) -> bool:
     """Return whether a topic's name shows that its velocities are measured."""
-    return _MEASURED.search(_take_last(topic)) is not None
+    return _MEASURED.search(take_last(topic)) is not None
 
 
-def _is_measured_beside(topic: str, pose_topic: str) -> bool:
-    """Return whether a velocity has the namespace of the poses and no name of a command."""
-    home, last = _take_home(topic), _take_last(topic)
-    return bool(home) and home == _take_home(pose_topic) and bool(_VELOCITIES.fullmatch(last))
-
-
-def _rank_path(topic: str, pose_topic: str) -> tuple[int, ...]:
-    near, depth = _rank_place(topic, pose_topic)
-    return near, int(not _WHOLE.fullmatch(_take_last(topic))), depth
-
-
-def _rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
+def rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
     """Return the distance of a topic from the poses: number of differing words, then depth."""
     own, home = topic.split("/")[1:-1], pose_topic.split("/")[1:-1]
     shared = 0
@@ -337,13 +223,11 @@ def _rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
     return -2 * shared - int(own == home and bool(own)), len(own)
 
 
-def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
+def rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
     """Return the index of the first pattern that matches the end of a name."""
-    last, two = _take_last(topic), "/".join(topic.split("/")[-2:])
-    for number, name in enumerate(names):
-        if name.fullmatch(last) or name.fullmatch(two):
-            return number
-    return len(names)
+    ends = take_last(topic), "/".join(topic.split("/")[-2:])
+    fitting = (number for number, name in enumerate(names) if any(map(name.fullmatch, ends)))
+    return next(fitting, len(names))
 
 
 def is_another_thing(topic: str) -> bool:
@@ -351,7 +235,7 @@ def is_another_thing(topic: str) -> bool:
     return _NO_ROBOT.search(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", topic).lower()) is not None
 
 
-def _is_another_robots(topic: str, pose_topic: str) -> bool:
+def is_another_robots(topic: str, pose_topic: str) -> bool:
     """Return whether a topic's namespace differs from the poses' only by a robot's number."""
     pairs = zip(topic.split("/")[1:-1], pose_topic.split("/")[1:-1], strict=False)
     return any(
@@ -360,7 +244,7 @@ def _is_another_robots(topic: str, pose_topic: str) -> bool:
     )
 
 
-def _drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
+def drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
     """Return topics without those that have messages of two types. Refuse if no topic remains."""
     counts = Counter(topic.topic for topic in present)
     left = [topic for topic in fitting if counts[topic.topic] == 1]
@@ -375,9 +259,10 @@ def _require_one_type(name: str, present: Collection[TopicInfo]) -> None:
         raise LogError(f"topic {name}: expected messages of one type, found {' and '.join(kinds)}")
 
 
-def _find_asked(
+def find_asked(
     present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
 ) -> TopicInfo:
+    """Return the topic that the option `name` requests; refuse a topic without these types."""
     asked = match_topic(asked, {topic.topic for topic in present})
     _require_one_type(asked, present)
     found = next((topic for topic in present if topic.topic == asked), None)
@@ -391,7 +276,8 @@ def _find_asked(
     return found
 
 
-def _require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
+def require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
+    """Return the only topic; several are refused, and the option `name` chooses."""
     if len(chosen) > 1:
         names = ", ".join(topic.topic for topic in chosen)
         option = f"--{name.replace('_', '-')}"
@@ -399,11 +285,13 @@ def _require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
     return chosen[0]
 
 
-def _take_home(topic: str) -> str:
+def take_home(topic: str) -> str:
+    """Return a topic's name without its last word."""
     return topic.rpartition("/")[0]
 
 
-def _take_last(topic: str) -> str:
+def take_last(topic: str) -> str:
+    """Return the last word of a topic's name."""
     return topic.rpartition("/")[2]
 
 
@@ -416,3 +304,149 @@ def list_numbers(name: str) -> list[tuple[int, str]]:
 def _describe(present: Collection[TopicInfo], form: str = "{0.topic} ({0.type})") -> str:
     text = ", ".join(form.format(topic) for topic in present) or "no messages"
     return text if len(text) <= 300 else f"{text[:297]}..."
+
+
+_Place = tuple[str, ...]
+"""The words before the robot's name in a topic name."""
+
+_PARTS: Final = re.compile(
+    r"(?i)(?:front|rear|left|right)?_?(?:camera|cam|imu|lidar|laser|scan|gps|gnss|sensor|wheel|tag"
+    r"|marker|motor|arm|joy)s?_?"
+)
+"""Names, without their numbers, that belong to parts of a robot."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagRobot:
+    """One of several robots.
+
+    Attributes:
+        name: Word that occurs only in the topics of this robot.
+        topics: Topics of this robot.
+    """
+
+    name: str
+    topics: tuple[TopicInfo, ...]
+
+    @property
+    def poses(self) -> TopicInfo | None:
+        """The robot's topic with the most poses."""
+        return _find_most(filter(_tells_poses, self.topics))
+
+    @property
+    def commands(self) -> TopicInfo | None:
+        """The robot's topic with the most commands."""
+        return _find_most(filter(_is_command, self.topics))
+
+
+def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
+    """Return the robots that topic names distinguish; empty for a bag of one robot.
+
+    Several robots have topics of one type whose namespaces differ in one word. These words differ
+    only by number, or both poses and commands have them.
+    """
+    held = [topic for topic in topics if topic.count]
+    kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))
+    for place, words in _group_words(held):
+        for word, is_command in words.items():
+            kinds[place][word].add(is_command)
+    chosen = (
+        (place, _choose_names(kinds[place]))
+        for place in sorted(kinds, key=lambda one: (len(one), one))
+    )
+    place, names = next(((place, names) for place, names in chosen if len(names) > 1), ((), []))
+    of_robot: dict[str, list[TopicInfo]] = {name: [] for name in names}
+    for topic in held if names else ():  # in one pass: a bag may have 65,000 topics
+        parts = tuple(topic.topic.split("/"))
+        before, inside = parts[: len(place)], parts[len(place) : -1]
+        if before == place and inside and inside[0] in of_robot:
+            of_robot[inside[0]].append(topic)
+    return tuple(BagRobot(name=name, topics=tuple(found)) for name, found in of_robot.items())
+
+
+def _group_words(held: Sequence[TopicInfo]) -> Iterator[tuple[_Place, dict[str, bool]]]:
+    """Yield the words in which topics of one type differ, and whether the topics are commands."""
+    groups: dict[tuple[_Place, _Place, str], dict[str, bool]] = defaultdict(dict)
+    for topic in (one for one in held if _tells_poses(one) or _is_command(one)):
+        words = tuple(topic.topic.split("/"))
+        for place, word in enumerate(words[:-1]):
+            if word and not _PARTS.fullmatch(_NUMBER.sub("", word)):
+                key = words[:place], words[place + 1 :], topic.type
+                groups[key][word] = _is_command(topic)
+    for (before, _, _), found in groups.items():
+        if len(found) > 1:
+            yield before, found
+
+
+def select_robot(
+    topics: Sequence[TopicInfo], name: str | None
+) -> tuple[Sequence[TopicInfo], tuple[BagRobot, ...]]:
+    """Return the topics of one robot and those of no robot, and all robots.
+
+    Without a name, the first robot with poses is chosen if the robots differ only by number. A name
+    that occurs in no topic may occur in the frames of transforms.
+
+    Raises:
+        LogError: If several robots are equally likely.
+    """
+    robots = find_robots(topics)
+    if not robots:
+        return topics, ()
+    names = [robot.name for robot in robots]
+    if name is None:
+        if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
+            return topics, ()  # the robot of the poses is unknown
+        if len({_NUMBER.sub("#", one) for one in names}) > 1:
+            raise LogError(
+                f"{len(names)} robots, {list_first_names(names)}: choose with --robot NAME"
+            )
+        posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
+        name = min(posed or names, key=list_numbers)
+    if name not in names:
+        return topics, robots
+    others = {topic for robot in robots if robot.name != name for topic in robot.topics}
+    return [topic for topic in topics if topic not in others], robots
+
+
+def describe_robots(robots: Sequence[BagRobot], topic: str, asked: str | None) -> str:
+    """Return a sentence on the robots of a bag and that of a topic; empty for one robot.
+
+    Raises:
+        LogError: If the topic does not belong to the requested robot.
+    """
+    words = topic.split("/")[:-1]
+    names = list_first_names([robot.name for robot in robots])
+    if asked is not None and asked not in words:
+        known = names or f"a bag of one robot, on {topic}"
+        raise LogError(f"robot {asked}: no topic below that name; found {known}")
+    which = next((f"{robot.name} of " for robot in robots if robot.name in words), "")
+    return f"{which}{names}: --robot NAME chooses" if robots else ""
+
+
+def _tells_poses(topic: TopicInfo) -> bool:
+    is_pose = topic.type in POSE_TYPES or topic.type == JOINTS
+    return topic.count > 0 and is_pose and not is_another_thing(topic.topic)
+
+
+def _is_command(topic: TopicInfo) -> bool:
+    return topic.type in COMMAND_TYPES and not is_measured(topic.topic)
+
+
+def _choose_names(words: dict[str, set[bool]]) -> list[str]:
+    """Return the words that are names of robots, in order of their numbers."""
+    counts: dict[str, int] = defaultdict(int)
+    for word in words:
+        counts[_NUMBER.sub("#", word)] += 1
+    names = [
+        word
+        for word, kinds in words.items()
+        if len(kinds) == 2 or (counts[_NUMBER.sub("#", word)] > 1 and _NUMBER.search(word))
+    ]
+    return sorted(names, key=lambda name: (_NUMBER.sub("#", name), list_numbers(name)))
+
+
+def _find_most(topics: Iterable[TopicInfo]) -> TopicInfo | None:
+    """Return the topic with the most messages, satellite fixes last."""
+    return min(
+        topics, key=lambda topic: (topic.type == FIX, -topic.count, topic.topic), default=None
+    )

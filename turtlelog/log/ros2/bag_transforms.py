@@ -9,15 +9,12 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS, Values
 from turtlelog.log.ros2.bag_topics import list_numbers
-from turtlelog.log.ros2.pose_types import FRAME_TRANSFORM, TRANSFORMS
-from turtlelog.log.spatial_poses import compose, invert, turn_between
-
-Values = NDArray[np.float64]
+from turtlelog.log.ros2.stamps import TimesNs
 
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 
@@ -55,8 +52,8 @@ class Link:
 
     parent: str
     child: str
-    time_ns: NDArray[np.int64]
-    stamp_ns: NDArray[np.int64]
+    time_ns: TimesNs
+    stamp_ns: TimesNs
     place_m: Values
     turn: Values
     is_static: bool = False
@@ -67,7 +64,7 @@ class Link:
         values = np.hstack([self.place_m, self.turn])
         return not self.is_static and bool((values != values[0]).any())
 
-    def hold(self, time_ns: NDArray[np.int64]) -> tuple[Values, Values]:
+    def hold(self, time_ns: TimesNs) -> tuple[Values, Values]:
         """Return the last recorded position and rotation at given times; NaN before the first."""
         if self.is_static or not self.moves:
             shape = (len(time_ns), 1)
@@ -214,7 +211,15 @@ def choose_frames(
     if robot is not None:
         top = world or _find_world(tree, robot)
         return FrameChoice(world=top, robot=robot, others=_list_other_parents(tree, robot, top))
-    found = _list_robots(tree, world) or _list_lone(tree, world)
+    # Without such names, a moving link that no frame above it moves, and that is no joint.
+    found = _list_robots(tree, world) or [
+        (parent, child)
+        for (parent, child), link in tree.items()
+        if link.moves
+        and world in {None, parent}
+        and not _list_moving(tree, parent)
+        and not is_robot_frame(parent)
+    ]
     if name is not None:
         # The frame of a named robot: turtle1, robot1/base_link.
         starts = (f"{name}/", f"{name}_")
@@ -273,18 +278,6 @@ def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
         elif any(_is_world(name) for name in above):
             pairs.append((_find_world(tree, robot), robot))
     return pairs
-
-
-def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
-    """Return moving links that are not joints: no frame above them moves or belongs to a robot."""
-    return [
-        (parent, child)
-        for (parent, child), link in tree.items()
-        if link.moves
-        and world in {None, parent}
-        and not _list_moving(tree, parent)
-        and not is_robot_frame(parent)
-    ]
 
 
 def _list_moving(tree: Tree, frame: str) -> list[Link]:
@@ -364,7 +357,7 @@ def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]
 
 
 def locate_frame(
-    tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64], stamp_ns: int | None = None
+    tree: Tree, world: str, frame: str, time_ns: TimesNs, stamp_ns: int | None = None
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
@@ -402,7 +395,7 @@ def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
 
 
 def _compose_way(
-    steps: Sequence[_Step], time_ns: NDArray[np.int64], stamp_ns: int | None = None
+    steps: Sequence[_Step], time_ns: TimesNs, stamp_ns: int | None = None
 ) -> tuple[Values, Values]:
     """Return place and turn at the end of a way, each link as held or interpolated."""
     none = np.zeros((len(time_ns), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(time_ns), 1))
@@ -434,3 +427,55 @@ def build_link_columns(link: Link, topic: str) -> TopicColumns:
             **{name: np.ascontiguousarray(values) for name, values in numbers},
         },
     )
+
+
+def compose(
+    place_m: Values, turn: Values, next_m: Values, next_turn: Values
+) -> tuple[Values, Values]:
+    """Return a transform followed by another. Positions have shape (n, 3), rotations (n, 4)."""
+    parts = (np.split(_normalise(one), [3], axis=1) for one in (turn, next_turn))
+    (a, v), (b, w) = parts
+    vector = v * b + w * a + np.cross(a, b)
+    both = np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
+    return place_m + rotate(turn, next_m), both
+
+
+def place_points(place_m: Values, turn: Values, points_m: Values) -> Values:
+    """Return points of a frame, given the place and rotation of the frame, shape (n, 3)."""
+    return np.asarray(place_m + rotate(np.tile(turn, (len(points_m), 1)), points_m))
+
+
+def rotate(turn: Values, vector: Values) -> Values:
+    """Return vectors rotated by quaternions of any length except 0."""
+    axis, w = np.split(_normalise(turn), [3], axis=1)
+    across = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * across + np.cross(axis, across))
+
+
+def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
+    """Return the inverse transform."""
+    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
+    return -rotate(back, place_m), back
+
+
+def _normalise(turn: Values) -> Values:
+    """Return quaternions of length 1, shape (n, 4)."""
+    length = np.linalg.norm(turn, axis=1, keepdims=True)
+    # Quaternions that were never set stay 0; the computation of headings reports them.
+    return np.asarray(turn / np.where(length == 0.0, 1.0, length))
+
+
+def turn_between(first: Values, last: Values, share: float) -> Values:
+    """Return a rotation on the shortest arc between two quaternions."""
+    first, last = _normalise(np.stack([first, last]))
+    cosine = float(first @ last)
+    last, cosine = (-last, -cosine) if cosine < 0.0 else (last, cosine)
+    angle = float(np.arccos(min(cosine, 1.0)))
+    if angle < _SMALL_RAD:
+        return np.asarray((1.0 - share) * first + share * last)
+    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
+    return np.asarray(weights[0] * first + weights[1] * last)
+
+
+_SMALL_RAD: Final = 1e-6
+"""Angle below which an arc equals a line to the last bit [rad]."""

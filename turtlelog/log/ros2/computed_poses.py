@@ -1,9 +1,9 @@
 """Computation of poses from other messages: satellite fixes, or rotations of two wheels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,82 +11,54 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.ros2.stamps import join_stamps
+from turtlelog.log.planar_poses import Values
+from turtlelog.log.ros2.stamps import join_arrays, join_stamps, read_stamps
 from turtlelog.run.angles import wrap_angle
 
-Values = NDArray[np.float64]
+_STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _JoinedMessages:
-    """Messages in order of log time.
+def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> TopicColumns:
+    """Return the messages of a topic in all files, at least one, in order of log time.
 
-    Attributes:
-        topic: Topic of the messages.
-        type: Type of the messages.
-        log_ns: Log time of each message [ns], shape (n,).
-        publish_ns: Publish time of each message [ns], shape (n,).
-        sequence: Sequence number set by the publisher, shape (n,).
-        stamp_ns: Stamp of each message [ns], shape (n,); zeros if the type has no stamps.
-        fields: Requested fields, each with n rows.
+    The fields are the named ones and the stamps, which are 0 if the type has none.
     """
-
-    topic: str
-    type: str
-    log_ns: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
-    sequence: NDArray[np.uint32]
-    stamp_ns: NDArray[np.int64]
-    fields: Mapping[str, NDArray[Any]]
-
-    def __len__(self) -> int:
-        return len(self.log_ns)
-
-    @property
-    def motion_s(self) -> Values:
-        """Time of the motion [s], shape (n,): increasing stamps, otherwise log times."""
-        is_usable = len(self) and (self.stamp_ns > 0).all() and (np.diff(self.stamp_ns) >= 0).all()
-        time_ns = self.stamp_ns if is_usable else self.log_ns
-        return np.asarray((time_ns - time_ns[:1]) / 1e9)
-
-    def make_poses(self, rows: NDArray[np.int64], columns: Mapping[str, Values]) -> TopicColumns:
-        """Return poses computed from some of the messages, as messages of the same topic."""
-        stamp_ns = self.stamp_ns[rows]
-        return TopicColumns(
-            topic=self.topic,
-            type=self.type,
-            log_time_ns=self.log_ns[rows],
-            publish_time_ns=self.publish_ns[rows],
-            sequence=self.sequence[rows],
-            fields={
-                "header.stamp.sec": stamp_ns // 1_000_000_000,
-                "header.stamp.nanosec": stamp_ns % 1_000_000_000,
-                **columns,
-            },
-        )
-
-
-def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> _JoinedMessages:
-    """Return the messages of a topic in all files, at least one, with the named fields."""
     for columns in found:
         for name in names:
             if name not in columns.fields:
                 raise columns.describe_missing(name)
-    log_ns = np.concatenate([columns.log_time_ns for columns in found])
-    order = np.argsort(log_ns, kind="stable")
-    stamp_ns = join_stamps(found)
-    return _JoinedMessages(
+    log_ns, stamp_ns = join_arrays([columns.log_time_ns for columns in found]), join_stamps(found)
+    stamps = np.divmod(np.zeros_like(log_ns) if stamp_ns is None else stamp_ns, 1_000_000_000)
+    joined = TopicColumns(
         topic=found[0].topic,
         type=found[0].type,
-        log_ns=log_ns[order],
-        publish_ns=np.concatenate([columns.publish_time_ns for columns in found])[order],
-        sequence=np.concatenate([columns.sequence for columns in found])[order],
-        stamp_ns=np.zeros_like(log_ns) if stamp_ns is None else stamp_ns[order],
-        fields={
-            name: np.concatenate([np.asarray(columns.fields[name]) for columns in found])[order]
+        log_time_ns=log_ns,
+        publish_time_ns=join_arrays([columns.publish_time_ns for columns in found]),
+        sequence=join_arrays([columns.sequence for columns in found]),
+        fields=dict(zip(_STAMP, stamps, strict=True))
+        | {
+            name: np.concatenate([np.asarray(columns.fields[name]) for columns in found])
             for name in names
         },
     )
+    return joined.select(np.argsort(log_ns, kind="stable"))
+
+
+def _time_motion(messages: TopicColumns) -> Values:
+    """Return the time of the motion [s], shape (n,): increasing stamps, otherwise log times."""
+    time_ns = read_stamps(messages)
+    if time_ns is None or (time_ns <= 0).any() or (np.diff(time_ns) < 0).any():
+        time_ns = messages.log_time_ns
+    return np.asarray((time_ns - time_ns[:1]) / 1e9)
+
+
+def _make_poses(
+    messages: TopicColumns, rows: NDArray[np.int64], columns: Mapping[str, Values]
+) -> TopicColumns:
+    """Return poses computed from some of the messages, as messages of the same topic."""
+    stamps = {name: messages.fields[name] for name in _STAMP}
+    found = replace(messages, fields=stamps).select(rows)
+    return replace(found, fields={**found.fields, **columns})
 
 
 _FIX_FIELDS: Final = ("latitude", "longitude", "altitude", "status.status")
@@ -140,9 +112,10 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
         )
     height_m = np.where(np.isfinite(altitude_m[rows]), altitude_m[rows], 0.0)
     place_m = project_fixes(latitude_deg[rows], longitude_deg[rows], height_m)
-    heading_rad, way_m, held = find_courses(messages.motion_s[rows], place_m[:, :2])
+    motion_s = _time_motion(messages)[rows]
+    heading_rad, way_m, held = find_courses(motion_s, place_m[:, :2])
     if np.isnan(heading_rad).any():
-        standing = _describe_standing(messages.motion_s[rows], place_m)
+        standing = _describe_standing(motion_s, place_m)
         raise LogError(
             f"topic {messages.topic}: expected a receiver that moves by {way_m:.2g} m within"
             f" {_LONGEST_S:g} s, found {standing}: it has no heading"
@@ -163,7 +136,7 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
     }
     if lost:
         notes["heading"] += f"; {describe_count(lost, 'message')} without a fix left out"
-    return messages.make_poses(rows, columns), notes
+    return _make_poses(messages, rows, columns), notes
 
 
 def _describe_standing(time_s: Values, place_m: Values) -> str:
@@ -273,7 +246,7 @@ def integrate_wheels(
         if wraps:
             notes.append(f"{describe_count(wraps, 'step')} beyond half a turn taken as wrapped")
     elif np.isfinite(rates_rad_s).all():
-        step_s = np.diff(messages.motion_s[rows])
+        step_s = np.diff(_time_motion(messages)[rows])
         steps_rad = (rates_rad_s[1:] + rates_rad_s[:-1]) / 2.0 * step_s[:, np.newaxis]
         notes.append("by their velocities, as positions are absent")
     else:
@@ -289,7 +262,7 @@ def integrate_wheels(
             "measured_speed": (left_m_s + right_m_s) / 2.0,
             "measured_turn_rate": (right_m_s - left_m_s) / wheels_m[1],
         }
-    return messages.make_poses(rows, columns), ", ".join(notes)
+    return _make_poses(messages, rows, columns), ", ".join(notes)
 
 
 def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
@@ -309,7 +282,7 @@ def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
     }
 
 
-def _find_joints(messages: _JoinedMessages, joints: tuple[str, str]) -> NDArray[np.int64]:
+def _find_joints(messages: TopicColumns, joints: tuple[str, str]) -> NDArray[np.int64]:
     """Return the indices of the joints in each message, shape (n, 2); -1 if missing."""
 
     @cache
@@ -345,7 +318,7 @@ def _unwrap(turned_rad: Values) -> tuple[Values, int]:
     return (np.unwrap(turned_rad, axis=0) if wraps else turned_rad), wraps
 
 
-def _describe_missing(messages: _JoinedMessages, joints: tuple[str, str]) -> str:
+def _describe_missing(messages: TopicColumns, joints: tuple[str, str]) -> str:
     names = sorted({name for listed in messages.fields["name"] for name in listed})
     found = ", ".join(names)[:300] or "none"
     for joint in joints:

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short
-
-Values = NDArray[np.float64]
-_TimesNs = NDArray[np.int64]
+from turtlelog.log.planar_poses import Values, describe_height, describe_level
+from turtlelog.log.ros2.bag_rows import OrderedRows
+from turtlelog.log.ros2.stamps import TimesNs
 
 PATH_NOTE: Final = "path_by_speed"
 """Name of the note on poses and reported speeds with different path lengths."""
@@ -67,9 +66,9 @@ class Paths:
 
 
 def measure_paths(
-    time_ns: _TimesNs,
+    time_ns: TimesNs,
     columns: Mapping[str, Values],
-    commands: tuple[_TimesNs, Values] | None = None,
+    commands: tuple[TimesNs, Values] | None = None,
 ) -> Paths:
     """Return the path lengths of a drive by poses, speeds and commands.
 
@@ -84,39 +83,28 @@ def measure_paths(
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
     # Poses with one common time give no rate: their times are wrong, not their path.
     lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
-    driven_m = _integrate(step_ns, columns) if lasts else None
-    jumps_m = np.zeros(0)
-    if driven_m is not None:
-        driven_m = driven_m[is_known]
+    driven_m, jumps_m = None, np.zeros(0)
+    if lasts and (speed := columns.get(SPEED)) is not None:
+        lateral = columns.get(LATERAL)
+        if lateral is None or not np.isfinite(lateral).all():
+            lateral = np.zeros_like(speed)
+        magnitude = np.hypot(speed, lateral)
+        driven_m = ((magnitude[1:] + magnitude[:-1]) / 2.0 * step_ns / 1e9)[is_known]
         beyond_m = way_m - driven_m
         jumps_m = beyond_m[beyond_m > _JUMP_M]
     is_few = len(jumps_m) <= _MOST_JUMPS * len(way_m)
+    by_commands = None
+    if commands is not None:  # each is held until the next, but at most for a second
+        held_s = np.minimum(np.diff(commands[0]), _LONGEST_NS) / 1e9
+        by_commands = float((np.abs(commands[1][:-1]) * held_s).sum())
     return Paths(
         is_still=bool((np.ptp(xy_m, axis=0) <= _STILL_M).all()),
         by_poses=float(way_m.sum()),
         by_strides=float(strides_m[np.diff(time_ns[rows]) <= _LONGEST_NS].sum()),
         by_speed=None if driven_m is None else float(driven_m.sum()),
         in_jumps=float(jumps_m.sum()) if is_few else 0.0,
-        by_commands=None if commands is None else _hold(*commands),
+        by_commands=by_commands,
     )
-
-
-def _integrate(step_ns: _TimesNs, columns: Mapping[str, Values]) -> Values | None:
-    """Return the reported distances from pose to pose [m]; None if no speed is reported."""
-    speed = columns.get(SPEED)
-    if speed is None:
-        return None
-    lateral = columns.get(LATERAL)
-    if lateral is None or not np.isfinite(lateral).all():
-        lateral = np.zeros_like(speed)
-    magnitude = np.hypot(speed, lateral)
-    return np.asarray((magnitude[1:] + magnitude[:-1]) / 2.0 * step_ns / 1e9)
-
-
-def _hold(time_ns: _TimesNs, speed_m_s: Values) -> float:
-    """Return the path length of commands [m], each held until the next but at most for a second."""
-    held_s = np.minimum(np.diff(time_ns), _LONGEST_NS) / 1e9
-    return float((np.abs(speed_m_s[:-1]) * held_s).sum())
 
 
 def describe_paths(paths: Paths) -> str | None:
@@ -279,7 +267,7 @@ turns away from the x axis fit both axes equally."""
 
 
 def judge_rates(
-    time_ns: NDArray[np.int64], columns: Mapping[str, Values]
+    time_ns: TimesNs, columns: Mapping[str, Values]
 ) -> tuple[dict[str, Values], dict[str, str]]:
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
@@ -331,9 +319,7 @@ def _measure_range(values: Values) -> float:
     return float(np.ptp(way, axis=0).max())
 
 
-def _turn_twists(
-    time_ns: NDArray[np.int64], columns: Mapping[str, Values], lateral: Values
-) -> Values | None:
+def _turn_twists(time_ns: TimesNs, columns: Mapping[str, Values], lateral: Values) -> Values | None:
     """Return the forward speed of twists along the world's axes; None for other twists."""
     rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
     if len(rows) < 3:
@@ -356,8 +342,67 @@ def _rotate(vectors: Values, by_rad: Values) -> Values:
     return np.column_stack([x * cos - y * sin, x * sin + y * cos])
 
 
-def _compare(twists: Values, rows: NDArray[np.int64], velocities: Values) -> float:
+def _compare(twists: Values, rows: TimesNs, velocities: Values) -> float:
     """Return the median distance between mean twists from row to row and velocities [m/s]."""
     sums = np.vstack([np.zeros((1, 2)), np.cumsum((twists[1:] + twists[:-1]) / 2.0, axis=0)])
     means = np.diff(sums[rows], axis=0) / np.diff(rows)[:, np.newaxis]
     return float(np.median(np.hypot(*(means - velocities).T)))
+
+
+_CROWDED_NS: Final = 10_000
+"""Usual time between poses below which the times are wrong [ns]: the fastest motion capture takes a
+pose every 100 us."""
+
+
+def note_crowded(time_ns: TimesNs) -> dict[str, str]:
+    """Return a note on poses that are too close in time for a sensor, if they are."""
+    steps_ns = np.diff(time_ns)
+    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
+        return {}
+    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
+    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
+    return {"crowded": text}
+
+
+def note_motion(
+    poses: OrderedRows,
+    columns: Mapping[str, Values],
+    xy_m: Values,
+    *,
+    commands: OrderedRows | None,
+    vertical: int,
+    others: str | None,
+) -> dict[str, str]:
+    """Return notes on poses off the plane, on leaps, and on reported speeds that contradict poses.
+
+    Args:
+        poses: The timed poses, with the columns of their messages.
+        columns: The columns that `judge_rates` keeps.
+        xy_m: Positions in the order of reception [m], shape (m, 2).
+        commands: The timed commands.
+        vertical: Number of poses left out because the forward axis points up or down.
+        others: The other topics of poses.
+    """
+    notes, z_m = {}, columns.get("z")
+    plane = describe_height(z_m, columns.get("tilt"))
+    if plane is not None or vertical:
+        which = "pose has" if vertical == 1 else "poses have"
+        lost = f"; left out: {vertical} {which} no heading, as the forward axis points up or down"
+        notes["plane"] = (plane or "the robot leaves the plane") + (lost if vertical else "")
+    if leaps := describe_leaps(xy_m) or describe_small_leaps(xy_m):
+        notes["leaps"] = leaps
+    if (
+        plane is not None
+    ):  # speeds are along the robot's axes, and differ from those seen from above
+        return notes
+    if level := describe_level(z_m):
+        notes["height"] = level
+    driven = None
+    if commands is not None:
+        speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
+        driven = commands.time_ns, np.hypot(speed, lateral)
+    reported = poses.columns if SPEED in columns else columns
+    if paths := describe_paths(measure_paths(poses.time_ns, reported, driven)):
+        is_of_poses = others is not None and "poses" in paths
+        notes[PATH_NOTE] = f"{paths}; others: {others}" if is_of_poses else paths
+    return notes

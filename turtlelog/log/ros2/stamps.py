@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.planar_poses import ROWS_AT_ONCE, Values
 
 TimesNs = NDArray[np.int64]
 Rows = NDArray[np.int64]
-Values = NDArray[np.float64]
 
 _FIELDS: Final = tuple(
     (f"{place}.sec", f"{place}.{rest}")
@@ -183,9 +183,6 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     return ""
 
 
-_ROWS_AT_ONCE: Final = 65_536
-
-
 def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
     """Return which stamps differ from the stamps of the messages on either side."""
     late_ns = log_ns - stamp_ns
@@ -193,8 +190,8 @@ def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
         return np.zeros(len(late_ns), dtype=bool)
     usual_ns = np.empty(len(late_ns))
     windows = sliding_window_view(late_ns, 2 * _NEAR_ROWS + 1)
-    for first in range(0, len(windows), _ROWS_AT_ONCE):  # the median copies its input 7 times
-        part = windows[first : first + _ROWS_AT_ONCE]
+    for first in range(0, len(windows), ROWS_AT_ONCE):  # the median copies its input 7 times
+        part = windows[first : first + ROWS_AT_ONCE]
         usual_ns[first + _NEAR_ROWS :][: len(part)] = np.median(part, axis=1)
     # At both ends the median continues at its own rate, whatever the first and last stamps are.
     ends = late_ns[: 2 * _NEAR_ROWS + 1], late_ns[-2 * _NEAR_ROWS - 1 :]
@@ -243,8 +240,11 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
     spans = [(np.ptp(stamp_ns[stretch]), np.ptp(log_ns[stretch])) for stretch in stretches]
     stamps_ns, passed_ns = (int(sum(span)) for span in zip(*spans, strict=True))
     longest = max(stretches, key=len)
-    slope = _fit_slope(log_ns[longest], stamp_ns[longest])
-    late_ns = _measure_late(log_ns[longest], stamp_ns[longest], slope)
+    longest_log_ns, longest_ns = log_ns[longest], stamp_ns[longest]
+    slope = _fit_slope(longest_log_ns, longest_ns)
+    # The delay of each message relative to the fastest.
+    late_ns = (longest_log_ns - longest_log_ns[0]) - slope * (longest_ns - longest_ns[0])
+    late_ns -= late_ns.min()
     is_wall = int(stamp_ns[longest[0]]) >= FIRST_WALL_NS
     is_other = _is_other_pace(late_ns, abs(slope - 1.0) * stamps_ns, slope, is_wall=is_wall)
     if is_other:
@@ -313,23 +313,16 @@ def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:
     first = order[np.r_[True, np.diff(bins[order]) > 0]]
     hull: list[tuple[float, float]] = []
     for point in zip(passed[first].tolist(), late[first].tolist(), strict=True):
-        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], point):
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (point[1] - y0) > (y1 - y0) * (point[0] - x0):
+                break
             hull.pop()
         hull.append(point)
     mean = float(passed.mean())
     after = next((i for i, (x, _) in enumerate(hull) if x >= mean and i), len(hull) - 1)
-    (x0, y0), (x1, y1) = hull[after - 1], hull[after]
+    (x0, y0), (x1, y1) = hull[after - 1 : after + 1]
     return 1.0 + (y1 - y0) / (x1 - x0)
-
-
-def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _measure_late(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> Values:
-    """Return the delay of each message relative to the fastest [ns]."""
-    late = (log_ns - log_ns[0]) - slope * (stamp_ns - stamp_ns[0])
-    return np.asarray(late - late.min())
 
 
 def _map(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> TimesNs:

@@ -5,7 +5,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from sys import intern
 from types import MappingProxyType
@@ -20,11 +19,14 @@ from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.exported_tables import decode_text, read_header
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.table_text import decode_text, read_header
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 from turtlelog.run.stop_reasons import FINISHED
+
+_Columns = dict[str, NDArray[np.float64]]
+_Whole = NDArray[np.int64]
 
 _PHASES: Final = {name: number for number, name in enumerate(DECLARATION.phase_names)}
 
@@ -55,29 +57,6 @@ _NEVER_LOGGED: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _PaperLog:
-    """A log as in its file. Each value is checked alone.
-
-    Attributes:
-        name: Name of the run.
-        source: Layout and name of the file.
-        columns: Lists named in `_NUMBERS`, all of one length.
-        states: Phase after each callback, as many as rows.
-        parameters: Known values of the scenario, by dotted key.
-        absent: Fields of this layout that the file does not have.
-        notes: Notes, as in `Run`.
-    """
-
-    name: str
-    source: str
-    columns: Mapping[str, NDArray[np.float64]]
-    states: NDArray[np.int64]
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    absent: tuple[str, ...] = ()
-    notes: Mapping[str, str] = field(default_factory=dict)
-
-
 def is_papers(path: Path) -> bool:
     """Return whether a CSV file has the columns of the paper's logs."""
     return path.suffix.lower() == ".csv" and not _MARKS.isdisjoint(read_header(path))
@@ -103,12 +82,10 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
         if not text.strip():
             raise LogError("expected a log, found an empty file")
         is_json = suffix == ".json" or (suffix != ".csv" and text.lstrip().startswith(("{", "[")))
-        log = parse_paper_json(text, path) if is_json else _parse_csv_log(text, path)
-        return build_paper_run(log, sort=sort)
+        return (parse_paper_json if is_json else _parse_paper_csv)(text, path, sort=sort)
 
 
 def _require_number(place: str, value: object) -> float:
-    """Return a finite number."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         raise LogError(f"{place}: expected a number, found {_shorten(value)}")
     try:
@@ -120,16 +97,9 @@ def _require_number(place: str, value: object) -> float:
     return number
 
 
-def _require_state(place: str, value: object) -> int:
-    """Return the index of the phase for a state."""
-    if not isinstance(value, str) or value not in _STATES:
-        raise LogError(f"{place}: expected one of {', '.join(_STATES)}, found {_shorten(value)}")
-    return _STATES[value]
-
-
 def _build_columns(
     lists: Mapping[str, Sequence[object]], places: Mapping[str, str]
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64]]:
+) -> tuple[_Columns, _Whole]:
     """Return the numeric columns and the states; `places` are the names of lists in messages."""
     if not lists["time"]:
         raise LogError(f"{places['time']}: no rows")
@@ -138,28 +108,32 @@ def _build_columns(
         place = places[name]
         values = [_require_number(f"{place}[{i}]", value) for i, value in enumerate(lists[name])]
         columns[name] = np.array(values, dtype=np.float64)
-    place = places["state"]
-    states = [_require_state(f"{place}[{i}]", value) for i, value in enumerate(lists["state"])]
+    states = []
+    for i, value in enumerate(lists["state"]):
+        if not isinstance(value, str) or value not in _STATES:
+            known, found = ", ".join(_STATES), _shorten(value)
+            raise LogError(f"{places['state']}[{i}]: expected one of {known}, found {found}")
+        states.append(_STATES[value])
     return columns, np.array(states, dtype=np.int64)
 
 
-def build_paper_run(log: _PaperLog, *, sort: bool) -> Run:
-    """Return the run in a log.
+def _build_run(
+    columns: _Columns, states: _Whole, *, sort: bool, parameters: Mapping[str, float], **facts: Any
+) -> Run:
+    """Return the run in a log; its name, source, absent fields and notes are `facts`.
 
     The log contains no stop reason, so a complete run gets `finished`.
     """
-    columns, states = dict(log.columns), log.states
-    notes = {**log.notes, "pose_times": _POSE_TIMES}
+    notes, absent = {**facts.pop("notes", {}), "pose_times": _POSE_TIMES}, facts.pop("absent")
     if sort:
         columns, states, counts = _sort_rows(columns, states)
         notes |= counts
     _require_rising(columns["time"], is_sorted=sort)
     time_ns = np.rint((columns["time"] - columns["time"][0]) * 1e9).astype(np.int64)
-    goal_xy_m = _find_goal(log.parameters, columns)
+    goal_xy_m = _find_goal(parameters, columns)
     is_finished = states[-1] == _PHASES[DONE]
     return Run(
-        name=log.name,
-        source=log.source,
+        **facts,
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=np.column_stack([columns["pos_x"], columns["pos_y"]]),
@@ -174,18 +148,14 @@ def build_paper_run(log: _PaperLog, *, sort: bool) -> Run:
         samples=_build_samples(time_ns, columns, states),
         goal_xy_m=goal_xy_m,
         declaration=DECLARATION,
-        parameters=log.parameters,
+        parameters=parameters,
         stop_reason=FINISHED if is_finished else None,
-        absent=(*_NEVER_LOGGED, *log.absent, *(() if goal_xy_m else ("goal_xy_m",))),
+        absent=(*_NEVER_LOGGED, *absent, *(() if goal_xy_m else ("goal_xy_m",))),
         notes=notes,
     )
 
 
-def _build_samples(
-    time_ns: NDArray[np.int64],
-    columns: Mapping[str, NDArray[np.float64]],
-    states: NDArray[np.int64],
-) -> SampleColumns:
+def _build_samples(time_ns: _Whole, columns: _Columns, states: _Whole) -> SampleColumns:
     rows = np.arange(len(time_ns))
     return SampleColumns(
         time_ns=time_ns,
@@ -203,9 +173,7 @@ def _build_samples(
     )
 
 
-def _find_goal(
-    parameters: Mapping[str, float], columns: Mapping[str, NDArray[np.float64]]
-) -> tuple[float, float] | None:
+def _find_goal(parameters: Mapping[str, float], columns: _Columns) -> tuple[float, float] | None:
     """Return the given goal, or else position plus error if the sum is equal in every row."""
     if "goal.x_m" in parameters and "goal.y_m" in parameters:
         return parameters["goal.x_m"], parameters["goal.y_m"]
@@ -215,9 +183,7 @@ def _find_goal(
     return (float(goal[0, 0]), float(goal[0, 1])) if (goal == goal[0]).all() else None
 
 
-def _sort_rows(
-    columns: dict[str, NDArray[np.float64]], states: NDArray[np.int64]
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], dict[str, str]]:
+def _sort_rows(columns: _Columns, states: _Whole) -> tuple[_Columns, _Whole, dict[str, str]]:
     """Drop duplicate rows, sort the others by time, and count both changes."""
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))
@@ -276,11 +242,17 @@ _HEADINGS: Final = MappingProxyType(
 """Name of each list in the CSV layout."""
 
 
-def parse_paper_json(text: str, path: Path) -> _PaperLog:
-    """Return the log in a JSON text."""
+def parse_paper_json(text: str, path: Path, *, sort: bool) -> Run:
+    """Return the run in a JSON text, as `import_log` does; the path names it."""
     tables = _require_table("the file", _parse_json(text))
     data = _require_table("data", tables.get("data"))
-    lists = {name: _require_list(name, data) for name in _PLACES}
+    lists: dict[str, list[object]] = {}
+    for name in _PLACES:
+        values = data.get(name)
+        if not isinstance(values, list):
+            found = type(values).__name__ if name in data else "no value"
+            raise LogError(f"data.{name}: expected a list, found {found}")
+        lists[name] = values
     for name, values in lists.items():
         if len(values) != len(lists["time"]):
             expected = f"{len(lists['time'])} values as in data.time"
@@ -289,11 +261,12 @@ def parse_paper_json(text: str, path: Path) -> _PaperLog:
     metadata = _require_table("metadata", tables.get("metadata"))
     parameters = _read_parameters(metadata)
     timestamp = _read_text(metadata, "timestamp")
-    return _PaperLog(
+    return _build_run(
+        columns,
+        states,
+        sort=sort,
         name=_read_text(metadata, "experiment_name") or path.stem,
         source=f"paper-json: {path.name}",
-        columns=columns,
-        states=states,
         parameters=parameters,
         absent=tuple(f"parameters.{key}" for key in _PARAMETERS if key not in parameters),
         notes={} if timestamp is None else {"original_timestamp": timestamp},
@@ -334,14 +307,6 @@ def _require_table(place: str, value: object) -> Mapping[str, Any]:
     return value
 
 
-def _require_list(name: str, data: Mapping[str, Any]) -> list[object]:
-    values = data.get(name)
-    if not isinstance(values, list):
-        found = type(values).__name__ if name in data else "no value"
-        raise LogError(f"data.{name}: expected a list, found {found}")
-    return values
-
-
 def _read_parameters(metadata: Mapping[str, Any]) -> dict[str, float]:
     parameters: dict[str, float] = {}
     for key, (table, name) in _PARAMETERS.items():
@@ -361,8 +326,7 @@ def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
     return value
 
 
-def _parse_csv_log(text: str, path: Path) -> _PaperLog:
-    """Return the log in a CSV text."""
+def _parse_paper_csv(text: str, path: Path, *, sort: bool) -> Run:
     rows = _iterate_rows(text)
     heading = next(rows, [])
     for name in _HEADINGS.values():
@@ -370,11 +334,13 @@ def _parse_csv_log(text: str, path: Path) -> _PaperLog:
             found = f"{heading.count(name)} in {','.join(heading)[:80]!r}"
             raise LogError(f"line 1: expected a column {name}, found {found}")
     columns, states = _build_columns(_read_lists(heading, rows), _HEADINGS)
-    return _PaperLog(
+    return _build_run(
+        columns,
+        states,
+        sort=sort,
         name=path.stem,
         source=f"paper-csv: {path.name}",
-        columns=columns,
-        states=states,
+        parameters={},
         absent=("parameters",),
     )
 
@@ -388,7 +354,10 @@ def _read_lists(heading: Sequence[str], rows: Iterable[Sequence[str]]) -> dict[s
         if len(row) != len(heading):
             raise LogError(f"row {number}: expected {len(heading)} values, found {len(row)}")
         for place, is_state, values in places:
-            values.append(intern(row[place]) if is_state else _parse(row[place]))
+            try:
+                values.append(intern(row[place]) if is_state else float(row[place]))
+            except ValueError:  # a later check reports the place of the text
+                values.append(row[place])
     return lists
 
 
@@ -398,11 +367,3 @@ def _iterate_rows(text: str) -> Iterator[list[str]]:
         yield from filter(None, csv.reader(lines, strict=True))
     except csv.Error as err:
         raise LogError(f"expected CSV, found {describe_csv_error(err)}") from err
-
-
-def _parse(value: str) -> object:
-    """Return a number, or the text if it is not a number; a later check reports its place."""
-    try:
-        return float(value)
-    except ValueError:
-        return value

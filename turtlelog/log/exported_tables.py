@@ -1,4 +1,4 @@
-"""Import of CSV and Parquet tables by turtlelog; check of written files by reading them back."""
+"""CSV and Parquet tables by turtlelog: recognised by their header, imported, and read back."""
 
 import csv
 import io
@@ -12,14 +12,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import LogError, RunError
+from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
 from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.importers.table_text import read_header, require_few_columns
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
-from turtlelog.log.spatial_poses import compute_heading
+from turtlelog.log.planar_poses import compute_heading
 from turtlelog.run import (
     TABLES,
     Clock,
@@ -39,6 +38,7 @@ _TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
 _ROWS_AT_ONCE: Final = 4096
+
 _ROUNDED_RAD: Final = 2e-15
 """Rounding error of a heading after sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
 
@@ -99,10 +99,7 @@ def import_tables(path: str | Path) -> Run:
         if "poses" not in tables:
             found = ", ".join(tables) or "none"
             raise LogError(f"expected the poses of a run, found its {found} alone")
-        try:
-            return _build_run(tables, facts, path)
-        except RunError as err:
-            raise LogError(str(err)) from err
+        return _build_run(tables, facts, path)
 
 
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
@@ -165,8 +162,13 @@ def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
 
 
 def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
-    for column in [*dict.fromkeys([*expected, *found])]:
-        if not _is_same(expected.get(column), found.get(column)):
+    for column in dict.fromkeys([*expected, *found]):
+        written, read = expected.get(column), found.get(column)
+        if written is None or read is None or not len(written):
+            is_same = not any(one is not None and len(one) for one in (written, read))
+        else:
+            is_same = np.array_equal(written, read, equal_nan=written.dtype.kind == "f")
+        if not is_same:
             raise _describe_other(path, f"{column} of {name}")
 
 
@@ -174,12 +176,6 @@ def _describe_other(path: Path, column: str) -> LogError:
     return LogError(
         f"{path}: expected to read back what was written, found other values in {column}"
     )
-
-
-def _is_same(written: NDArray[Any] | None, read: NDArray[Any] | None) -> bool:
-    if written is None or read is None or not len(written):
-        return not len([] if written is None else written) and not len([] if read is None else read)
-    return np.array_equal(written, read, equal_nan=written.dtype.kind == "f")
 
 
 def _read_csv(path: Path) -> Table:
@@ -250,10 +246,10 @@ def _release(cell: str) -> str:
 
 def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
     file = ParquetFile(path)
-    metadata = {key.decode(): text.decode() for key, text in (file.schema.metadata or {}).items()}
-    prefix = "turtlelog."
     facts = {
-        key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
+        key.removeprefix(b"turtlelog.").decode(): text.decode()
+        for key, text in (file.schema.metadata or {}).items()
+        if key.startswith(b"turtlelog.")
     }
     known = _list_known(_find_table(file.schema.names), file.schema.names)
     file.require_rows()
@@ -307,7 +303,9 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
         name=facts.get("name", path.stem),
         source=facts.get("source", f"tables {path.name}"),
         poses=PoseColumns(**_gather(tables["poses"], PoseColumns)),
-        commands=_build_commands(tables.get("commands")),
+        commands=CommandColumns(**_gather(tables["commands"], CommandColumns))
+        if "commands" in tables
+        else CommandColumns.build_empty(),
         samples=samples,
         goal_xy_m=None if goal is None else (goal[0], goal[1]),
         goal_heading_rad=None if goal is None else goal[2],
@@ -336,18 +334,6 @@ def _parse_fact(facts: Mapping[str, str], name: str, kind: Any) -> Any:
     raise LogError(
         f"the metadata turtlelog.{name} are not as turtlelog writes them ({found}). Write the table"
         " again: turtlelog convert RECORDING -o TABLE.parquet"
-    )
-
-
-def _build_commands(table: Table | None) -> CommandColumns:
-    if table is not None:
-        return CommandColumns(**_gather(table, CommandColumns))
-    nothing = np.array([], dtype=np.float64)
-    return CommandColumns(
-        time_ns=np.array([], dtype=np.int64),
-        speed_m_s=nothing,
-        lateral_speed_m_s=nothing,
-        turn_rate_rad_s=nothing,
     )
 
 
@@ -382,3 +368,43 @@ def _gather(table: Table, kind: type) -> dict[str, NDArray[Any]]:
         if name in names and first in table:
             values[name] = np.column_stack([table[first], table[second]])
     return values
+
+
+LONGEST_HEAD: Final = 64 * 1024
+"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
+of 60 letters, and the other columns, fit."""
+
+MOST_COLUMNS: Final = 10_000
+"""Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
+searched once for each quantity, which takes 1 s."""
+
+
+def decode_text(data: bytes) -> str:
+    """Return the text of a table or log; spreadsheet programs write a byte order mark first."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        found = f"0x{err.object[err.start]:02x}"
+        raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
+
+
+def read_header(path: Path) -> tuple[str, ...]:
+    """Return the column names without reading rows; for text files the cells of the first line.
+
+    Raises:
+        ValueError: If a file with the suffix of Parquet is not a Parquet file.
+    """
+    if path.suffix.lower() != ".parquet":
+        with open_file(path) as stream:
+            head = stream.readline(LONGEST_HEAD).decode("utf-8-sig", errors="replace")
+        return tuple(head.strip().split(","))
+    return tuple(ParquetFile(path).schema.names)
+
+
+def require_few_columns(columns: int) -> None:
+    """Refuse a table with too many columns."""
+    if columns > MOST_COLUMNS:
+        raise LogError(
+            f"the table has more than {MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
+            " time, x, y, heading and the commands"
+        )

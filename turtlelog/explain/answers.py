@@ -1,33 +1,16 @@
-"""The data of an attribution: values, contributions, and their conditions."""
+"""The answers: a value attributed to causes, and the difference of two runs explained."""
 
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from html import escape
-from typing import Final
+from typing import Any, Final, Literal
 
-from turtlelog.display import fit_line, format_html, format_notebook
-from turtlelog.measure import list_metrics
-from turtlelog.run.angles import wrap_angle
-from turtlelog.run.goal_end import allow_position
-from turtlelog.run.loops import Declaration
-from turtlelog.scenario import DEFAULT_LAW, Scenario
+from turtlelog.display import fit_line
 
 SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
-_SHARE: Final = 0.01
-"""Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
-paper's runs has at least a hundred samples, so this is about one sample's effect on an integral."""
-
 _ROUNDING: Final = 1e-12
 """Share of a value by which sums in another order may differ."""
-
-_HALF_A_COUNT: Final = 0.5
-"""Negligible change of a count; counts change by at least one."""
-
-_COUNTS: Final = (
-    *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,56 +24,6 @@ class Resolution:
 
     size: float
     reason: str
-
-
-def find_resolution(
-    scenario: Scenario, declaration: Declaration, metric: str, value: float
-) -> Resolution:
-    """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
-    unit = list_metrics(declaration)[metric].unit
-    if unit == "s":
-        return Resolution(size=find_sample_period_s(scenario), reason="one sample period")
-    if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
-        return _find_tolerated(scenario, declaration, metric, unit)
-    kind = metric.rpartition(".")[2]
-    if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
-        return Resolution(size=_HALF_A_COUNT, reason="half a count")
-    return Resolution(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
-
-
-def find_sample_period_s(scenario: Scenario) -> float:
-    """Return the usual time between two answers [s]."""
-    loop = scenario.loop
-    period_s: float = loop.period_s or loop.period_ticks * scenario.plant.facts.period_s
-    return period_s
-
-
-def _find_tolerated(
-    scenario: Scenario, declaration: Declaration, metric: str, unit: str
-) -> Resolution:
-    """Return the errors that the tolerances of the sequential law allow."""
-    heading_rad = scenario.law.parameters.heading_tolerance_rad
-    position_m = scenario.law.parameters.position_tolerance_m
-    distance_m, turn_rad = _find_steps(scenario)
-    if unit == "m":
-        reach = "heading tolerance times distance plus position tolerance"
-        return Resolution(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
-    if unit == "deg":
-        return Resolution(size=math.degrees(heading_rad), reason="the heading tolerance")
-    loop = declaration.find_loop(metric.rpartition(".")[0])
-    turns = loop is not None and loop.signal == "heading"
-    tolerance, step = (heading_rad, turn_rad) if turns else (position_m, distance_m)
-    return Resolution(size=100.0 * tolerance / step, reason="the tolerance over the step")
-
-
-def _find_steps(scenario: Scenario) -> tuple[float, float]:
-    """Return the distance to the goal [m] and the turn towards the goal [rad]; never 0."""
-    start, goal = scenario.start, scenario.goal
-    x_m, y_m = goal.x_m - start.x_m, goal.y_m - start.y_m
-    turn_rad = math.atan2(y_m, x_m) - start.heading_rad
-    if scenario.law.parameters.wrap_error:
-        turn_rad = wrap_angle(turn_rad)
-    return max(math.hypot(x_m, y_m), math.ulp(1.0)), max(abs(turn_rad), math.ulp(1.0))
 
 
 _CLEAR: Final = 3.0
@@ -136,9 +69,14 @@ class Contribution:
     standard_error: float | None = None
 
     @property
+    def size(self) -> float:
+        """The contribution; 0 without one."""
+        return self.contribution or 0.0
+
+    @property
     def is_clear(self) -> bool:
         """Whether the contribution differs from 0 significantly over seeds."""
-        return is_clear(self.contribution or 0.0, self.standard_error)
+        return is_clear(self.size, self.standard_error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -321,15 +259,24 @@ class Attribution:
         return tuple(name for name in self.causes if name in names)
 
     @property
+    def deciding(self) -> tuple[str, ...]:
+        """Causes that change the value, or decide whether there is a value."""
+        if not self.without_value:
+            return self.acting
+        cases = (*self.without_value, *self.with_value)
+        named = {name for case in cases for name in case.causes}
+        return tuple(name for name in self.causes if name in named) or self.causes
+
+    @property
     def changing(self) -> tuple[Contribution, ...]:
         """Contributions and other causes that change the value or the ending of the run."""
-        return tuple(one for one in (*self.contributions, *self.others) if self._changes(one))
-
-    def _changes(self, one: Contribution) -> bool:
-        least = _ROUNDING * abs(self.divided)
-        sizes = (one.contribution or 0.0, one.standard_error or 0.0)
-        moves = one.alone is not None and abs(one.alone - self.divided) > least
-        return bool(one.ending) or moves or any(abs(size) > least for size in sizes)
+        least, found = _ROUNDING * abs(self.divided), []
+        for one in (*self.contributions, *self.others):
+            apart = 0.0 if one.alone is None else one.alone - self.divided
+            sizes = (apart, one.size, one.standard_error or 0.0)
+            if one.ending or any(abs(size) > least for size in sizes):
+                found.append(one)
+        return tuple(found)
 
     @property
     def divided(self) -> float:
@@ -347,34 +294,225 @@ class Attribution:
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
     def _repr_html_(self) -> str:
-        from turtlelog.explain.answer_words import write_headline
+        from turtlelog.explain.answer_words import tabulate_attribution
 
-        unit = self.unit
-        heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
-        rows: list[list[object]] = [
-            [one.cause, one.contribution, one.alone, one.ending or one.meaning]
-            for one in self.changing
-        ]
-        if self.seeds is not None:
-            heads.insert(2, f"s.e. [{unit}]")
-            for row, one in zip(rows, self.changing, strict=True):
-                row.insert(2, one.standard_error)
-            if self.contributions and self.seeds.varies:
-                row = [THIS_SEED, self.this_seed, None, None, THIS_SEED_MEANS]
-                rows.insert(sum(one.contribution is not None for one in self.changing), row)
-        table = format_html(rows, heads=heads)
-        rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
-        return format_notebook(write_headline(self), table, *rest)
+        return tabulate_attribution(self)
 
 
-def choose_metric(declaration: Declaration) -> str:
-    """Return the default metric to explain: the most important one for the run's law.
+SEED: Final = "seed"
+"""Name of the line with the effect of the two seeds, relative to the means over seeds."""
 
-    With a goal, the metric is the final position error. Without a goal, it is the rms error of the
-    last declared loop; for a law that tracks a path, the cross-track error; without loops, the path
-    length.
+ROBOT: Final = "robot"
+"""Basis of a robot's log: its model, driven by the recorded commands."""
+
+Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """The earliest difference of two runs.
+
+    Attributes:
+        part: Part that differs first. `start`: the first pose. `robot`: the motion after equal
+            commands. `sensor`: the sensed pose. `controller`: the answer to an equal pose.
+            `timing`: the time of a sample or command. `end`: one run is longer.
+        signal: Name of the signal that differs.
+        unit: Unit of the values; empty for a name or a count.
+        time_s: Time of the difference from the first sample, or else from the first pose [s].
+        first: Value of the first run; None if it has no value there.
+        second: Value of the second run.
+        samples: Number of equal samples before the difference.
     """
-    if declaration.uses_goal:
-        return "final.position_error"
-    loops = [loop.name for loop in declaration.loops]
-    return f"{loops[-1]}.rms_error" if loops else "run.path_length"
+
+    part: Part
+    signal: str
+    unit: str
+    time_s: float
+    first: float | str | None
+    second: float | str | None
+    samples: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """One of two runs.
+
+    Attributes:
+        name: Name of the run.
+        as_logged: The metric of the log; None if the metric has no value.
+        resimulated: The metric re-simulated with the run's own seed; None if the metric has no
+            value.
+        reason: Reason why the metric has no value; empty if it has a value.
+        basis: Scenario that reproduces the run. `recorded`: the run's own scenario, which
+            reproduces every sample. `identified`: a scenario identified from the samples. `robot`:
+            the robot model, driven by the recorded commands. None if no scenario reproduces the
+            run.
+        note: How accurately the recorded scenario reproduces the run, or why no scenario does.
+        is_exact: Whether this scenario reproduces every sample.
+        unknown: Keys that are not identified; the values of the other run are used instead.
+        simulated_by: Versions, platform and digest of the law that simulated the run; see `Run`.
+    """
+
+    name: str
+    as_logged: float | None
+    resimulated: float | None = None
+    reason: str = ""
+    basis: str | None = None
+    note: str = ""
+    is_exact: bool = False
+    unknown: tuple[str, ...] = ()
+    simulated_by: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A group of settings that differ, with its contribution to the difference of the metric.
+
+    Attributes:
+        name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
+        keys: Keys of the settings in which the scenarios differ; `seed` for the effect of the
+            seeds.
+        first: Values in the first run; None for a key that the run does not have.
+        second: Values in the second run.
+        contribution: Contribution to the difference, in the metric's unit; None if it is withheld.
+        standard_error: Standard error of the contribution, if it is a mean over seeds or sampled
+            orders, or depends on identified values.
+        low: Lower end of the contribution's 95 % interval; None if the contribution is exact.
+        high: Upper end of the interval.
+        undone: The metric of the second run if only this group is as in the first run; None if it
+            has no value.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    first: tuple[Any, ...] = ()
+    second: tuple[Any, ...] = ()
+    contribution: float | None = None
+    standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
+    undone: float | None = None
+
+    @property
+    def size(self) -> float:
+        """The contribution; 0 without one."""
+        return self.contribution or 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectShift:
+    """The contribution of an effect to the metric of each run, as `explain` finds it.
+
+    Attributes:
+        cause: Name of the effect.
+        first: Contribution in the first run, in the metric's unit; 0 if the run does not have the
+            effect.
+        second: Contribution in the second run.
+    """
+
+    cause: str
+    first: float
+    second: float
+
+    @property
+    def shift(self) -> float:
+        """Change of the contribution from the first to the second run."""
+        return self.second - self.first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DifferenceRange:
+    """Range of the difference over starts within the turn of one sample.
+
+    Attributes:
+        count: Number of start headings, equally spaced around each scenario's own heading.
+        within_rad: Angle between the scenarios' own heading and the heading of the first and last
+            start [rad].
+        difference: Smallest and largest difference, in the metric's unit.
+        first: Smallest and largest metric of the first run.
+        second: Smallest and largest metric of the second run.
+        is_wide: Whether the difference depends on single samples: whether its range exceeds half of
+            the difference.
+    """
+
+    count: int
+    within_rad: float
+    difference: tuple[float, float]
+    first: tuple[float, float]
+    second: tuple[float, float]
+    is_wide: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplainedDifference:
+    """The difference of a metric between two runs, divided among the changed settings.
+
+    Attributes:
+        metric: Id of the metric.
+        unit: Unit of all values.
+        first: Run from which the difference is taken.
+        second: Other run.
+        difference: Metric of the second run minus metric of the first, re-simulated (for robots,
+            as logged); None if a run has no value.
+        contributions: Contribution of each group of changed settings, the largest first. The sum is
+            `difference`; for robots, it includes `unexplained`. Empty if the contributions are
+            withheld.
+        changes: Names and values of the changed settings, without contributions, if contributions
+            are withheld.
+        idle: Keys that differ but never change the metric, in any combination.
+        unexplained: Part of the difference that neither the models of two robots nor the
+            contributions explain; None if no robots are identified.
+        withheld: Reason why there are no contributions, in one clause; None if there are
+            contributions.
+        together: Parts that several groups add only if all of these groups are changed.
+        without_value: Smallest sets of changes that leave the metric without a value.
+        with_value: Smallest sets of changes that give the metric a value, if the first run has no
+            value.
+        resolution: Largest change that is negligible.
+        starts: Range of the difference over starts within the turn of one sample; None with random
+            effects.
+        seeds: Number of seeds over which the contributions are means; 1 if nothing is random.
+        orders: Number of sampled orders of the changes; None if all combinations were simulated.
+        effects: Differences of the contributions of `explain`, the largest first.
+        has_same_settings: Whether the runs have the same settings, as far as settings can change a
+            run.
+        departure: First difference of runs with the same settings; None for other runs.
+        sentences: The answer in words.
+    """
+
+    metric: str
+    unit: str
+    first: Side
+    second: Side
+    difference: float | None = None
+    contributions: tuple[Change, ...] = ()
+    changes: tuple[Change, ...] = ()
+    idle: tuple[str, ...] = ()
+    unexplained: float | None = None
+    withheld: str | None = None
+    together: tuple[Together, ...] = ()
+    without_value: tuple[ValueSet, ...] = ()
+    with_value: tuple[ValueSet, ...] = ()
+    resolution: Resolution
+    starts: DifferenceRange | None = None
+    seeds: int = 1
+    orders: int | None = None
+    effects: tuple[EffectShift, ...] = ()
+    has_same_settings: bool = False
+    departure: Departure | None = None
+    sentences: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Write the sentences."""
+        from turtlelog.explain.difference_report import write_difference_sentences
+
+        object.__setattr__(self, "sentences", write_difference_sentences(self))
+
+    def __repr__(self) -> str:
+        names = f"{self.first.name} and {self.second.name}"
+        return fit_line(f"<ExplainedDifference of {names}: {self.metric}>")
+
+    def _repr_html_(self) -> str:
+        from turtlelog.explain.difference_report import tabulate_difference
+
+        return tabulate_difference(self)

@@ -1,0 +1,269 @@
+"""Poses in the plane: from messages of any type and from quaternions, with what the plane loses."""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError
+from turtlelog.run.angles import wrap_angle
+
+Values = NDArray[np.float64]
+Fields = Mapping[str, NDArray[Any]]
+
+ROWS_AT_ONCE: Final = 65_536
+"""Number of rows that are compared or computed at once."""
+
+TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
+TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
+FIX: Final = "sensor_msgs/msg/NavSatFix"
+JOINTS: Final = "sensor_msgs/msg/JointState"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseShape:
+    """The fields of a pose in a message.
+
+    Attributes:
+        position: Prefix of x and y.
+        orientation: Prefix of x, y, z and w of a quaternion, if there is no heading.
+        heading: Field of the heading; None if there is a quaternion.
+        is_degrees: Whether the heading is in degrees.
+    """
+
+    position: str
+    orientation: str = ""
+    heading: str | None = None
+    is_degrees: bool = False
+
+
+_STAMPED: Final = PoseShape(position="pose.position.", orientation="pose.orientation.")
+_COVARIANT: Final = PoseShape(position="pose.pose.position.", orientation="pose.pose.orientation.")
+_TRANSFORM: Final = PoseShape(position="transform.translation.", orientation="transform.rotation.")
+POSE_TYPES: Final[Mapping[str, tuple[int, PoseShape | None]]] = MappingProxyType(
+    {
+        "turtlesim/msg/Pose": (0, None),
+        "turtlesim_msgs/msg/Pose": (0, None),
+        "nav_msgs/msg/Odometry": (1, _COVARIANT),
+        "geometry_msgs/msg/PoseStamped": (2, _STAMPED),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": (2, _COVARIANT),
+        "geometry_msgs/msg/Pose": (3, PoseShape(position="position.", orientation="orientation.")),
+        "geometry_msgs/msg/Pose2D": (3, PoseShape(position="", heading="theta")),
+        "geometry_msgs/msg/TransformStamped": (4, _TRANSFORM),
+        **dict.fromkeys(TRANSFORM_TYPES, (5, None)),
+        FIX: (6, None),
+    }
+)
+"""The message types of poses: the priority among the topics of a bag, and the fields of the pose.
+
+The lowest priority number is first: odometry, because it has rates, then types with stamps, and
+satellite fixes last, because they give no heading. Types without fields have a reader of their
+own."""
+
+POSITIONS: Final = {kind: shape.position for kind, (_, shape) in POSE_TYPES.items() if shape}
+"""Prefix of x and y in the fields of each pose type."""
+
+_ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
+
+
+def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
+    """Return x, y [m] and heading [rad], and speeds, height and tilt if messages contain them.
+
+    turtlesim publishes the applied velocities (`speed`, `turn_rate`), odometry the measured ones
+    (`measured_speed`, `measured_lateral_speed`, `measured_turn_rate`). `z` is the height [m],
+    `tilt` the angle between the robot's vertical axis and the world's [rad].
+
+    Raises:
+        LogError: If no quaternion is a valid rotation.
+        KeyError: If a field is missing.
+    """
+    if kind.startswith("turtlesim"):
+        return {
+            "x": widen(fields["x"]),
+            "y": widen(fields["y"]),
+            "heading": widen(fields["theta"]),
+            # Before Humble, turtlesim also published the sign of the speed.
+            "speed": np.abs(widen(fields["linear_velocity"])),
+            "turn_rate": widen(fields["angular_velocity"]),
+        }
+    # Errors about missing fields name those of a stamped pose.
+    shape = POSE_TYPES.get(kind, (0, None))[1] or find_pose_shape(fields) or _STAMPED
+    if shape.heading is not None:
+        heading_rad = widen(fields[shape.heading])
+        columns = {"heading": np.radians(heading_rad) if shape.is_degrees else heading_rad}
+    else:
+        columns = _turn_quaternions(fields, shape.orientation)
+    axes = "xyz" if f"{shape.position}z" in fields else "xy"
+    columns |= {name: widen(fields[f"{shape.position}{name}"]) for name in axes}
+    for name in ("measured_speed", "measured_turn_rate"):
+        if kind == JOINTS and name in fields:
+            columns[name] = widen(fields[name])
+    if kind == "nav_msgs/msg/Odometry":
+        rates = read_twist(fields, "twist.twist.")
+        columns |= {f"measured_{name}": values for name, values in rates.items()}
+    return columns
+
+
+def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
+    """Return the fields of a pose in an unknown type, by their names; None without such fields.
+
+    Known fields are position and orientation, translation and rotation (quaternions), and x, y with
+    theta, heading or yaw. The name of an angle in degrees ends in `_deg`.
+    """
+    places = [name[:-1] for name in fields if name == "x" or name.endswith(".x")]
+    for place in (place for place in places if f"{place}y" in fields):
+        home = place.removesuffix("position.").removesuffix("translation.")
+        for turn in ("orientation", "rotation"):
+            if home != place and all(f"{home}{turn}.{axis}" in fields for axis in "xyzw"):
+                return PoseShape(position=place, orientation=f"{home}{turn}.")
+        for name in (f"{home}{angle}{unit}" for angle in _ANGLES for unit in ("", "_rad", "_deg")):
+            if name in fields:
+                return PoseShape(position=place, heading=name, is_degrees=name.endswith("_deg"))
+    return None
+
+
+def read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s] after a prefix."""
+    return {
+        "speed": widen(fields[f"{prefix}linear.x"]),
+        "lateral_speed": widen(fields[f"{prefix}linear.y"]),
+        "turn_rate": widen(fields[f"{prefix}angular.z"]),
+    }
+
+
+def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
+    """Return heading and tilt of quaternions of any length [rad]; NaN for length 0.
+
+    The heading is that of the robot's forward axis seen from above, for any tilt.
+    """
+    parts = [fields[f"{orientation}{name}"] for name in "xyzw"]
+    name = orientation.removesuffix(".")
+    yaw_rad, tilt_rad = np.empty(len(parts[0])), np.empty(len(parts[0]))
+    empty = np.zeros(len(yaw_rad), dtype=np.bool_)
+    for first in range(0, len(yaw_rad), ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        x, y, z, w = (widen(part[rows]) for part in parts)
+        # Messages have zeros by default in ROS 1, and in programs that never set the quaternion.
+        empty[rows] = x**2 + y**2 + z**2 + w**2 == 0.0
+        yaw_rad[rows], tilt_rad[rows] = compute_heading(x, y, z, w), compute_tilt(x, y, z, w)
+    if len(empty) and empty.all():
+        if len(empty) == 1:
+            raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
+        raise LogError(
+            f"{name}: expected rotations, found all zeros in each of {len(empty)} messages:"
+            " it was never set, and there is no heading"
+        )
+    # Some programs set quaternions only from the second message on; a camera may lose its robot.
+    yaw_rad[empty] = np.nan
+    return {"heading": yaw_rad, "tilt": tilt_rad}
+
+
+def widen(values: NDArray[Any]) -> Values:
+    """Return numbers in double precision."""
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+_MOST_HEIGHT_M: Final = 0.05
+"""Range of heights that counts as a plane [m]: a door sill, or noise of a tracking camera."""
+
+_MOST_TILT_RAD: Final = 0.1
+"""Tilt that counts as upright [rad]: at 0.1 rad a path seen from above is 0.5 % too short."""
+
+_LEAST_LEVEL: Final = math.cos(math.radians(85.0))
+"""Smallest horizontal part of a forward axis of length 1 that gives a heading.
+
+At 85 deg of pitch, 1 deg of noise turns the heading by 11 deg."""
+
+_SEEN: Final = "most metrics are seen from above"
+
+
+def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
+    """Return a sentence on a robot that leaves the plane; None if it stays in the plane.
+
+    Args:
+        z_m: Heights [m], shape (n,); None if unknown. Values that are not finite are ignored.
+        tilt_rad: Angles between the robot's vertical axis and the world's [rad], shape (n,).
+    """
+    heights, tilts = _keep_finite(z_m), _keep_finite(tilt_rad)
+    found = []
+    if len(heights) and (height := float(np.ptp(heights))) > _MOST_HEIGHT_M:
+        low_m, high_m = float(heights.min()), float(heights.max())
+        found.append(f"its height varies by {height:.3g} m ({low_m:.3g} to {high_m:.3g} m)")
+    if len(tilts) and float(tilts.max()) > _MOST_TILT_RAD:
+        ends = (f"{math.degrees(end):.3g}" for end in (tilts.min(), tilts.max()))
+        tilt = f"{' to '.join(dict.fromkeys(ends))} deg"
+        if not found and float(np.ptp(tilts)) <= _MOST_TILT_RAD:
+            # For example a frame whose z axis points down, or that of a camera.
+            return f"the robot or its frame is tilted by {tilt} throughout; {_SEEN}"
+        found.append(f"it tilts by {tilt}")
+    if not found:
+        return None
+    return f"the robot leaves the plane: {' and '.join(found)}; {_SEEN}"
+
+
+def describe_level(z_m: Values | None) -> str | None:
+    """Return a sentence on the height of a robot that stays in a plane; None if it is about 0."""
+    heights = _keep_finite(z_m)
+    if not len(heights) or abs(level_m := float(np.median(heights))) <= _MOST_HEIGHT_M:
+        return None
+    return f"the poses are at a height of {level_m:.3g} m, which is left out"
+
+
+def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]:
+    """Return the heights and tilts of a robot that leaves the plane, by column name."""
+    if describe_height(z_m, tilt_rad) is None:
+        return {}
+    found = {"height_m": z_m, "tilt_rad": tilt_rad}
+    return {
+        name: np.where(np.isfinite(values), values, np.nan)
+        for name, values in found.items()
+        if values is not None and np.isfinite(values).any()
+    }
+
+
+def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
+    """Return the heading of the forward axis projected onto the plane, for any tilt [rad].
+
+    The result is NaN if the axis points up or down (`_LEAST_LEVEL`). The quaternions may have any
+    length except 0, each part has the shape (n,).
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
+        left, ahead = 2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2
+        level = np.hypot(left, ahead) >= _LEAST_LEVEL * (w**2 + x**2 + y**2 + z**2)
+        return np.where(level, np.arctan2(left, ahead), np.nan)
+
+
+def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:
+    """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi].
+
+    The quaternions are as in `compute_heading`.
+    """
+    return 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
+
+
+def _keep_finite(values: Values | None) -> Values:
+    return np.zeros(0) if values is None else values[np.isfinite(values)]
+
+
+def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+    """Return strictly increasing times, and how many were moved to 1 ns after the previous time.
+
+    Rows with equal times are different ticks; dropping one would lose a step of the motion.
+    """
+    rows = np.arange(len(time_ns))
+    moved = np.maximum.accumulate(time_ns - rows) + rows
+    return moved, int((moved != time_ns).sum())
+
+
+def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
+    """Return headings within a float32 step of [-pi, pi), and the number of changed headings.
+
+    turtlesim's own rounding exceeds that interval by less than a step; such headings are kept.
+    """
+    far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
+    return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())

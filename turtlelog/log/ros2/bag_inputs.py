@@ -1,0 +1,404 @@
+"""The inputs of a robot in a bag: its commands, its goal and the path to follow."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.errors import LogError, PathError
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_info import TopicInfo
+from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
+from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
+from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
+from turtlelog.log.ros2 import bag_topics
+from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
+from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, rotate
+from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.run import CommandColumns, Run
+from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
+
+_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
+"""Topics of a turtlelog recording that have the type of commands but contain none."""
+
+_VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
+"""Names of velocities that are measured if a pose has the same namespace: velocity_local and
+velocity_body of /mavros/local_position/pose, twist of a motion capture's body."""
+
+_COMMAND_NAMES: Final = (
+    re.compile(r"cmd_vel"),
+    re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
+    # The smoother's output comes from the planner and passes through the collision monitor.
+    re.compile(r"cmd_vel_smoothed"),
+    re.compile(r"(?s:cmd_vel.*|.*(?:cmd|command).*)"),
+)
+"""Patterns for names of command topics; the topic that a base usually listens to is first."""
+
+_WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
+_LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
+_GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
+
+_AT_ROBOT_M: Final = 0.1
+"""Largest distance of a path's end from the robot at which the path is the robot's trace [m].
+
+The distance is a robot's width, because the last recorded position is a few tenths of a second old.
+A plan, in contrast, ends at the goal, which is farther away."""
+
+_AT_ROBOT_SHARE: Final = 0.1
+"""The same distance as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
+
+_MOST_PATHS: Final = 1000
+"""Largest number of path messages that are read without request. A trace that grows point by point
+takes 300 MB and 3 s. With one Nav2 plan per second, the number lasts a quarter of an hour."""
+
+_MOST_LOOKED_AT: Final = 50
+"""Number of messages of a path that are compared with the robot's position. The median decides."""
+
+
+def choose_commands(
+    topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
+) -> tuple[bag_topics.Pick | None, str]:
+    """Return the topic of the commands, or the reason why there is none, which may be empty.
+
+    Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
+    rate.
+    """
+    asked, steering = choice.command_topic, bag_topics.ACKERMANN_TYPES
+    choose = partial(choose_command_topic, topics, pose_topic=pose_topic)
+    if choice.wheelbase is not None:
+        parse_wheelbase(choice.wheelbase)
+        if (pick := choose(asked, types=steering)) is not None:
+            return pick, ""
+        if asked is None and pose_topic == "":
+            raise LogError(f"wheelbase: expected commands of {' or '.join(steering)}")
+    types = bag_topics.COMMAND_TYPES if asked is not None else bag_topics.TWIST_TYPES
+    pick = choose(asked, types=types)
+    if pick is not None and pick.topic.type in steering:
+        raise LogError(f"command_topic {pick.describe()}: {bag_topics.NEEDS_WHEELBASE}")
+    if pick is not None or (steered := choose(None, types=steering)) is None:
+        return pick, ""
+    return None, f"commands on {steered.describe()}: {bag_topics.NEEDS_WHEELBASE}"
+
+
+def choose_command_topic(
+    topics: Iterable[TopicInfo],
+    asked: str | None,
+    *,
+    pose_topic: str,
+    types: Collection[str] = bag_topics.COMMAND_TYPES,
+) -> bag_topics.Pick | None:
+    """Return the requested topic, or else the most likely one; None if there is none.
+
+    The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
+    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
+    chosen. Without poses, `pose_topic` is empty.
+
+    Raises:
+        LogError: If several topics are equally likely.
+    """
+    held = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return bag_topics.Pick(
+            topic=bag_topics.find_asked(held, asked, bag_topics.COMMAND_TYPES, "command_topic")
+        )
+    present, home = bag_topics.drop_unread(held), bag_topics.take_home(pose_topic)
+    known = bag_topics.drop_two_types([topic for topic in present if topic.type in types], present)
+    beside = [topic.topic for topic in known if home and bag_topics.take_home(topic.topic) == home]
+    measured = {name for name in beside if _VELOCITIES.fullmatch(bag_topics.take_last(name))}
+    fitting = [
+        topic
+        for topic in known
+        if topic.topic not in _NO_COMMANDS | measured
+        and not bag_topics.is_measured(topic.topic)
+        and not bag_topics.is_another_robots(topic.topic, pose_topic)
+    ]
+    if not fitting:
+        return None
+
+    def rank(topic: TopicInfo) -> tuple[int, ...]:
+        near, depth = bag_topics.rank_place(topic.topic, pose_topic)
+        name = bag_topics.rank_name(topic.topic, _COMMAND_NAMES)
+        # The robot's own commands have priority, and topics named as commands over all others.
+        return int(name == len(_COMMAND_NAMES)), near, name, depth
+
+    chosen = bag_topics.require_one(bag_topics.list_first(fitting, rank), "command_topic")
+    return bag_topics.Pick(
+        topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen)
+    )
+
+
+def order_commands(
+    found: Held, topic: TopicInfo, choice: ReadChoice
+) -> tuple[OrderedRows | None, int]:
+    """Return finite commands and the number of dropped ones; None if no command is finite."""
+    ordered = order_topic(found, topic, partial(_extract_commands, wheelbase_m=choice.wheelbase))
+    rows, dropped = drop_not_finite(ordered, [*ordered.columns])
+    return (rows if len(rows.time_ns) else None), dropped
+
+
+def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
+    """Return forward and lateral speed [m/s] and turn rate [rad/s].
+
+    Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
+    angle) / wheelbase. The turn rate is NaN from 90 deg on.
+    """
+    if kind in bag_topics.ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = "drive." if kind.endswith("Stamped") else ""
+        speed_m_s = widen(fields[f"{drive}speed"])
+        steering_rad = widen(fields[f"{drive}steering_angle"])
+        is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
+        steering_rad = np.where(is_aside, np.nan, steering_rad)
+        return {
+            "speed": speed_m_s,
+            "lateral_speed": np.zeros_like(speed_m_s),
+            "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
+        }
+    return read_twist(fields, "twist." if kind == "geometry_msgs/msg/TwistStamped" else "")
+
+
+def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
+    """Return commands as columns of a run, with times from its start."""
+    if rows is None:
+        return CommandColumns.build_empty()
+    return CommandColumns(
+        time_ns=rows.time_ns - start_ns,
+        speed_m_s=rows.columns["speed"],
+        lateral_speed_m_s=rows.columns["lateral_speed"],
+        turn_rate_rad_s=rows.columns["turn_rate"],
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotTrack:
+    """Positions of the robot, in the frame of its poses.
+
+    Attributes:
+        time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
+        xy_m: Position [m], shape (n, 2).
+        frame: Frame of the poses; empty if unknown.
+        tree: Transforms between frames; empty without transforms.
+    """
+
+    time_ns: TimesNs
+    xy_m: Values
+    frame: str
+    tree: Tree
+
+
+def add_references(
+    run: Run, bag: Bag, source: PoseSource, track: RobotTrack, choice: ReadChoice
+) -> Run:
+    """Return a run with the goal and the path in its bag, or the requested ones."""
+    topics, given = bag.topics, choice.goal
+    goal_topic = None if given else _choose_goal_topic(topics, pose_topic=source.home)
+    plans = _choose_path_topics(topics, choice.path_topic, pose_topic=source.home)
+    goals = [] if goal_topic is None else bag.read_topic(goal_topic.topic, is_flat=False)
+    is_long = bool(plans) and choice.path_topic is None and plans[0].count > _MOST_PATHS
+    paths = [] if not plans or is_long else bag.read_topic(plans[0].topic, is_flat=False)
+    named = {name_frame(columns) for columns in (*goals, *paths)}
+    if track.frame and not track.tree and named - {track.frame, ""}:
+        track = replace(track, tree=read_tree(bag, topics, source.home))
+    notes, changes, since_ns = dict[str, str](), dict[str, Any](), 0
+    if given is not None:
+        xy_m, heading_rad = parse_goal_option(given)
+        changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
+    if goal_topic is not None:
+        changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
+    if paths:
+        points, notes["path"] = find_path(paths, plans[0].topic, track, since_ns=since_ns)
+        others = bag_topics.list_first_names([topic.topic for topic in plans[1:]])
+        notes |= {"other_path_topics": others} if others else {}
+        if points is not None:
+            notes["path_topic"] = f"{plans[0].topic} ({plans[0].type})"
+            path = {"path.kind": "waypoints", "path.points": points}
+            changes["parameters"] = {**run.parameters, **path}
+    if is_long:
+        said = f"{plans[0].count} messages, more than {_MOST_PATHS}: --path-topic reads them"
+        notes["path"] = f"{plans[0].topic}: left out: {said}"
+    known = {name for name, value in changes.items() if value is not None}
+    absent = tuple(name for name in run.absent if name not in known)
+    return replace(run, absent=absent, notes={**run.notes, **notes}, **changes)
+
+
+def _choose_path_topics(
+    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
+) -> list[TopicInfo]:
+    """Return the requested path topic, or all topics that may contain plans, in order.
+
+    A controller's short local plan (local_plan) and topics with the name of a trace are not
+    references.
+    """
+    held = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return [bag_topics.find_asked(held, asked, (bag_topics.PATH,), "path_topic")]
+
+    def rank(topic: TopicInfo) -> tuple[int, ...]:
+        near, depth = bag_topics.rank_place(topic.topic, pose_topic)
+        return near, int(not _WHOLE.fullmatch(bag_topics.take_last(topic.topic))), depth
+
+    present = bag_topics.drop_unread(held)
+    counts = Counter(topic.topic for topic in present)
+    fitting = [
+        topic
+        for topic in present
+        if topic.type == bag_topics.PATH
+        and counts[topic.topic] == 1
+        and not _LOCAL.search(topic.topic)
+        and not bag_topics.is_another_robots(topic.topic, pose_topic)
+    ]
+    return sorted(fitting, key=rank)
+
+
+def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> TopicInfo | None:
+    """Return the topic of goals, preferably next to the poses; None if there is none."""
+    fitting = (
+        topic
+        for topic in bag_topics.drop_unread(topic for topic in topics if topic.count)
+        if topic.type == "geometry_msgs/msg/PoseStamped"
+        and _GOAL.fullmatch(bag_topics.take_last(topic.topic))
+        and not bag_topics.is_another_robots(topic.topic, pose_topic)
+    )
+    return min(
+        fitting, key=lambda topic: bag_topics.rank_place(topic.topic, pose_topic), default=None
+    )
+
+
+_Goal = tuple[dict[str, Any], str, int]
+"""Fields of the run, a note in one sentence, and the time on the recorder's clock [ns]."""
+
+
+def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
+    """Return the last goal that was set while the robot was recorded.
+
+    A goal in another frame is converted to the frame of the poses by the transforms at the time of
+    the goal. Without such transforms, there is no goal, and the note gives the reason.
+    """
+    rows = _sort_rows(messages)
+    known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
+    time_ns, number, row = known[-1]
+    fields = {name: column[row] for name, column in messages[number].fields.items()}
+    place_m = np.array([[float(fields[f"pose.position.{axis}"]) for axis in "xyz"]])
+    turn = np.array([[float(fields[f"pose.orientation.{axis}"]) for axis in "xyzw"]])
+    names = [name for name in fields if "stamp" not in name]
+    others = {
+        tuple(str(messages[file].fields[name][one]) for name in names) for _, file, one in known
+    }
+    said = f"from {topic}"
+    if len(others) > 1:
+        said = f"the last of {len(others)} from {topic}: --goal chooses another"
+    if not np.isfinite(place_m).all():
+        return {}, f"{topic}: left out: its position is no number", 0
+    # The default of the message; programs without a goal heading leave it.
+    has_heading = bool(np.isfinite(turn).all() and turn[0, :3].any())
+    moved = _bring_over(track, str(fields["header.frame_id"]), place_m, turn, time_ns)
+    if isinstance(moved, str):
+        return {}, f"{topic}: left out: {moved}", 0
+    place_m, ahead, how = moved
+    heading_rad = math.atan2(ahead[0, 1], ahead[0, 0]) if has_heading else None
+    said += how if has_heading else f"{how}, no heading"
+    xy_m = float(place_m[0, 0]), float(place_m[0, 1])
+    return {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, said, time_ns
+
+
+def _sort_rows(messages: Sequence[TopicColumns]) -> list[tuple[int, int, int]]:
+    """Return log time [ns], file and row of every message, in order of time."""
+    return sorted(
+        (time_ns, number, row)
+        for number, columns in enumerate(messages)
+        for row, time_ns in enumerate(columns.log_time_ns.tolist())
+    )
+
+
+def _bring_over(
+    track: RobotTrack, frame: str, place_m: Values, turn: Values, time_ns: int
+) -> tuple[Values, Values, str] | str:
+    """Return positions and forward directions in the poses' frame, and the method; or why not."""
+    frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
+    if frame == track.frame:
+        return place_m, ahead, ""
+    if not frame or not track.frame:
+        nameless = "poses name" if frame else "it names"
+        return place_m, ahead, f", taken as in the frame of the poses, as {nameless} no frame"
+    found = locate_frame(track.tree, track.frame, frame, np.array([time_ns]))
+    if found is None:
+        return f"it is in {frame}, the poses in {track.frame}, and no transform joins the two then"
+    how = f", brought from {frame} to {track.frame} by the transforms of that time"
+    by = np.tile(found[1], (len(place_m), 1))
+    return found[0] + rotate(by, place_m), rotate(by, ahead), how
+
+
+def find_path(
+    messages: Sequence[TopicColumns], topic: str, track: RobotTrack, *, since_ns: int = 0
+) -> tuple[list[list[float]] | None, str]:
+    """Return the points of the first path with a length [m], in the frame of the poses, and a note.
+
+    A path after the goal was set (`since_ns`, on the recorder's clock) is preferred. If there is no
+    reference, for example as the topic has the robot's own trace, the points are None.
+    """
+    paths = [
+        (time_ns, *_read_points(messages[number], row, time_ns, track))
+        for time_ns, number, row in _sort_rows(messages)
+    ]
+    reasons = {reason for _, _, reason in paths if reason}
+    known = [(time_ns, xy_m) for time_ns, xy_m, _ in paths if _measure(xy_m) >= LEAST_M]
+    if not known:
+        why = reasons.pop() if reasons else "no message of it has a length"
+        return None, f"{topic}: left out: {why}"
+    # A trace ends at the robot's position at its time of publication.
+    shares = []
+    for time_ns, xy_m in known[:: -(-len(known) // _MOST_LOOKED_AT)]:
+        row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
+        distance_m = float(np.hypot(*(xy_m[-1] - track.xy_m[row])))
+        shares.append(distance_m / max(_AT_ROBOT_M, _AT_ROBOT_SHARE * _measure(xy_m)))
+    if float(np.median(shares)) <= 1.0:
+        return None, f"{topic}: left out: it ends where the robot is, and is its trace"
+    _, xy_m = next((one for one in known if one[0] >= since_ns), known[0])
+    points = _thin(xy_m)
+    try:
+        Path(kind="waypoints", points=tuple((x, y) for x, y in points))
+    except PathError as err:
+        return None, f"{topic}: left out: {err}"
+    differing = len({one.tobytes() for _, one in known})
+    said = f"from {topic}" if differing == 1 else f"the first plan of {differing} from {topic}"
+    if len(points) < len(xy_m):
+        said += f", {len(points)} of its {len(xy_m)} points"
+    return points, said
+
+
+def _read_points(
+    columns: TopicColumns, row: int, time_ns: int, track: RobotTrack
+) -> tuple[Values, str]:
+    """Return the points of a path in the frame of the poses, or no points and the reason."""
+    try:
+        found: list[dict[str, Any]] = columns.fields["poses"][row]
+        frame = str(columns.fields["header.frame_id"][row])
+    except KeyError as err:
+        raise columns.describe_missing(err.args[0]) from err
+    place_m = np.array(
+        [[one[f"pose.position.{axis}"] for axis in "xyz"] for one in found], dtype=float
+    ).reshape(-1, 3)
+    place_m = place_m[np.isfinite(place_m).all(axis=1)]
+    none = np.tile([0.0, 0.0, 0.0, 1.0], (len(place_m), 1))
+    frame = frame or next((str(one["header.frame_id"]) for one in found), "")
+    moved = _bring_over(track, frame, place_m, none, time_ns)
+    return (np.zeros((0, 2)), moved) if isinstance(moved, str) else (moved[0][:, :2], "")
+
+
+def _measure(xy_m: Values) -> float:
+    return float(np.hypot(*np.diff(xy_m, axis=0).T).sum()) if len(xy_m) > 1 else 0.0
+
+
+def _thin(xy_m: Values) -> list[list[float]]:
+    """Return the points without repetitions, thinned to the largest number of a path."""
+    differs = np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))
+    points = xy_m[differs]
+    if len(points) > MOST_POINTS:
+        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(np.int64)]
+    found: list[list[float]] = points.tolist()
+    return found
