@@ -20,7 +20,7 @@ import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_calls
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.recording.live_run import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.recording.topics import SCHEMAS
 from turtlelog.simulate import iterate_ticks
 

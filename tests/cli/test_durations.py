@@ -11,7 +11,7 @@ from tests.cli.test_info import MS, make_drive
 from tests.log.ros2.bags import START_NS, make_command, write_mcap
 from tests.log.ros2.test_unread_encodings import write_encoded
 from tests.log.runs import find_shared
-from turtlelog.log.recording import live_run
+from turtlelog.log.recording import recorder
 from turtlelog.log.recording.live_run import run_live
 
 
@@ -127,9 +127,9 @@ def test_poses_that_cannot_be_read_are_absent(call: Call, tmp_path: Path) -> Non
 def test_a_part_of_a_recording_lacks_what_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live_run, "CHUNK_BYTES", 2**13)
+    monkeypatch.setattr(recorder, "CHUNK_BYTES", 2**13)
     path, scenario = tmp_path / "cut.mcap", tl.load_scenario("paper-kp4")
-    with live_run.Recorder(path, scenario) as recording:
+    with recorder.Recorder(path, scenario) as recording:
         run_live(scenario, [recording], realtime=False)
     data = bytearray(path.read_bytes())
     data[2500] ^= 255  # in the first chunk, which holds the goal

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.message_encoding import HEAD, PackedItems, encode_message, lay_out_alike
+from turtlelog.log.engine.cdr import FRONT, PackedItems, encode_message
+from turtlelog.log.engine.message_types import lay_out_alike, read_type
 from turtlelog.log.recording.topics import SCHEMAS
 
 
@@ -49,7 +49,7 @@ def test_bytes_are_those_of_one_by_one(kind: str, prefix: str, text: str, seed: 
                 if key.startswith(prefix)
             }
             values[prefix.partition(".")[0]] = [items]
-        expected = encode_message(fields, values, 0, (0, 0, 0))[HEAD.size :]
+        expected = encode_message(fields, values, 0, (0, 0, 0))[FRONT.size :]
         assert found[row].tobytes() == expected
 
 

@@ -12,7 +12,6 @@ from turtlelog.log.any_file import read_run
 from turtlelog.log.engine import opening
 from turtlelog.log.exporters import export_rosbag2
 from turtlelog.log.file_access import open_file
-from turtlelog.log.recording import reader
 
 
 def test_a_recording_of_turtlelogs_is_read_whole(tmp_path: Path) -> None:
@@ -93,8 +92,7 @@ def test_a_recording_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         opened.append(place)
         return open_file(place)
 
-    for module in (opening, reader):
-        monkeypatch.setattr(module, "open_file", count)
+    monkeypatch.setattr(opening, "open_file", count)
     read_run(path)
     assert opened == [path]
 

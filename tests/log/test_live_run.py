@@ -17,7 +17,8 @@ from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError, SimulationError
 from turtlelog.log import read_recording
-from turtlelog.log.recording.live_run import Recorder, Sink, run_live
+from turtlelog.log.recording.live_run import Sink, run_live
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, simulate_run

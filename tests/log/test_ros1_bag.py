@@ -13,8 +13,8 @@ from tests.cli.conftest import Call, call as call
 from tests.log.ros1_bags import COMPRESSIONS, KINDS, STORE, say_drive, write_ros1, write_ros1_mcap
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_file_info, read_run, read_trajectory
+from turtlelog.log.engine.cdr import FRONT
 from turtlelog.log.engine.message_types import MESSAGE
-from turtlelog.log.message_encoding import HEAD
 from turtlelog.log.ros1 import convert_ros1, name_as_ros2, read_ros1_type
 
 
@@ -105,7 +105,7 @@ def test_messages_become_the_cdr_that_rosbags_makes_of_them() -> None:
         kind = KINDS[topic]
         text, _ = STORE.generate_msgdef(kind)
         fields = read_ros1_type(kind, text).fields
-        record = HEAD.pack(5, HEAD.size - 9 - 4 + len(data), 1, 0, 7, 7, b"")[:-4] + data
+        record = FRONT.pack(5, FRONT.size - 9 - 4 + len(data), 1, 0, 7, 7, b"")[:-4] + data
         found, starts = convert_ros1(fields, record, np.array([0]))
         # Its own way from ROS 1 to CDR leaves the number of the header out.
         expected = bytes(STORE.serialize_cdr(STORE.deserialize_ros1(data, kind), kind))
@@ -239,6 +239,6 @@ def test_lengths_that_no_message_has_room_for_are_refused() -> None:
     ):
         fields = read_ros1_type("a/B", text).fields
         data = struct.pack("<I", 2**32 - 1)
-        record = HEAD.pack(5, HEAD.size - 9 - 4 + len(data), 1, 0, 7, 7, b"")[:-4] + data
+        record = FRONT.pack(5, FRONT.size - 9 - 4 + len(data), 1, 0, 7, 7, b"")[:-4] + data
         with pytest.raises(LogError, match="expected at most 0 items at byte 4"):
             convert_ros1(fields, record, np.array([0]))

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import turtlelog as tl
-from turtlelog.log.recording.live_run import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.simulate import iterate_ticks
 
 ENTRY = struct.Struct("<qq")

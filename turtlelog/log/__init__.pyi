@@ -54,21 +54,13 @@ from .read_choice import (
     ReadOptions as ReadOptions,
     split_topic as split_topic,
 )
-from .recording.contents import (
-    PartialRecordingWarning as PartialRecordingWarning,
-)
-from .recording.live_run import (
-    Recorder as Recorder,
-    Sink as Sink,
-    run_live as run_live,
-)
-from .recording.reader import (
-    RecordingTail as RecordingTail,
-    read_recording as read_recording,
-)
+from .recording.live_run import RecordingTail as RecordingTail, Sink as Sink, run_live as run_live
+from .recording.reader import read_recording as read_recording
+from .recording.recorder import Recorder as Recorder
 from .recording.run_writer import (
     write_recording as write_recording,
 )
+from .recording.topics import PartialRecordingWarning as PartialRecordingWarning
 from .recovery import (
     RecoveryReport as RecoveryReport,
     recover_recording as recover_recording,

@@ -18,7 +18,7 @@ from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_t
 from turtlelog.log.engine.channels import Catalogue, describe_unread
 from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.opening import open_storage, strip_suffixes
-from turtlelog.log.engine.parsing import gather_heads
+from turtlelog.log.engine.records import gather_heads
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section

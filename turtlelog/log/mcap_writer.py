@@ -7,9 +7,7 @@ chunks and summary are assembled here from the library's records.
 
 import os
 import zlib
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path, PurePath
@@ -40,10 +38,12 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied, fit_numbers
+from turtlelog.log.engine.message_types import Field, lay_out_alike, name_parts, read_type
+from turtlelog.log.engine.records import MCAP0_MAGIC
+from turtlelog.log.engine.source import map_ahead
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_place, name_write_error, replace_when_complete
-from turtlelog.log.message_encoding import ChannelRecords, Numbers, encode_records
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.version import __version__
 
@@ -102,6 +102,30 @@ def write_columns(
         raise name_write_error(path, err) from err
 
 
+Numbers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ChannelRecords:
+    """The message records of one channel, in order of log time.
+
+    Attributes:
+        schema: Schema of the channel.
+        channel: Channel of the records.
+        log_time_ns: Log time of each record [ns], shape (n,), not decreasing.
+        data: The records one after the other, shape (bytes,).
+        sizes: Size of each record [bytes], shape (n,).
+        ends: End of each record in `data` [bytes], shape (n,).
+    """
+
+    schema: Schema
+    channel: Channel
+    log_time_ns: Numbers
+    data: NDArray[np.uint8]
+    sizes: Numbers
+    ends: Numbers
+
+
 def _encode_topics(
     topics: Sequence[TopicColumns], definitions: Mapping[str, str]
 ) -> Iterator[ChannelRecords]:
@@ -133,28 +157,6 @@ class ChunkRows:
     index: Mapping[int, NDArray[np.uint64]]
     start_ns: int
     end_ns: int
-
-
-def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
-    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
-    if len(chunks) == 1:
-        return chunks[0]
-    channels: dict[int, tuple[Schema | None, Channel]] = {}
-    index: dict[int, list[NDArray[np.uint64]]] = {}
-    size = 0
-    for chunk in chunks:
-        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
-        for number, entries in chunk.index.items():
-            moved = entries + np.array([0, size], np.uint64)
-            index.setdefault(number, []).append(moved)
-        size += len(chunk.records)
-    return ChunkRows(
-        channels=[*channels.values()],
-        records=b"".join(chunk.records for chunk in chunks),
-        index={number: np.concatenate(entries) for number, entries in index.items()},
-        start_ns=min(chunk.start_ns for chunk in chunks),
-        end_ns=max(chunk.end_ns for chunk in chunks),
-    )
 
 
 @dataclass(slots=True)
@@ -191,12 +193,12 @@ class McapFile:
     def begin(self, *, profile: str = "ros2", library: str = LIBRARY) -> None:
         """Write the magic bytes and the header."""
         header = Header(profile=profile, library=library)
-        self._write(MCAP0_MAGIC + _join_records([header]))
+        self._write(MCAP0_MAGIC + join_records([header]))
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
         start = self.end
-        self._write(_join_records([Metadata(name=name, metadata=dict(entries))]))
+        self._write(join_records([Metadata(name=name, metadata=dict(entries))]))
         index = MetadataIndex(offset=start, length=self.end - start, name=name)
         self._summary.metadata.append(index)
 
@@ -210,7 +212,7 @@ class McapFile:
     def add_attachment_record(self, attachment: Attachment) -> None:
         """Write an attachment record unchanged."""
         start = self.end
-        self._write(_join_records([attachment]))
+        self._write(join_records([attachment]))
         index = AttachmentIndex(
             offset=start,
             length=self.end - start,
@@ -227,7 +229,7 @@ class McapFile:
         known = self._summary
         new_schemas = [schema for schema in schemas if schema.id not in known.schemas]
         new_channels = [channel for channel in channels if channel.id not in known.channels]
-        self._write(_join_records([*new_schemas, *new_channels]))
+        self._write(join_records([*new_schemas, *new_channels]))
         known.schemas |= {schema.id: schema for schema in new_schemas}
         known.channels |= {channel.id: channel for channel in new_channels}
 
@@ -240,7 +242,11 @@ class McapFile:
 
         Threads compress the chunks.
         """
-        for packed in _pack_ahead(iter(chunks)):
+        chunks = iter(chunks)
+        few = list(islice(chunks, 2))
+        # zstd and the checksum release the interpreter lock.
+        work = map_ahead(_pack_chunk, chain(few, chunks), lambda _: 1, _AHEAD, _THREADS)
+        for packed in work if len(few) > 1 else map(_pack_chunk, few):
             self._append(packed)
 
     def _append(self, packed: _PackedChunk) -> None:
@@ -258,7 +264,7 @@ class McapFile:
             message_start_time=rows.start_ns,
             uncompressed_size=packed.uncompressed_size,
         )
-        self._summary.chunks.append(_join_records([index]))
+        self._summary.chunks.append(join_records([index]))
         self._summary.spans_ns.append((rows.start_ns, rows.end_ns))
         for schema, channel in rows.channels:
             if schema is not None:
@@ -269,7 +275,7 @@ class McapFile:
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer."""
-        data_end = _join_records([DataEnd(data_section_crc=self._checksum)])
+        data_end = join_records([DataEnd(data_section_crc=self._checksum)])
         start = self.end + len(data_end)
         # Strict checkers reject a group without records.
         groups = [group for group in self._join_groups() if group]
@@ -278,11 +284,11 @@ class McapFile:
             SummaryOffset(group_opcode=group[0], group_start=place, group_length=len(group))
             for group, place in zip(groups, ends, strict=False)
         ]
-        summary = b"".join((*groups, _join_records(offsets)))
+        summary = b"".join((*groups, join_records(offsets)))
         footer = Footer(summary_start=start, summary_offset_start=ends[-1], summary_crc=0)
-        front = _join_records([footer])[:_FOOTER_FRONT]
+        front = join_records([footer])[:_FOOTER_FRONT]
         footer.summary_crc = zlib.crc32(summary + front)
-        self._write(data_end + summary + _join_records([footer]) + MCAP0_MAGIC)
+        self._write(data_end + summary + join_records([footer]) + MCAP0_MAGIC)
 
     def cut_back(self) -> None:
         """Remove the bytes of a failed write after the last complete record."""
@@ -291,12 +297,23 @@ class McapFile:
 
     def _join_groups(self) -> Iterator[bytes]:
         summary = self._summary
-        yield _join_records([schema for _, schema in sorted(summary.schemas.items())])
-        yield _join_records([channel for _, channel in sorted(summary.channels.items())])
-        yield _join_records([_count_records(summary)])
+        yield join_records([schema for _, schema in sorted(summary.schemas.items())])
+        yield join_records([channel for _, channel in sorted(summary.channels.items())])
+        statistics = Statistics(
+            attachment_count=len(summary.attachments),
+            channel_count=len(summary.channels),
+            channel_message_counts=dict(sorted(summary.counts.items())),
+            chunk_count=len(summary.chunks),
+            message_count=sum(summary.counts.values()),
+            message_end_time=max((end for _, end in summary.spans_ns), default=0),
+            message_start_time=min((start for start, _ in summary.spans_ns), default=0),
+            metadata_count=len(summary.metadata),
+            schema_count=len(summary.schemas),
+        )
+        yield join_records([statistics])
         yield b"".join(summary.chunks)
-        yield _join_records(summary.attachments)
-        yield _join_records(summary.metadata)
+        yield join_records(summary.attachments)
+        yield join_records(summary.metadata)
 
     def _write(self, data: bytes) -> None:
         rest = memoryview(data)
@@ -307,34 +324,11 @@ class McapFile:
         self._checksum = zlib.crc32(data, self._checksum)
 
 
-def _pack_ahead(chunks: Iterator[ChunkRows]) -> Iterator[_PackedChunk]:
-    """Yield packed chunks in order. Threads pack several chunks, a few at a time.
-
-    zstd and the checksum release the interpreter lock.
-    """
-    few = list(islice(chunks, 2))
-    if len(few) < 2:
-        yield from map(_pack_chunk, few)
-        return
-    waiting: deque[Future[_PackedChunk]] = deque()
-    with ThreadPoolExecutor(_THREADS) as pool:
-        try:
-            for rows in chain(few, chunks):
-                if len(waiting) >= _AHEAD:
-                    yield waiting.popleft().result()
-                waiting.append(pool.submit(_pack_chunk, rows))
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
 def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
     described = [record for pair in rows.channels for record in pair if record is not None]
     # Each record is built once: ten thousand channels may share a schema.
     built = {id(record): record for record in described}
-    records = {number: _join_records([record]) for number, record in built.items()}
+    records = {number: join_records([record]) for number, record in built.items()}
     front = b"".join([records[id(record)] for record in described])
     data = b"".join((front, rows.records))
     chunk = Chunk(
@@ -347,28 +341,15 @@ def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
     )
     return _PackedChunk(
         rows=rows,
-        record=_join_records([chunk]),
+        record=join_records([chunk]),
         indexes=[_format_index(*entries, len(front)) for entries in rows.index.items()],
         compressed_size=len(chunk.data),
         uncompressed_size=len(data),
     )
 
 
-def _count_records(summary: _Summary) -> Statistics:
-    return Statistics(
-        attachment_count=len(summary.attachments),
-        channel_count=len(summary.channels),
-        channel_message_counts=dict(sorted(summary.counts.items())),
-        chunk_count=len(summary.chunks),
-        message_count=sum(summary.counts.values()),
-        message_end_time=max((end for _, end in summary.spans_ns), default=0),
-        message_start_time=min((start for start, _ in summary.spans_ns), default=0),
-        metadata_count=len(summary.metadata),
-        schema_count=len(summary.schemas),
-    )
-
-
-def _join_records(records: Sequence[McapRecord]) -> bytes:
+def join_records(records: Sequence[McapRecord]) -> bytes:
+    """Return the bytes of records, one after the other."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -445,3 +426,58 @@ def _scatter(
         return
     within = np.arange(len(data)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     np.frombuffer(buffer, np.uint8)[np.repeat(places, sizes) + within] = data
+
+
+def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> ChannelRecords:
+    """Return the messages of a topic as records in order of log time.
+
+    The columns may have any order of time. Missing fields are 0 or empty.
+
+    Raises:
+        LogError: If a column is not a field of the type, has another length, or does not fit its
+            field.
+    """
+    kind = read_type(columns.type, schema.data.decode())
+    fields, layout = kind.fields, kind.layout
+    has_rows = layout is None and len(columns) > 0
+    alike = lay_out_alike(fields, columns.fields) if has_rows else None
+    known = dict.fromkeys(_name_fields(fields, ""))
+    known |= {} if alike is None else dict.fromkeys(alike.names)
+    for name in columns.fields:
+        if name not in known:
+            raise LogError(f"{name}: expected a field of {columns.type}: {', '.join(known)}")
+    lengths = {"publish_time_ns": len(columns.publish_time_ns), "sequence": len(columns.sequence)}
+    lengths |= {name: len(values) for name, values in columns.fields.items()}
+    for name, rows in lengths.items():
+        if rows != len(columns):
+            raise LogError(f"{name}: expected {len(columns)} rows, found {rows}")
+    if (np.diff(columns.log_time_ns) < 0).any():
+        columns = columns.select(np.argsort(columns.log_time_ns, kind="stable"))
+    stamps = {
+        "log_time": fit_numbers("log_time_ns", columns.log_time_ns, "<u8"),
+        "publish_time": fit_numbers("publish_time_ns", columns.publish_time_ns, "<u8"),
+        "sequence": fit_numbers("sequence", columns.sequence, "<u4"),
+    }
+    if alike is not None:
+        data, sizes = encode_alike(alike, columns.fields, stamps, channel.id)
+    elif layout is None:
+        data, sizes = encode_varied(fields, columns.fields, stamps, channel.id)
+    else:
+        data, sizes = encode_fixed(layout, columns.fields, stamps, channel.id)
+    return ChannelRecords(
+        schema=schema,
+        channel=channel,
+        log_time_ns=columns.log_time_ns,
+        data=data,
+        sizes=sizes,
+        ends=np.cumsum(sizes),
+    )
+
+
+def _name_fields(fields: tuple[Field, ...], prefix: str) -> Iterator[str]:
+    for one in fields:
+        if isinstance(one.kind, str) or one.is_sequence:
+            yield prefix + one.name
+        else:
+            for part in name_parts(one):
+                yield from _name_fields(one.kind, f"{prefix}{part}.")

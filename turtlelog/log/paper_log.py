@@ -18,7 +18,7 @@ from turtlelog.errors import LogError
 from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
-from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.engine.records import MCAP0_MAGIC
 from turtlelog.log.exported_tables import decode_text, read_header
 from turtlelog.log.file_access import name_file, open_file
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns

@@ -2,18 +2,21 @@
 
 By default pyarrow reads a Python stream in threads of its own. Such a thread may continue after the
 answer, and then ends the process with SIGABRT when Python exits.
+
+The footer and the headers of pages are counted before Arrow allocates memory. They are structs in
+Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which take 210 MB in Arrow.
+A page of 100 bytes can unpack to gigabytes, whatever the footer claims.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, NamedTuple
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.libraries import load_library
 from turtlelog.log.engine.limits import SMALL_FILE, grow_bound
 from turtlelog.log.file_access import DamageError, open_file
-from turtlelog.log.parquet_counts import ChunkClaim, PageClaim, iterate_pages, read_footer_claims
 
 MOST_ROWS: Final = 350_000
 """Largest number of rows of a small file, two hours at 50 poses per second.
@@ -75,6 +78,22 @@ def describe_rows(found: str, most: int, size: int) -> str:
     )
 
 
+class _Chunk(NamedTuple):
+    """The footer's entry for one column in one row group: values, first page and size [bytes]."""
+
+    values: int
+    start: int
+    size: int  # of the pages with their headers
+
+
+class _Page(NamedTuple):
+    """A page header: size after decompression [bytes], values, Parquet's number of the encoding."""
+
+    unpacked: int
+    values: int
+    encoding: int
+
+
 class ParquetFile:
     """A Parquet file. The file is open only during reads and may be replaced between reads.
 
@@ -104,32 +123,34 @@ class ParquetFile:
             self._advice = _DOWNLOAD if is_remote else ""
             most_bytes = grow_bound(_FOOTER_BYTES, self._size)
             most_parts = grow_bound(_FOOTER_PARTS, self._size)
-            self._claims = read_footer_claims(
+            footer = _read_footer(
                 stream,
-                most_bytes=min(most_bytes, _REMOTE_FOOTER_BYTES) if is_remote else most_bytes,
-                most_parts=min(most_parts, _REMOTE_FOOTER_PARTS) if is_remote else most_parts,
-                advice=self._advice,
+                min(most_bytes, _REMOTE_FOOTER_BYTES) if is_remote else most_bytes,
+                min(most_parts, _REMOTE_FOOTER_PARTS) if is_remote else most_parts,
+                self._advice,
             )
-            if self._claims.depth > _DEEPEST:
+            depth = _measure_depth([element.get(5, 0) for element in footer.get(2, [])])
+            if depth > _DEEPEST:
                 raise LogError(
-                    f"columns lie {self._claims.depth} deep in each other; turtlelog reads up to"
+                    f"columns lie {depth} deep in each other; turtlelog reads up to"
                     f" {_DEEPEST}. Write a table of flat columns"
                 )
             stream.seek(0)
             try:
                 self.metadata = parquet.read_metadata(stream)
             except (OSError, ValueError) as err:  # Arrow raises its own subclasses of these
-                raise DamageError(
-                    "expected a complete Parquet file, found a footer that is damaged; copy the"
-                    " file again from its source"
+                raise _damage(
+                    "a footer that is damaged; copy the file again from its source"
                 ) from err
         self.schema = self.metadata.schema.to_arrow_schema()
-        self.group_rows: Sequence[int] = self._claims.group_rows
-        self.row_count = self._claims.row_count
+        groups = footer.get(4, [])
+        self._chunks = [[*map(_read_chunk, group.get(1, []))] for group in groups]
+        self.group_rows: Sequence[int] = [group.get(3, 0) for group in groups]
+        self.row_count = sum(self.group_rows)
         columns = self.metadata.schema
         self.leaves = [columns.column(number) for number in range(len(columns))]
         if min(self.group_rows, default=0) < 0:
-            raise DamageError("expected a complete Parquet file, found less than no rows")
+            raise _damage("less than no rows")
 
     def read(self, names: Sequence[str] | None = None, group: int | None = None) -> Any:
         """Return columns of all row groups, or one, as an Arrow table of dictionary-encoded texts.
@@ -180,8 +201,7 @@ class ParquetFile:
         if rows * columns > most:
             raise LogError(
                 f"the table has {columns:,} columns of {rows:,} rows; {most:,} cells are the most"
-                f" for a file of {self._size:,} bytes. Write fewer columns"
-                f"{self._advice}"
+                f" for a file of {self._size:,} bytes. Write fewer columns{self._advice}"
             )
 
     def _require_bounded(
@@ -189,17 +209,15 @@ class ParquetFile:
     ) -> list[str]:
         """Return the text columns that are read as dictionaries."""
         self.require_cells(len(places), sum(self.group_rows[group] for group in groups))
-        size = self._believed
-        counts = _PageCounts(grow_bound(_PAGES, size), grow_bound(_TEXT_BYTES, size), self._advice)
-        texts = []
+        counts, texts = _PageCounts(stream, self._believed, self._advice), []
         for place in places:
             chunks = [self._find_chunk(group, place) for group in groups]
-            if counts.count(stream, chunks, self.leaves[place]):
+            if counts.count(chunks, self.leaves[place]):
                 texts.append(self.leaves[place].path)
         return texts
 
-    def _find_chunk(self, group: int, place: int) -> ChunkClaim:
-        chunks, leaf = self._claims.chunks[group], self.leaves[place]
+    def _find_chunk(self, group: int, place: int) -> _Chunk:
+        chunks, leaf = self._chunks[group], self.leaves[place]
         if leaf.max_repetition_level:
             raise LogError(f"column {leaf.path}: expected numbers or texts, found lists")
         if place >= len(chunks) or chunks[place].values != self.group_rows[group]:
@@ -207,25 +225,242 @@ class ParquetFile:
         return chunks[place]
 
 
+_MAGIC: Final = b"PAR1"
+_ENDING: Final = 8
+"""Size of the length and the magic bytes after the footer [bytes]."""
+
+_DEEPEST_STRUCT: Final = 16
+"""Largest nesting depth of Thrift structs and lists; Parquet's is 8."""
+
+_PAGE_HEAD: Final = 2**12
+"""Bytes read for the header of a page; one with statistics of short texts takes 100."""
+_LONGEST_PAGE_HEAD: Final = 2**20
+
+_Wanted = Mapping[int, Any]
+"""Wanted fields of a struct by number.
+
+The value is None for a whole number, a mapping for a struct, and a list of one mapping for a list
+of structs."""
+
+_FOOTER: Final[_Wanted] = {
+    2: [{5: None}],  # the schema: children
+    3: None,  # rows
+    4: [{1: [{3: dict.fromkeys((5, 7, 9, 11))}], 3: None}],  # groups: chunks of columns, rows
+}
+_PAGE: Final[_Wanted] = {
+    **dict.fromkeys((2, 3)),  # bytes: unpacked, packed
+    5: dict.fromkeys((1, 2)),  # values, encoding
+    7: dict.fromkeys((1, 2)),
+    8: dict.fromkeys((1, 4)),
+}
+
+_KINDS: Final[Mapping[type, type]] = {type(None): int, dict: dict, list: list}
+"""Python type of a field, by the type of its entry in `_Wanted`."""
+
+_BOOLEANS, _WHOLES, _BINARY, _LISTS, _MAP, _STRUCT = (1, 2), (4, 5, 6), 8, (9, 10), 11, 12
+_LENGTHS: Final = {1: 1, 2: 1, 3: 1, 7: 8}
+"""Bytes of other values by kind: truth values in lists, a byte, a number with a point."""
+
+
+def _damage(found: str) -> DamageError:
+    return DamageError(f"expected a complete Parquet file, found {found}")
+
+
+def _read_footer(
+    stream: BinaryIO, most_bytes: int, most_parts: int, advice: str
+) -> Mapping[int, Any]:
+    """Return the wanted fields of a footer with limited bytes, and columns, groups and others.
+
+    `advice` ends the line about a footer of too many bytes.
+    """
+    size = stream.seek(0, 2)
+    stream.seek(max(size - _ENDING, 0))
+    ending = stream.read(_ENDING)
+    if size < len(_MAGIC) + _ENDING or ending[4:] != _MAGIC:
+        raise _damage("no footer at its end")
+    length = int.from_bytes(ending[:4], "little")
+    if length > size - _ENDING:
+        raise _damage(f"{size:,} bytes of it")
+    if length > most_bytes:
+        raise DamageError(
+            f"expected a footer of up to {most_bytes:,} bytes, found {length:,}{advice}"
+        )
+    stream.seek(size - _ENDING - length)
+    return _Thrift(stream.read(length), most_parts).read_struct(_FOOTER)
+
+
+def _read_chunk(chunk: Mapping[int, Any]) -> _Chunk:
+    found = chunk.get(3, {})
+    first, dictionary = found.get(9, 0), found.get(11, 0)
+    start = dictionary if 0 < dictionary < first else first
+    return _Chunk(found.get(5, 0), start, found.get(7, 0))
+
+
+def _measure_depth(children: list[int]) -> int:
+    """Return the depth of a tree, given the number of children of each node, parents first."""
+    open_nodes: list[int] = []
+    deepest = 0
+    for count in children[1:]:
+        deepest = max(deepest, len(open_nodes) + 1)
+        if count > 0:
+            open_nodes.append(count)
+            continue
+        while open_nodes:
+            open_nodes[-1] -= 1
+            if open_nodes[-1]:
+                break
+            open_nodes.pop()
+    return deepest
+
+
+def _iterate_pages(stream: BinaryIO, chunk: _Chunk) -> Iterator[_Page]:
+    """Yield the headers of a column's pages in a row group; no page is unpacked."""
+    place, end = chunk.start, chunk.start + chunk.size
+    if chunk.start < len(_MAGIC) or chunk.size < 0 or end > stream.seek(0, 2):
+        raise _damage("a column outside the file")
+    while place < end:
+        page, head = _read_page_header(stream, place, end)
+        packed, unpacked = page.get(3, -1), page.get(2, -1)
+        if packed < 0 or unpacked < 0:
+            raise DamageError(f"byte {place}: expected a page of a column, found no size")
+        data: Mapping[int, Any] = page.get(5) or page.get(7) or page.get(8) or {}
+        yield _Page(unpacked, data.get(1, 0), data.get(4 if 8 in page else 2, 0))
+        place += head + packed
+
+
+def _read_page_header(stream: BinaryIO, place: int, end: int) -> tuple[dict[int, Any], int]:
+    length = _PAGE_HEAD
+    while True:
+        stream.seek(place)
+        data = stream.read(min(length, end - place))
+        thrift = _Thrift(data, 16)
+        try:
+            return thrift.read_struct(_PAGE), thrift.place
+        except DamageError:
+            length *= 16
+            if len(data) == end - place or length > _LONGEST_PAGE_HEAD:
+                raise
+
+
+def _require_shallow(depth: int) -> None:
+    if depth > _DEEPEST_STRUCT:
+        raise _damage("structs that nest too far")
+
+
+class _Thrift:
+    """Values in the compact protocol, read one after another; the next is at `place`."""
+
+    def __init__(self, data: bytes, most_parts: int) -> None:
+        self._data, self._parts, self._most = data, 0, most_parts
+        self.place = 0
+
+    def read_struct(self, wanted: _Wanted, depth: int = 0) -> dict[int, Any]:
+        """Return the wanted fields that exist."""
+        self._parts += 1
+        if self._parts > self._most:
+            raise DamageError(
+                f"expected a footer of up to {self._most:,} columns, groups and other parts,"
+                " found more"
+            )
+        _require_shallow(depth)
+        found: dict[int, Any] = {}
+        number = 0
+        while (head := self._take()) != 0:
+            kind, step = head & 15, head >> 4
+            number = number + step if step else self._take_whole()
+            is_wanted = number in wanted
+            value = self._read(kind, wanted[number] if is_wanted else None, depth, is_field=True)
+            if is_wanted:
+                if type(value) is not _KINDS[type(wanted[number])]:
+                    raise _damage(f"{kind} as a kind")
+                found[number] = value
+        return found
+
+    def _read(self, kind: int, wanted: Any, depth: int, *, is_field: bool = False) -> Any:
+        if kind in _WHOLES:
+            return self._take_whole()
+        if kind == _STRUCT:
+            return self.read_struct(wanted if isinstance(wanted, dict) else {}, depth + 1)
+        if kind in _LISTS:
+            return self._read_list(wanted[0] if isinstance(wanted, list) else None, depth + 1)
+        if kind in _BOOLEANS and is_field:
+            return kind == 1
+        self._skip(kind, depth + 1)
+        return None
+
+    def _read_list(self, wanted: Any, depth: int) -> list[Any]:
+        _require_shallow(depth)
+        head = self._take()
+        count, kind = head >> 4, head & 15
+        count = self._take_varint() if count == 15 else count
+        if count > len(self._data) - self.place:
+            raise _damage("a list longer than its bytes")
+        if kind == _STRUCT and wanted is not None:
+            return [self.read_struct(wanted, depth + 1) for _ in range(count)]
+        for _ in range(count):
+            self._read(kind, None, depth)
+        return []
+
+    def _skip(self, kind: int, depth: int) -> None:
+        if kind == _MAP:
+            count = self._take_varint()
+            kinds = self._take() if count else 0
+            for _ in range(min(count, len(self._data))):
+                self._read(kinds >> 4, None, depth)
+                self._read(kinds & 15, None, depth)
+            return
+        length = self._take_varint() if kind == _BINARY else _LENGTHS.get(kind)
+        if length is None:
+            raise _damage("a value of no known kind")
+        self.place += length
+
+    def _take(self) -> int:
+        if self.place >= len(self._data):
+            raise _damage("the end in its midst")
+        self.place += 1
+        return self._data[self.place - 1]
+
+    def _take_varint(self) -> int:
+        value, shift = 0, 0
+        while (byte := self._take()) & 0x80:
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if shift > 63:
+                raise _damage("a number beyond 64 bits")
+        return value | byte << shift
+
+    def _take_whole(self) -> int:
+        value = self._take_varint()
+        return (value >> 1) ^ -(value & 1)
+
+
 class _PageCounts:
     """Remaining limits for pages."""
 
-    def __init__(self, pages: int, text_bytes: int, advice: str) -> None:
-        self._advice = advice
-        self._pages, self._text_bytes = pages, text_bytes
-        self._most_pages, self._most_text_bytes = pages, text_bytes
+    def __init__(self, stream: BinaryIO, file_size: int, advice: str) -> None:
+        self._stream, self._advice = stream, advice
+        self._pages = self._most_pages = grow_bound(_PAGES, file_size)
+        self._text_bytes = self._most_text_bytes = grow_bound(_TEXT_BYTES, file_size)
 
-    def count(self, stream: BinaryIO, chunks: Sequence[ChunkClaim], leaf: Any) -> bool:
+    def count(self, chunks: Sequence[_Chunk], leaf: Any) -> bool:
         """Count the pages of a column, and return whether it is read as a dictionary of texts."""
         if leaf.physical_type == "BYTE_ARRAY":
-            return self._count_texts([page for one in chunks for page in self._list(stream, one)])
+            pages = [page for one in chunks for page in self._list(one)]
+            encodings = {page.encoding for page in pages}
+            is_dictionary = not encodings & _NO_DICTIONARY  # it stores repeated texts once
+            repeating = encodings & _PLACES and not is_dictionary
+            values = max((page.values for page in pages), default=0)
+            for page in pages:
+                repeats = repeating or page.encoding == _SHARES_PREFIXES
+                self._spend_text(page.unpacked * (values if repeats else 1))
+            return is_dictionary
         base, share = _PAGE_BYTES
         if leaf.physical_type == "FIXED_LEN_BYTE_ARRAY":
             share += leaf.length
             self._spend_text(sum(leaf.length * chunk.values for chunk in chunks))
         for chunk in chunks:
             most = base + share * chunk.values
-            for page in self._list(stream, chunk):
+            for page in self._list(chunk):
                 if page.unpacked > most:
                     raise DamageError(
                         f"column {leaf.path}: expected a page of up to {most:,} bytes, found"
@@ -233,8 +468,8 @@ class _PageCounts:
                     )
         return False
 
-    def _list(self, stream: BinaryIO, chunk: ChunkClaim) -> Iterator[PageClaim]:
-        for page in iterate_pages(stream, chunk):
+    def _list(self, chunk: _Chunk) -> Iterator[_Page]:
+        for page in _iterate_pages(self._stream, chunk):
             self._pages -= 1
             if self._pages < 0:
                 raise LogError(
@@ -242,16 +477,6 @@ class _PageCounts:
                     f"{self._advice}"
                 )
             yield page
-
-    def _count_texts(self, pages: Sequence[PageClaim]) -> bool:
-        """Return whether texts are read as a dictionary, which stores repeated texts once."""
-        found = {page.encoding for page in pages}
-        is_dictionary = not found & _NO_DICTIONARY
-        values = max((page.values for page in pages), default=0)
-        for page in pages:
-            repeats = page.encoding == _SHARES_PREFIXES or (found & _PLACES and not is_dictionary)
-            self._spend_text(page.unpacked * (values if repeats else 1))
-        return is_dictionary
 
     def _spend_text(self, size: int) -> None:
         self._text_bytes -= size
@@ -264,15 +489,13 @@ class _PageCounts:
 
 def list_cells(cells: Any) -> list[Any]:
     """Return an Arrow array as Python values; repeated texts share one object."""
-    chunks = getattr(cells, "chunks", [cells])
-    return [cell for chunk in chunks for cell in _list_chunk(chunk)]
-
-
-def _list_chunk(cells: Any) -> list[Any]:
-    found: list[Any]
-    if not hasattr(cells, "dictionary"):
-        found = cells.to_pylist()
-        return found
-    used = cells.indices.unique().drop_null()
-    texts = dict(zip(used.to_pylist(), cells.dictionary.take(used).to_pylist(), strict=True))
-    return [texts.get(place) for place in cells.indices.to_pylist()]
+    found: list[Any] = []
+    for chunk in getattr(cells, "chunks", [cells]):
+        if hasattr(chunk, "dictionary"):
+            used = chunk.indices.unique().drop_null()
+            texts = chunk.dictionary.take(used).to_pylist()
+            known = dict(zip(used.to_pylist(), texts, strict=True))
+            found += [known.get(place) for place in chunk.indices.to_pylist()]
+        else:
+            found += chunk.to_pylist()
+    return found

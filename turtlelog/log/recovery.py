@@ -1,31 +1,34 @@
 """Recovery of unfinished or damaged files and bags."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, Final
 
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema
 
 from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
+from turtlelog.log.engine.limits import DAMAGES, DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.opening import Damaged, open_damaged, open_place
-from turtlelog.log.engine.parsing import take_apart
-from turtlelog.log.engine.sqlite_source import SqliteSource, walk_damaged
-from turtlelog.log.engine.summary import FileSummary, salvage_summary
+from turtlelog.log.engine.records import take_apart
+from turtlelog.log.engine.source import FileSummary, salvage_summary
+from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
+from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.exporters import describe_bag
 from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
-from turtlelog.log.mcap_writer import LIBRARY
+from turtlelog.log.mcap_writer import LIBRARY, join_records
 from turtlelog.log.recording.head import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2.bag_files import METADATA_FILE, list_present_files, read_compression
+
+if TYPE_CHECKING:
+    import sqlite3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,13 +140,7 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
                 with open_place(found) as stream:
                     summary = salvage_summary(stream)
         with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-            if found.bag is None:
-                copied = _copy_mcap(source, found, output, summary)
-            else:
-                catalogue = found.bag.catalogue
-                known = tuple(catalogue.schemas.values()), tuple(catalogue.channels.values())
-                walk = _walk_sqlite(source, found.bag, found.place)
-                copied = _copy_records(walk, found.stored_size, output, *known)
+            copied = _copy(source, found, output, summary)
             if found.fault is not None:
                 copied.lose(Loss(start=size, end=size, reason=found.fault))
             report = _build_report(str(source), copied, summary)
@@ -155,26 +152,23 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
     return report
 
 
-def _copy_mcap(
-    source: Path, found: Damaged, output: BinaryIO, summary: FileSummary | None
-) -> "_Copied":
-    known = ((), ()) if summary is None else (summary.schemas, summary.channels)
-
-    def copy() -> _Copied:
-        copied = _copy_records(_walk(source, found), found.stored_size, output, *known)
-        if copied.data_end is not None and summary is None:
-            reason, size = "the summary is damaged or missing", found.place.stat().st_size
-            copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
-        return copied
-
-    copied = copy()
+def _copy(source: Path, found: Damaged, output: BinaryIO, summary: FileSummary | None) -> "_Copied":
+    schemas: Iterable[Schema] = summary.schemas if summary else ()
+    channels: Iterable[Channel] = summary.channels if summary else ()
+    if found.bag is not None:
+        catalogue = found.bag.catalogue
+        schemas, channels = catalogue.schemas.values(), catalogue.channels.values()
+    copied = _copy_records(_walk(source, found), found.stored_size, output, schemas, channels)
     if copied.is_described_late:
         # A schema or channel came later than its messages: the copy starts again with those known.
         output.seek(0)
         output.truncate()
         first = copied.rewriter.numbering
-        known = (tuple(first.first_schemas.values()), tuple(first.first_channels.values()))
-        copied = copy()
+        schemas, channels = first.first_schemas.values(), first.first_channels.values()
+        copied = _copy_records(_walk(source, found), found.stored_size, output, schemas, channels)
+    if copied.data_end is not None and summary is None:
+        reason, size = "the summary is damaged or missing", found.place.stat().st_size
+        copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
     return copied
 
 
@@ -230,8 +224,8 @@ def _copy_records(
     walk: Iterator[Section | Loss],
     stored_size: int,
     output: BinaryIO,
-    schemas: tuple[Schema, ...],
-    channels: tuple[Channel, ...],
+    schemas: Iterable[Schema],
+    channels: Iterable[Channel],
 ) -> _Copied:
     """Copy the sections of a walk over a file; `schemas` and `channels` are known beforehand."""
     allowance = Allowance(stored_size)
@@ -245,38 +239,36 @@ def _copy_records(
             else:
                 copied.mismatch = found
             continue
-        is_checked, place = found.is_checked, found.start
-        for reason in _take_section(rewriter, found, allowance):
+        left, place = allowance.count_left(RECORDS), found.start
+        stretch = take_apart(found.data, is_chunk=found.is_chunk, most_records=left)
+        allowance.spend(RECORDS, stretch.records)
+        try:
+            allowance.spend(DESCRIPTIONS, len(stretch.others))
+        except LogError as err:
+            faults = [str(err)]
+        else:
+            faults = rewriter.take_stretch(stretch, place, is_checked=found.is_checked)
+        for reason in faults:
             copied.lose(Loss(start=place, end=place, reason=reason))
-        if not found.is_chunk and found.data[0] == Opcode.DATA_END:
-            copied.data_end, copied.is_vouched = place + len(found.data), is_checked
+        if found.opcode == Opcode.DATA_END:
+            copied.data_end, copied.is_vouched = place + len(found.data), found.is_checked
     return copied
-
-
-def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) -> list[str]:
-    left = allowance.count_left(RECORDS)
-    stretch = take_apart(section.data, is_chunk=section.is_chunk, most_records=left)
-    allowance.spend(RECORDS, stretch.records)
-    try:
-        allowance.spend(DESCRIPTIONS, len(stretch.others))
-    except LogError as err:
-        return [str(err)]
-    return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
 def _walk(source: Path, found: Damaged) -> Iterator[Section | Loss]:
     # Errors of writing the new file do not concern this file.
-    with name_file(source, expected="an MCAP file"), open_place(found) as stream:
-        yield from walk_sections(stream)
-
-
-def _walk_sqlite(source: Path, bag: SqliteSource, place: Path) -> Iterator[Section | Loss]:
-    builder = RecordBuilder()
-    Header(profile="ros2", library=LIBRARY).write(builder)
-    header: bytes = builder.end()  # type: ignore[no-untyped-call]
+    if found.bag is None:
+        with name_file(source, expected="an MCAP file"), open_place(found) as stream:
+            yield from walk_sections(stream)
+        return
+    header = join_records([Header(profile="ros2", library=LIBRARY)])
     yield Section(data=header, start=0, is_chunk=False, is_checked=False)
     with name_file(source, expected="a bag in SQLite"):
-        yield from walk_damaged(bag, place)
+        size, claimed, _ = measure_pages(found.place)
+        yield from _group_rows(found.bag, size)
+        if size < claimed:
+            reason = f"expected a file of {claimed} bytes, found its end: cut short"
+            yield Loss(start=size, end=claimed, reason=reason)
 
 
 def _build_report(file: str, copied: _Copied, summary: FileSummary | None) -> RecoveryReport:
@@ -319,3 +311,140 @@ def _count_missing(
         known = channels.get(number)
         expected[f"channel {number}" if known is None else known.topic] += count
     return dict(sorted((expected - copied.rewriter.recovered).items()))
+
+
+_BATCH: Final = 4096  # rows
+_BATCH_BYTES: Final = 2**22
+_MOST_NAMED: Final = 10_000  # invalid rows that are listed with their reasons
+_LEAST, _MOST = -(2**63), 2**63 - 1  # smallest and largest row number
+
+_BEFORE: Final = _LEAST - 1
+"""Row number before the first row. The smallest number itself may belong to a row."""
+
+
+def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
+    """Yield the readable rows of a damaged bag in sections of some thousand rows, and the losses.
+
+    A table is a tree of pages in order of row numbers, so with a page its rows are lost. The rows
+    after it are found by searching the smallest row number that SQLite can read again.
+    """
+    rows = SqliteRows()
+
+    def join() -> Section:
+        data = source.build_block(rows, 1).data
+        return Section(data=data, start=0, is_chunk=True, is_checked=False)
+
+    for found in _judge_rows(source):
+        if isinstance(found, str):
+            yield Loss(start=0, end=size, reason=found)
+            continue
+        rows.take([found])
+        if len(rows.times) == _BATCH or rows.size > _BATCH_BYTES:
+            yield join()
+            rows = SqliteRows()
+    if rows.times:
+        yield join()
+
+
+def _judge_rows(source: SqliteSource) -> Iterator[Row | str]:
+    """Yield the rows that are messages; for other rows and for gaps, yield the reason."""
+    faults, left = 0, source.size
+    for found in _walk_rows(source):
+        if isinstance(found, str):
+            yield found
+            continue
+        number, *values = found
+        left -= sum(len(value) for value in values if isinstance(value, str | bytes))
+        if left < 0:
+            yield "expected messages of the size of the file"
+            break
+        fault = source.judge_row(*values)
+        faults += fault is not None
+        if fault is None:
+            yield tuple(values)
+        elif faults <= _MOST_NAMED:
+            yield f"messages: row {number}: {fault}"
+    if faults > _MOST_NAMED:
+        yield f"messages: {faults - _MOST_NAMED} rows more that are no messages"
+
+
+def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
+    """Yield the rows that SQLite can read, with their numbers; for gaps, yield the reason."""
+    last: int | None = _BEFORE
+    while last is not None:
+        last, error = yield from _walk_sound(source, last)
+        if error is None:
+            return
+        try:
+            source.catalogue.allowance.spend(DAMAGES)
+        except LogError as err:
+            yield str(err)
+            return
+        # The cursor reads one row ahead: the row that it would return next may be valid.
+        row = _read_row(source, last)
+        if row:
+            yield row
+            last = int(row[0])
+        elif row is None:
+            after = _find_next(source, last)
+            since = "the first row" if last == _BEFORE else f"row {last + 1}"
+            until = "the last" if after is None else f"row {after - 1}"
+            yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
+            last = None if after is None else after - 1
+        else:
+            yield f"messages behind row {last}: {describe_sqlite_error(error)}"
+            return
+
+
+def _walk_sound(
+    source: SqliteSource, last: int
+) -> "Generator[Row, None, tuple[int, sqlite3.Error | None]]":
+    """Yield rows after `last` up to an error; return the last row's number and the error."""
+    import sqlite3
+
+    try:
+        for row in source.execute(_build_query(source), last + 1):
+            if row[0] <= last:
+                return last, sqlite3.DatabaseError("rows out of order")
+            last = row[0]
+            yield row
+    except sqlite3.Error as err:
+        return last, err
+    return last, None
+
+
+def _build_query(source: SqliteSource) -> str:
+    number = source.row_number
+    return (
+        f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
+        f" WHERE {number} >= ? ORDER BY {number}"
+    )
+
+
+def _read_row(source: SqliteSource, after: int) -> Row | None:
+    """Return the first row after another row; () after the last row, None if it cannot be read."""
+    import sqlite3
+
+    if after == _MOST:
+        return ()
+    try:
+        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after + 1).fetchone()
+    except sqlite3.Error:
+        return None
+    return () if found is None else found
+
+
+def _find_next(source: SqliteSource, after: int) -> int | None:
+    """Return the number of the first readable row after a gap; None if no such row exists."""
+    lost = max(after, 0)
+    step, found = 1, None
+    while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:
+        step *= 2
+    if found is None:
+        return None
+    least, most = step // 2, step  # the row after `least` is lost, the row after `most` is not
+    while most - least > 1:
+        middle = (least + most) // 2
+        nearer = _read_row(source, lost + middle)
+        least, most, found = (middle, most, found) if nearer is None else (least, middle, nearer)
+    return int(found[0]) if found else None

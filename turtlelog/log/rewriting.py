@@ -1,23 +1,21 @@
 """Copying of messages from one MCAP file to another, with new channel ids if necessary."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
 from typing import Any, BinaryIO, Final, TypeVar
 
 import numpy as np
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, Allowance
-from turtlelog.log.engine.parsing import RecordStretch, parse_body
-from turtlelog.log.mcap_writer import LIBRARY, ChunkRows, McapFile, merge_chunks
+from turtlelog.log.engine.records import RECORD, RecordStretch, parse_body
+from turtlelog.log.mcap_writer import LIBRARY, ChunkRows, McapFile, join_records
 
 _CHANNEL: Final = 9  # offset of the channel number in a message record, u16
 _MOST_FAULTS: Final = 100  # errors reported for one segment
@@ -222,17 +220,14 @@ class Rewriter:
             raise LogError(
                 f"expected up to {_MOST_NOTES} metadata records and attachments, found more"
             )
-        note: Metadata | Attachment
         if opcode == Opcode.METADATA:
             note = _parse_exact_record(Metadata, body)
+            write = partial(self._file.add_metadata, note.name, note.metadata)
         else:
-            note = _parse_exact_record(Attachment, body)
+            write = partial(self._file.add_attachment_record, _parse_exact_record(Attachment, body))
         self._begin()
         self._write_small()
-        if isinstance(note, Metadata):
-            self._file.add_metadata(note.name, note.metadata)
-        else:
-            self._file.add_attachment_record(note)
+        write()
 
     def _begin(self, header: Header | None = None) -> None:
         """Write the header first. If the source's header is lost, write a header by turtlelog."""
@@ -303,8 +298,10 @@ class Rewriter:
             index[channel.id], pairs[channel.id] = of, (schema, channel)
             renamed[row] = channel.id
         if (renamed != present).any():
-            records = bytearray(records)
-            _rename(records, places, renamed[np.searchsorted(present, numbers)])
+            records, numbers = bytearray(records), renamed[np.searchsorted(present, numbers)]
+            array = np.frombuffer(records, np.uint8)
+            array[places + _CHANNEL] = numbers & 0xFF
+            array[places + _CHANNEL + 1] = numbers >> 8
         return ChunkRows(
             channels=list(pairs.values()),
             records=records,
@@ -337,33 +334,38 @@ def _join(data: bytes, starts: Numbers, ends: Numbers) -> bytearray | memoryview
     return joined
 
 
-def _rename(records: bytearray, places: Numbers, numbers: Numbers) -> None:
-    array = np.frombuffer(records, np.uint8)
-    array[places + _CHANNEL] = numbers & 0xFF
-    array[places + _CHANNEL + 1] = numbers >> 8
-
-
 def _parse_exact_record(kind: type[Described], body: bytes) -> Described:
     """Return a record with consistent lengths. Bytes that a later version appended are ignored."""
     record, size = parse_body(kind, body)
-    if isinstance(record, Channel | Schema):
-        if size != _measure(record):
-            raise LogError(f"expected a sound {kind.__name__} record, found an entry twice")
+    if isinstance(record, Attachment):
         return record
-    builder = RecordBuilder()
-    record.write(builder)
     # A table that claims to be too short would lose entries silently.
-    written: bytes = builder.end()[RECORD.size :]  # type: ignore[no-untyped-call]
-    if kind is not Attachment and not body.startswith(written):
+    written = join_records([record])[RECORD.size :]
+    if isinstance(record, Channel | Schema):
+        if size != len(written):
+            raise LogError(f"expected a sound {kind.__name__} record, found an entry twice")
+    elif not body.startswith(written):
         raise LogError(f"expected a sound {kind.__name__} record, found lengths that disagree")
     return record
 
 
-def _measure(record: Channel | Schema) -> int:
-    """Return the size of a record, computed from its entries [bytes]."""
-    if isinstance(record, Schema):
-        texts = [record.name.encode(), record.encoding.encode(), record.data]
-        return 2 + sum(4 + len(found) for found in texts)
-    texts = [record.topic.encode(), record.message_encoding.encode()]
-    texts += [found.encode() for entry in record.metadata.items() for found in entry]
-    return 4 + 4 + sum(4 + len(found) for found in texts)
+def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
+    """Merge chunks into one chunk. A channel number must have the same meaning in all chunks."""
+    if len(chunks) == 1:
+        return chunks[0]
+    channels: dict[int, tuple[Schema | None, Channel]] = {}
+    index: dict[int, list[NDArray[np.uint64]]] = {}
+    size = 0
+    for chunk in chunks:
+        channels |= {channel.id: (schema, channel) for schema, channel in chunk.channels}
+        for number, entries in chunk.index.items():
+            moved = entries + np.array([0, size], np.uint64)
+            index.setdefault(number, []).append(moved)
+        size += len(chunk.records)
+    return ChunkRows(
+        channels=[*channels.values()],
+        records=b"".join(chunk.records for chunk in chunks),
+        index={number: np.concatenate(entries) for number, entries in index.items()},
+        start_ns=min(chunk.start_ns for chunk in chunks),
+        end_ns=max(chunk.end_ns for chunk in chunks),
+    )

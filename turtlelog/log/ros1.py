@@ -21,7 +21,6 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound, unpack_chunk
 from turtlelog.log.engine.message_types import (
     TEXT,
@@ -31,7 +30,7 @@ from turtlelog.log.engine.message_types import (
     read_type,
     shorten_type,
 )
-from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_heads
+from turtlelog.log.engine.records import COUNTED_HEAD, MESSAGE_HEAD, RECORD, gather_heads
 from turtlelog.log.file_access import DamageError
 from turtlelog.log.mcap_writer import ChunkRows, McapFile
 

@@ -9,8 +9,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
 from turtlelog.log.engine.blocks import Block
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
+from turtlelog.log.engine.records import MESSAGE_HEAD, RECORD, gather_heads
 from turtlelog.log.engine.source import Source
 from turtlelog.log.file_access import name_file, open_file
 

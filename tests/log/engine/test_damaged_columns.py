@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType
 from tests.log.engine.files import Row, pack, write_points, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import iter_columns, read_columns, read_info
-from turtlelog.log.engine.summary import _STEP, Ends, check_data
+from turtlelog.log.engine.source import _STEP, check_sum
 from turtlelog.log.file_access import DamageError
 
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
@@ -113,10 +113,10 @@ def test_a_file_cut_short_is_one_line(read: Callable[[Path], Any], tmp_path: Pat
 @pytest.mark.parametrize("size", [_STEP - 1, _STEP, 2 * _STEP + 1])
 def test_the_data_of_a_file_are_checked_step_by_step(size: int) -> None:
     data = Random(size).randbytes(size)
-    ends = Ends(data_end=size, data_crc=zlib.crc32(data), summary_start=size, summary=b"")
-    check_data(BytesIO(data + b"more"), ends)
-    with pytest.raises(DamageError, match="checksum"):
-        check_data(BytesIO(data[:-1] + bytes([data[-1] ^ 1])), ends)
+    expected = zlib.crc32(data), "expected data"
+    check_sum(BytesIO(data + b"more"), 0, size, *expected)
+    with pytest.raises(DamageError, match="expected data of checksum"):
+        check_sum(BytesIO(data[:-1] + bytes([data[-1] ^ 1])), 0, size, *expected)
 
 
 def test_a_damaged_summary_is_named(tmp_path: Path) -> None:

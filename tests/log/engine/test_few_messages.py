@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine import cursor
-from turtlelog.log.engine.cursor import FEW_MESSAGES, decode_few
+from turtlelog.log.engine import cdr
+from turtlelog.log.engine.cdr import FEW_MESSAGES, decode_few
 from turtlelog.log.engine.message_types import read_type
 
 DEFINITION = "uint8 level\nstring name\nfloat64 x\nbool on\nint16 low\nstring text\nfloat32 y\n"
@@ -31,7 +31,7 @@ def pack(*rows: tuple[Any, ...]) -> tuple[bytes, Any, Any]:
 
 
 def decode_all(data: bytes, starts: Any, ends: Any) -> dict[str, Any]:
-    taken, columns = cursor._Cursor(data, starts, ends, "<"), dict[str, Any]()
+    taken, columns = cdr._Cursor(data, starts, ends, "<"), dict[str, Any]()
     taken.take_fields(FIELDS, "", columns)
     return columns
 
@@ -39,7 +39,7 @@ def decode_all(data: bytes, starts: Any, ends: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("count", [1, 2, FEW_MESSAGES, FEW_MESSAGES + 1])
 def test_few_messages_are_read_as_many_are(count: int) -> None:
     packed = pack(*(ROWS * FEW_MESSAGES)[:count])
-    few, many = decode_few(FIELDS, *packed, 4), decode_all(*packed)
+    few, many = decode_few(FIELDS, *packed), decode_all(*packed)
     assert few is not None
     assert list(few) == list(many)
     for name, values in many.items():
@@ -67,17 +67,17 @@ def test_messages_that_are_not_sound_are_left_to_the_general_way(
 ) -> None:
     data, starts, ends = pack(*ROWS)
     data, starts, ends = harm(data, starts[1:], ends[1:])
-    assert decode_few(FIELDS, data, starts, ends, 4) is None
+    assert decode_few(FIELDS, data, starts, ends) is None
     with pytest.raises(LogError):
-        cursor.decode_messages(FIELDS, data, starts, ends, "<")
+        cdr.decode_messages(FIELDS, data, starts, ends, "<")
 
 
 def test_up_to_three_bytes_of_padding_do_no_harm() -> None:
     data, starts, ends = pack(*ROWS)
-    assert decode_few(FIELDS, data + bytes(3), starts[1:], ends[1:] + 3, 4) is not None
+    assert decode_few(FIELDS, data + bytes(3), starts[1:], ends[1:] + 3) is not None
 
 
 @pytest.mark.parametrize("definition", ["float64[] x\n", "string[2] x\n", "uint8[3] x\n", ""])
 def test_types_with_arrays_or_nothing_in_them_are_left_to_the_general_way(definition: str) -> None:
     fields = read_type("test/msg/Other", definition).fields
-    assert decode_few(fields, bytes(40), np.array([0]), np.array([8]), 4) is None
+    assert decode_few(fields, bytes(40), np.array([0]), np.array([8])) is None

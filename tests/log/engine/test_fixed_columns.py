@@ -10,11 +10,10 @@ from mcap.writer import IndexType, Writer
 from tests.log.engine.files import POINT, pack, write_points
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns
-from turtlelog.log.engine.decode import LOG_TIME, SEQUENCE, FixedColumns
+from turtlelog.log.engine.decode import LOG_TIME, SEQUENCE, FixedColumns, Selection
 from turtlelog.log.engine.message_types import Layout, read_type
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.source import Selection, count_rows
-from turtlelog.log.engine.topic_columns import _SHARE, _SPARE, _set_aside
+from turtlelog.log.engine.topic_columns import _SHARE, _SPARE, _set_aside, count_rows
 
 INDEXED = IndexType.CHUNK | IndexType.MESSAGE
 POINT_RECORD = 31 + 4 + 16  # bytes

@@ -3,8 +3,7 @@ from typing import Any
 
 import pytest
 
-from turtlelog.log.engine.framing import MessageWalk, skip_followed
-from turtlelog.log.engine.parsing import take_apart
+from turtlelog.log.engine.records import MessageWalk, skip_followed, take_apart
 
 
 def join(lengths: list[int]) -> bytes:

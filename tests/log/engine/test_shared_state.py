@@ -46,7 +46,7 @@ def test_the_thread_that_reads_is_the_only_one_that_fills_the_catalogue(
 
         monkeypatch.setattr(owner, name, call)
 
-    for name in ("_take", "_merge_plans", "_choose_reading", "check"):
+    for name in ("add", "_merge_plans", "_choose_reading", "check"):
         watch(Catalogue, name)
     read_columns(path)
     others = seen.pop("check") - {threading.get_ident()}

@@ -36,7 +36,8 @@ from turtlelog.log import (
     write_recording,
 )
 from turtlelog.log.exported_tables import import_tables
-from turtlelog.log.recording.head import HEAD, describe_run, format_head
+from turtlelog.log.recording.head import HEAD, format_head
+from turtlelog.log.recording.run_writer import describe_run
 from turtlelog.log.recording.topics import CONTROL, POSE, SCHEMAS, SENSED, SENSED64, SHAPED
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario

@@ -15,7 +15,7 @@ from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import read_recording
-from turtlelog.log.recording.live_run import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.simulate import iterate_ticks, simulate_run
 

@@ -33,7 +33,8 @@ from turtlelog.log import (
     write_columns,
     write_recording,
 )
-from turtlelog.log.recording.head import HEAD, describe_run, format_head
+from turtlelog.log.recording.head import HEAD, format_head
+from turtlelog.log.recording.run_writer import describe_run
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,

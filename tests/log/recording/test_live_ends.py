@@ -17,8 +17,8 @@ from tests.log.recording.ticks import POSE, make_scenario, record, record_ticks
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import read_recording, replace_when_complete, write_recording
-from turtlelog.log.engine.framing import MCAP0_MAGIC
-from turtlelog.log.recording.live_run import Recorder
+from turtlelog.log.engine.records import MCAP0_MAGIC
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.simulate import iterate_ticks, simulate_run
 
@@ -74,7 +74,7 @@ def test_a_kill_loses_at_most_the_last_second(after_s: float, tmp_path: Path) ->
 
 OWN_LOOP = """
 import sys, time
-from turtlelog.log.recording.live_run import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import iterate_ticks
 
@@ -124,8 +124,8 @@ RANDOM_MOMENTS = """
 import os, random, signal, sys, time
 from contextlib import ExitStack
 from pathlib import Path
-from turtlelog.log.recording.live_run import Recorder
-from turtlelog.log.interrupts import hold_stop
+from turtlelog.log.recording.recorder import Recorder
+from turtlelog.log.file_access import hold_stop
 from turtlelog.log.recording.live_run import run_live
 from turtlelog.scenario import get_preset, override_scenario
 

@@ -6,7 +6,7 @@ import pytest
 from tests.log.live import read_messages
 from tests.log.recording.ticks import assert_same_columns, make_scenario, record
 from turtlelog.log import write_recording
-from turtlelog.log.recording.live_run import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.recording.topics import PHASE, list_topics
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import Tick, iterate_ticks, simulate_run

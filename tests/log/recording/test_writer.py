@@ -1,7 +1,6 @@
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.reader import make_reader
+from mcap.records import Statistics
 from rosbags.highlevel import AnyReader
 
 from tests.log.runs import find_shared, make_run, simulate_preset
@@ -284,7 +284,7 @@ def test_chunks_packed_on_threads_are_those_packed_one_by_one(
     monkeypatch.setattr(mcap_writer, "_THREADS", 3)
     monkeypatch.setattr(mcap_writer, "_AHEAD", 4)
     write_columns(topics, tmp_path / "threads.mcap")
-    monkeypatch.setattr(mcap_writer, "_pack_ahead", partial(map, mcap_writer._pack_chunk))
+    monkeypatch.setattr(mcap_writer, "map_ahead", lambda work, jobs, *_: map(work, jobs))
     write_columns(topics, tmp_path / "alone.mcap")
     assert (tmp_path / "threads.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
 
@@ -319,7 +319,7 @@ def test_others_need_the_index_of_every_message(
     left_out: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They read nothing of a topic that is not indexed, without an error: so all of it is."""
-    pack, count = mcap_writer._pack_chunk, mcap_writer._count_records
+    pack = mcap_writer._pack_chunk
 
     def leave_out(rows: ChunkRows) -> Any:
         topics = {channel.id: channel.topic for _, channel in rows.channels}
@@ -329,12 +329,12 @@ def test_others_need_the_index_of_every_message(
         index = {n: entries for n, entries in rows.index.items() if topics[n] not in left_out}
         return replace(packed, rows=replace(rows, index=index), indexes=indexes)
 
-    def count_all(summary: Any) -> Any:
-        summary.counts = {1: 100, 2: 2}
-        return count(summary)
+    def count_all(**counts: Any) -> Statistics:
+        known = {"channel_message_counts": {1: 100, 2: 2}, "message_count": 102}
+        return Statistics(**counts | known)
 
     monkeypatch.setattr(mcap_writer, "_pack_chunk", leave_out)
-    monkeypatch.setattr(mcap_writer, "_count_records", count_all)
+    monkeypatch.setattr(mcap_writer, "Statistics", count_all)
     path = tmp_path / "a.mcap"
     write_columns([make_twists(100), make_texts([5, 6])], path)
     with AnyReader([path]) as bag:

@@ -20,8 +20,8 @@ from benchmarks.hostile_sqlite import (
 )
 from tests.log.ros2.bags import change, make_poses, write_sqlite
 from turtlelog.errors import LogError
-from turtlelog.log import read_columns, read_info, recover_recording
-from turtlelog.log.engine import limits, sqlite_source
+from turtlelog.log import read_columns, read_info, recover_recording, recovery
+from turtlelog.log.engine import limits
 
 TOPIC = (None, "/turtle1/pose", "turtlesim/msg/Pose", "cdr", "")
 LONG = "a" * 50_000
@@ -261,7 +261,7 @@ def replace_key(cell: Cell) -> Cell:
 def test_no_more_rows_are_named_than_anybody_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sqlite_source, "_MOST_NAMED", 5)
+    monkeypatch.setattr(recovery, "_MOST_NAMED", 5)
     rows = Database().make_rows(lambda row: (None, 1 if row < 3 else 9, row, POSE), 9)
     file = write(make_bag(messages=rows), tmp_path)
     reasons = [loss.reason for loss in recover_recording(file, tmp_path / "out.mcap").lost]

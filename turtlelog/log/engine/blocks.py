@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, BinaryIO, Final, TypeVar
 
@@ -17,32 +18,10 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
+from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.framing import CHUNK_HEAD, RECORD, check_start
-from turtlelog.log.engine.limits import (
-    DAMAGES,
-    DESCRIPTIONS,
-    LARGEST_CHUNK,
-    NOTES,
-    RECORDS,
-    Allowance,
-    measure_stored,
-    unpack_chunk,
-)
-from turtlelog.log.engine.parsing import (
-    COUNTED_HEAD,
-    MESSAGE_HEAD,
-    OF_CHUNKS,
-    Place,
-    RecordStretch,
-    gather_heads,
-    iterate_places,
-    parse_record,
-    take_apart,
-    take_whole,
-)
-from turtlelog.log.engine.summary import ChunkEntry
-from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.engine.records import RECORD, Place, parse_record
+from turtlelog.log.engine.walk import CHUNK_HEAD, Loss, Section, walk_sections
 from turtlelog.log.file_access import DamageError, LimitError
 
 T = TypeVar("T")
@@ -54,6 +33,34 @@ _WITHIN: Final = 15
 _UNMARKED: Final = 255
 _SIZE: Final = struct.Struct("<Q")
 _INDEX: Final = struct.Struct("<HI")  # channel, size of the pairs of log time and offset [bytes]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkEntry:
+    """Entry of a chunk in the summary.
+
+    Attributes:
+        start: Offset in the file [bytes].
+        length: Length of the chunk record [bytes].
+        index_length: Length of the message indexes after the chunk [bytes].
+        start_ns: Earliest log time of the chunk's messages [ns]; 0 without messages.
+        end_ns: Latest log time [ns].
+        channels: Ids of the channels that have messages in the chunk.
+        size: Decompressed size of the chunk's records [bytes].
+    """
+
+    start: int
+    length: int
+    index_length: int
+    start_ns: int
+    end_ns: int
+    channels: frozenset[int]
+    size: int
+
+    @property
+    def end(self) -> int:
+        """Offset after the chunk's message indexes [bytes]."""
+        return self.start + self.length + self.index_length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +86,10 @@ class Block:
 
 
 def build_indexed_block(
-    entry: ChunkEntry, stored: bytes, described: Mapping[bytes, Any], largest: int = LARGEST_CHUNK
+    entry: ChunkEntry,
+    stored: bytes,
+    described: Mapping[bytes, Any],
+    largest: int = limits.LARGEST_CHUNK,
 ) -> Block:
     """Return a chunk as a block, given the bytes of the chunk and its indexes.
 
@@ -97,10 +107,10 @@ def build_indexed_block(
     offsets = _parse_indexes(memoryview(stored)[entry.length :], byte + entry.length)
     places = _check_tiling(data, offsets, byte)
     rest = tuple(
-        described.get(take_whole(data, place))
+        described.get(records.take_whole(data, place))
         or parse_record(place, data[place.start : place.end], byte)
         for place in places
-        if place.opcode in OF_CHUNKS
+        if place.opcode in records.OF_CHUNKS
     )
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
 
@@ -127,7 +137,7 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
             f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
         )
     try:
-        data = unpack_chunk(compression, body[data_start : data_start + data_size], size)
+        data = limits.unpack_chunk(compression, body[data_start : data_start + data_size], size)
     except LogError as err:
         raise DamageError(f"byte {byte}: chunk: {err}") from err
     if len(data) != size:
@@ -139,37 +149,33 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
     return data
 
 
-def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:
-    """Return records as a block by reading their headers."""
-    stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
-    starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
-    if len(starts):
-        numbers = np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
-        order = np.argsort(numbers, kind="stable")
-        present, firsts = np.unique(numbers[order], return_index=True)
-        ordered, borders = starts[order], [*firsts.tolist(), len(starts)]
-        for number, (first, end) in zip(present.tolist(), pairwise(borders), strict=True):
-            offsets[number] = ordered[first:end]
-    return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
+def build_walked_block(catalogue: Catalogue, section: Section) -> Block:
+    """Return records as a block by reading their headers, and add them to the catalogue."""
+    byte = section.start
+    stretch = take_walked(section.data, byte, catalogue.allowance, is_chunk=section.is_chunk)
+    numbers = [heads["channel"] for _, heads in stretch.iterate_rows()]
+    offsets = group_starts(np.concatenate(numbers), stretch.starts) if numbers else {}
+    rest = parse_others(stretch, byte)
+    catalogue.add(rest, byte)
+    return Block(data=section.data, byte=byte, offsets=offsets, rest=rest)
+
+
+def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offsets]:
+    """Return the starts of messages by channel, given the channel of each message in order."""
+    order = np.argsort(channels, kind="stable")
+    present, firsts = np.unique(channels[order], return_index=True)
+    ordered, borders = starts[order].astype(np.int64), pairwise([*firsts.tolist(), len(starts)])
+    return {
+        channel: ordered[first:end]
+        for channel, (first, end) in zip(present.tolist(), borders, strict=True)
+    }
 
 
 def walk_blocks(
-    stream: BinaryIO,
-    catalogue: Catalogue,
-    allowance: Allowance,
-    *,
-    damages: list[Loss] | None = None,
+    stream: BinaryIO, catalogue: Catalogue, *, damages: list[Loss] | None = None
 ) -> Iterator[Block]:
     """Yield a complete file as blocks, in file order, and fill the catalogue."""
-
-    def build(section: Section) -> Block:
-        block = build_walked_block(
-            section.data, section.start, allowance, is_chunk=section.is_chunk
-        )
-        catalogue.add(block.rest, block.byte)
-        return block
-
-    yield from walk_through(stream, build, damages=damages)
+    yield from walk_through(stream, partial(build_walked_block, catalogue), damages=damages)
 
 
 def walk_through(
@@ -180,8 +186,8 @@ def walk_through(
     Raises:
         DamageError: If something is damaged and no list for damages is given.
     """
-    check_start(stream)
-    allowance = Allowance(measure_stored(stream))
+    records.check_start(stream)
+    allowance = limits.Allowance(limits.measure_stored(stream))
     for section in walk_sections(stream):
         if isinstance(section, Loss):
             if damages is None:
@@ -193,26 +199,28 @@ def walk_through(
         except DamageError as err:
             if damages is None:
                 raise
-            is_last = isinstance(err, LimitError) or not allowance.count_left(DAMAGES)
+            is_last = isinstance(err, LimitError) or not allowance.count_left(limits.DAMAGES)
             end = stream.seek(0, 2) if is_last else section.start + len(section.data)
             reason = str(err).removeprefix(f"byte {section.start}: ")
             damages.append(Loss(start=section.start, end=end, reason=reason))
             if is_last:
                 return
-            allowance.spend(DAMAGES)
+            allowance.spend(limits.DAMAGES)
             continue
         yield found
 
 
-def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> RecordStretch:
+def take_walked(
+    data: bytes, byte: int, allowance: limits.Allowance, *, is_chunk: bool
+) -> records.RecordStretch:
     """Return the offsets of records that must all be valid."""
-    left = allowance.count_left(RECORDS)
-    stretch = take_apart(data, is_chunk=is_chunk, most_records=left)
+    left = allowance.count_left(limits.RECORDS)
+    stretch = records.take_apart(data, is_chunk=is_chunk, most_records=left)
     try:
-        allowance.spend(RECORDS, stretch.records)
+        allowance.spend(limits.RECORDS, stretch.records)
         notes = sum(opcode in _NOTES for _, opcode, _ in stretch.others)
-        allowance.spend(NOTES, notes)
-        allowance.spend(DESCRIPTIONS, len(stretch.others) - notes)
+        allowance.spend(limits.NOTES, notes)
+        allowance.spend(limits.DESCRIPTIONS, len(stretch.others) - notes)
     except LogError as err:
         raise LimitError(f"byte {byte}: {err}") from err
     if stretch.fault is not None:
@@ -220,7 +228,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
     return stretch
 
 
-def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
+def parse_others(stretch: records.RecordStretch, byte: int) -> tuple[Any, ...]:
     """Return all records of a segment that are not messages."""
     return tuple(
         parse_record(
@@ -245,7 +253,7 @@ def count_indexed(data: memoryview) -> Iterator[tuple[int, int]]:
 def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
     """Return the start of each channel's messages, from the message indexes of a chunk."""
     offsets = {}
-    for place in iterate_places(data, 0, len(data), byte):
+    for place in records.iterate_places(data, 0, len(data), byte):
         channel, size = _INDEX.unpack_from(data, place.start) if place.length >= 6 else (0, -1)
         if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size > place.length - 6:
             found = f"opcode {place.opcode} with {place.length}"
@@ -279,9 +287,13 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> lis
         gaps.append(0)
     rest, filled = list[Place](), int((ends - starts).sum())
     for gap in gaps:
-        for place in _walk_gap(data, gap, marks, byte):
+        for place in records.iterate_places(data, gap, len(data), byte):
+            if place.opcode == Opcode.MESSAGE:
+                raise _mistrust(byte, f"a message at {gap} that is not in it")
             rest.append(place)
             filled += RECORD.size + place.length
+            if marks[place.end >> _SLOT] == place.end & _WITHIN:
+                break
         if filled > len(data):
             break
     if filled != len(data):
@@ -293,29 +305,18 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
     """Return the ends of messages. Each must be a message of its channel within the chunk."""
     if not len(starts):
         return starts
-    if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:
+    if starts.min() < 0 or starts.max() > len(data) - records.MESSAGE_HEAD:
         raise _mistrust(byte, f"offsets up to {starts.max()} in {len(data)} bytes")
-    heads = gather_heads(data, starts)
+    heads = records.gather_heads(data, starts)
     if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channels).any():
         raise _mistrust(byte, "another record than a message of the channel")
     lengths = heads["length"]
-    if lengths.min() < COUNTED_HEAD or lengths.max() > len(data):
+    if lengths.min() < records.COUNTED_HEAD or lengths.max() > len(data):
         raise _mistrust(byte, f"messages of {lengths.min()} to {lengths.max()} bytes")
     ends = starts + lengths.astype(np.int64) + RECORD.size
     if ends.max() > len(data):
         raise _mistrust(byte, f"a message up to {ends.max()} of {len(data)} bytes")
     return ends
-
-
-def _walk_gap(data: bytes, start: int, marks: NDArray[np.uint8], byte: int) -> list[Place]:
-    places = []
-    for place in iterate_places(data, start, len(data), byte):
-        if place.opcode == Opcode.MESSAGE:
-            raise _mistrust(byte, f"a message at {start} that is not in it")
-        places.append(place)
-        if marks[place.end >> _SLOT] == place.end & _WITHIN:
-            break
-    return places
 
 
 def _mistrust(byte: int, found: str) -> DamageError:

@@ -23,11 +23,7 @@ from turtlelog.log.engine.message_types import (
     read_type,
     shorten_type,
 )
-from turtlelog.log.engine.object_messages import (
-    JsonField,
-    read_json_schema,
-    read_protobuf_type,
-)
+from turtlelog.log.engine.object_messages import JsonField, read_json_schema, read_protobuf_type
 from turtlelog.log.file_access import DamageError, LimitError
 
 _SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
@@ -137,10 +133,19 @@ class Catalogue:
         for record in map(_name_type, records):
             if not isinstance(record, Schema | Channel):
                 continue
-            if self._find_known(record) is None:
-                self._take(record, byte)
-            else:
+            if self._find_known(record) is not None:
                 self.check((record,), byte)
+                continue
+            try:
+                self.allowance.spend_description(record)
+            except LogError as err:
+                raise LimitError(f"byte {byte}: {err}") from err
+            if isinstance(record, Schema):
+                self.schemas[record.id] = record
+            else:
+                self.channels[record.id] = record
+                self._of_topics.setdefault(record.topic, []).append(record)
+                self._plans.pop(record.topic, None)
 
     def check(self, records: Collection[Any], byte: int) -> None:
         """Compare schemas and channels with the known ones, without changing anything.
@@ -188,19 +193,6 @@ class Catalogue:
             topics.setdefault(self.channels[number].topic, []).append(number)
         return topics
 
-    def _take(self, record: Schema | Channel, byte: int) -> None:
-        """Add new schemas and channels."""
-        try:
-            self.allowance.spend_description(record)
-        except LogError as err:
-            raise LimitError(f"byte {byte}: {err}") from err
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        else:
-            self.channels[record.id] = record
-            self._of_topics.setdefault(record.topic, []).append(record)
-            self._plans.pop(record.topic, None)
-
     def _merge_plans(self, topic: str) -> TopicPlan:
         first, *others = [
             TopicPlan(topic=topic, **self._find_reading(channel))
@@ -227,7 +219,11 @@ class Catalogue:
         schema = self.schemas.get(number)
         found: dict[str, Any] = {"type": "" if schema is None else schema.name}
         if encoding not in _SCHEMAS:
-            reason = _describe_encoding(encoding)
+            named = f"are in the encoding {encoding}" if encoding else "name no encoding"
+            reason = (
+                f"its messages {named}, and turtlelog reads {join_words([*_SCHEMAS])}; record the"
+                " topic in one of these"
+            )
         elif schema is None:
             reason = "it has no schema"
         elif schema.encoding not in _SCHEMAS[encoding]:
@@ -249,15 +245,6 @@ def _name_type(record: Any) -> Any:
 
     name = name_as_ros2(record.name)
     return Schema(id=record.id, name=name, encoding=record.encoding, data=record.data)
-
-
-def _describe_encoding(encoding: str) -> str:
-    """Return why messages in an encoding are not read, with advice."""
-    found = f"are in the encoding {encoding}" if encoding else "name no encoding"
-    return (
-        f"its messages {found}, and turtlelog reads {join_words([*_SCHEMAS])}; record the topic in"
-        " one of these"
-    )
 
 
 def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:

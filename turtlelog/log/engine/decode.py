@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from threading import Lock
 from types import MappingProxyType
@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.channels import Decode, TopicPlan
-from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.limits import UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
+from turtlelog.log.engine.cdr import PADDING, Order, decode_messages
+from turtlelog.log.engine.channels import Catalogue, Decode, TopicPlan, measure_object
+from turtlelog.log.engine.limits import COLUMNS, UNPACKED, ZSTD_MAGIC, Allowance, unpack_chunk
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
@@ -28,7 +27,14 @@ from turtlelog.log.engine.message_types import (
     fill_columns,
 )
 from turtlelog.log.engine.object_messages import JsonField, decode_objects
-from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_bytes, gather_heads
+from turtlelog.log.engine.records import (
+    COUNTED_HEAD,
+    MESSAGE_HEAD,
+    RECORD,
+    gather_bytes,
+    gather_heads,
+)
+from turtlelog.log.file_access import name_place
 
 Rows = dict[str, Column]
 
@@ -42,6 +48,95 @@ _KINDS: Final = MappingProxyType({LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: 
 # to fill at first. Smaller columns of a topic share an array.
 _LARGE: Final = 2**22
 _LINE: Final = 64  # bytes; columns start at a multiple of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """A segment of consecutive messages.
+
+    Attributes:
+        rows: Rows of requested topics.
+        size: Number of bytes read.
+        counts: Number of messages by channel, requested or not.
+        rest: Other records of the block; only in the first piece of a block.
+    """
+
+    rows: Mapping[str, Rows]
+    size: int
+    counts: Mapping[int, int]
+    rest: tuple[Any, ...] = ()
+
+
+_MOST_REASONS: Final = 3
+"""Largest number of topics that an error lists with their reasons."""
+
+EVER: Final = 2**64
+"""A log time after all others [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """The requested messages.
+
+    Attributes:
+        topics: Names of the topics to read. None: every topic that can be decoded.
+        start_ns: Earliest log time [ns], inclusive.
+        end_ns: End of the log time [ns], exclusive.
+        is_lenient: Whether named topics may be missing or undecodable. All chunks are then read and
+            checked.
+        is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
+            messages take some hundred times their bytes in memory.
+        is_counted: Whether the memory of rows is limited in proportion to the file's size.
+        kept: Columns to keep, by topic, including the log time. Topics that are not listed keep all
+            columns.
+    """
+
+    topics: frozenset[str] | None = None
+    start_ns: int = 0
+    end_ns: int = EVER
+    is_lenient: bool = False
+    is_flat: bool = False
+    is_counted: bool = False
+    kept: Mapping[str, Collection[str]] = field(default_factory=dict)
+
+    @property
+    def is_ever(self) -> bool:
+        """Whether no message is left out because of its time."""
+        return self.start_ns <= 0 and self.end_ns >= EVER
+
+    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
+        """Return the plans of the requested topics that are known so far."""
+        known = catalogue.topics
+        names = sorted(known if self.topics is None else self.topics.intersection(known))
+        plans = ((topic, self.choose_plan(catalogue, topic)) for topic in names)
+        return {topic: plan for topic, plan in plans if plan is not None}
+
+    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
+        """Return the plan of a topic; None if it is not requested."""
+        if self.topics is not None and topic not in self.topics:
+            return None
+        plan = catalogue.find_plan(topic)
+        if plan.reason and self.topics is not None and not self.is_lenient:
+            raise LogError(plan.describe_reason())
+        if self.is_flat and plan.sequence is not None:
+            raise LogError(
+                f"topic {topic}: expected fields of numbers and texts, found the sequence"
+                f" {plan.sequence}"
+            )
+        if self.is_flat and plan.json is not None:
+            flat = tuple(field for field in plan.json if field.kind != "any")
+            plan = replace(plan, json=flat, row_size=measure_object(flat))
+        return None if plan.reason else plan
+
+    def require_topics(self, catalogue: Catalogue) -> None:
+        """Check that every topic requested by name exists, or that any topic can be decoded."""
+        if self.topics is None and not self.is_lenient:
+            plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
+            if plans and all(plan.reason for plan in plans):
+                raise LogError("; ".join(plan.describe_reason() for plan in plans[:_MOST_REASONS]))
+        missing = (self.topics or frozenset()).difference(catalogue.topics)
+        for topic in () if self.is_lenient else sorted(missing):
+            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
 
 
 def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
@@ -105,15 +200,22 @@ class FixedColumns:
     def __init__(self, layout: Layout, count: int, kept: Collection[str] | None = None) -> None:
         """Allocate `count` rows for the columns named in `kept`; None: all columns."""
         self._layout, self._count, self._used = layout, count, 0
-        self._lock = Lock()
-        kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
-        for name in (*_KINDS, *layout.kinds):
-            if kept is not None and name not in kept:
-                continue
-            stored = layout.little.fields[name][0]  # type: ignore[index]
-            kind = _KINDS.get(name) or layout.kinds[name].replace("?", "u1")
-            kinds[name] = np.dtype(kind), (count, *stored.shape)
-        self._columns = _allocate(kinds)
+        self._lock, self._columns = Lock(), Rows()
+        codes = {**_KINDS, **{name: code.replace("?", "u1") for name, code in layout.kinds.items()}}
+        kinds = {name: np.dtype(codes[name]) for name in codes if kept is None or name in kept}
+        shapes = {name: (count, *layout.little[name].shape) for name in kinds}
+        sizes = {name: kind.itemsize * math.prod(shapes[name]) for name, kind in kinds.items()}
+        # Small columns share one array.
+        shared, end = (
+            np.empty(sum(size + _LINE for size in sizes.values() if size < _LARGE), "u1"),
+            0,
+        )
+        for name, kind in kinds.items():
+            if sizes[name] < _LARGE:
+                self._columns[name] = np.ndarray(shapes[name], kind, shared, end)
+                end += sizes[name] + -sizes[name] % _LINE
+            else:
+                self._columns[name] = np.empty(shapes[name], kind)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
         """Copy messages into the rows from `first` on; return whether there was enough room.
@@ -126,8 +228,16 @@ class FixedColumns:
         with self._lock:
             self._used = max(self._used, end)
         if len(starts):
+            size = self._layout.little.itemsize
+            if starts[-1] > len(data) - size:
+                # The last message is too short; the check needs only the header and reports it.
+                _check_sizes(gather_heads(data, starts)["length"], self._layout)
+            records = gather_bytes(data, starts, size)
+            heads = records.view(self._layout.little)
+            _check_sizes(heads["#length"], self._layout)
+            _check_heads(heads)
             rows = {name: column[first:end] for name, column in self._columns.items()}
-            fill_columns(rows, self._layout, _gather_fixed(self._layout, data, starts))
+            fill_columns(rows, self._layout, records)
         return True
 
     @property
@@ -146,23 +256,6 @@ class FixedColumns:
         }
 
 
-def _allocate(kinds: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]) -> Rows:
-    """Allocate columns of these types and shapes; small columns share one array."""
-    sizes = {name: kind.itemsize * math.prod(shape) for name, (kind, shape) in kinds.items()}
-    places, end = {}, 0
-    for name, size in sizes.items():
-        if size < _LARGE:
-            places[name] = end
-            end += size + -size % _LINE
-    shared = np.empty(end, np.uint8)
-    return {
-        name: np.ndarray(shape, kind, shared, places[name])
-        if name in places
-        else np.empty(shape, kind)
-        for name, (kind, shape) in kinds.items()
-    }
-
-
 def make_empty_rows(plan: TopicPlan) -> Rows:
     """Return the columns of a topic without messages."""
     block = Block(data=b"", byte=0, offsets={}, rest=())
@@ -174,19 +267,6 @@ def pick_rows(
 ) -> Rows:
     """Return some of the rows."""
     return {name: values[chosen] for name, values in rows.items()}
-
-
-def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.void]:
-    """Return messages with their headers, one after the other."""
-    size = layout.little.itemsize
-    if starts[-1] > len(data) - size:
-        # The last message is too short; the check needs only the header and reports it.
-        _check_sizes(gather_heads(data, starts)["length"], layout)
-    rows = gather_bytes(data, starts, size)
-    heads = rows.view(layout.little)
-    _check_sizes(heads["#length"], layout)
-    _check_heads(heads)
-    return rows
 
 
 def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
@@ -206,11 +286,7 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     heads = gather_bytes(block.data, starts, MESSAGE.itemsize).view(MESSAGE)
     _check_heads(heads)
     firsts, ends = starts + MESSAGE.itemsize, starts + RECORD.size + lengths
-    columns: Rows = {
-        LOG_TIME: heads[LOG_TIME].astype(np.int64),
-        PUBLISH_TIME: heads[PUBLISH_TIME].astype(np.int64),
-        SEQUENCE: heads[SEQUENCE].astype(np.uint32),
-    }
+    columns = {name: heads[name].astype(kind) for name, kind in _KINDS.items()}
     is_big = heads["#encapsulation"] == BIG_ENDIAN
     if not is_big.any():
         return columns | decode_messages(plan.fields, block.data, firsts, ends, "<")
@@ -233,12 +309,8 @@ def _read_objects(
         block.data[start + MESSAGE_HEAD : end]
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
     ]
-    return {
-        LOG_TIME: heads["log_time"].astype(np.int64),
-        PUBLISH_TIME: heads["publish_time"].astype(np.int64),
-        SEQUENCE: heads["sequence"].astype(np.uint32),
-        **decode_objects(fields, messages, decode),
-    }
+    stamps = {name: heads[name.removeprefix("#")].astype(kind) for name, kind in _KINDS.items()}
+    return stamps | decode_objects(fields, messages, decode)
 
 
 def _check_heads(heads: NDArray[np.void]) -> None:
@@ -256,3 +328,69 @@ def _check_times(*columns: NDArray[np.uint64]) -> None:
     for times in columns:
         if len(times) and times.max() >= 2**63:
             raise LogError(f"expected times below 2^63 ns, found {times.max()}")
+
+
+def read_piece(
+    catalogue: Catalogue,
+    selection: Selection,
+    block: Block,
+    offsets: Mapping[int, Offsets],
+    wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
+) -> Piece:
+    """Return the requested messages among those at some offsets of a block."""
+    found = {}
+    for topic, channels in catalogue.group_channels(offsets, block.byte).items():
+        parts = [offsets[channel] for channel in channels]
+        starts = parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts))
+        plan = selection.choose_plan(catalogue, topic)
+        if plan is None or not len(starts):
+            continue
+        whole = None if block.before is None else wholes.get(topic)
+        rows = _read_topic(plan, block, starts, selection, catalogue.allowance, whole)
+        if rows and len(rows[LOG_TIME]):
+            found[topic] = rows
+    counts = {channel: len(starts) for channel, starts in offsets.items()}
+    share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
+    return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
+
+
+def _read_topic(
+    plan: TopicPlan,
+    block: Block,
+    starts: Offsets,
+    selection: Selection,
+    allowance: Allowance,
+    whole: FixedColumns | None,
+) -> Rows:
+    """Return the requested messages of a topic; empty if they went into the columns `whole`."""
+    place = f"{block.unit} {block.byte}: topic {plan.topic}"
+    with name_place(place):
+        messages = unpack_messages(block, starts, allowance)
+        unpacked, starts = rewrite_ros1(plan, *messages)
+    if selection.is_counted:
+        allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
+    with name_place(place):
+        first = 0 if block.before is None else block.before.get(plan.topic, 0)
+        if whole is not None and whole.fill(unpacked.data, starts, first):
+            return {}
+        rows = decode_rows(plan, unpacked, starts)
+    kept = selection.kept.get(plan.topic)
+    if kept is not None:
+        rows = {name: rows[name] for name in rows if name in kept}
+    if selection.is_ever:
+        return rows
+    times = rows[LOG_TIME]
+    return pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
+
+
+_LISTS: Final = 2
+"""Memory factor for lists: nested messages take ten times their bytes, columns five times."""
+
+
+def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
+    """Return the approximate memory of messages as columns [bytes]."""
+    size = len(starts) * plan.row_size
+    if plan.layout is None:
+        share = 1 if plan.sequence is None else _LISTS
+        size += share * int(gather_heads(data, starts)["length"].sum())
+    return size

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NoReturn
 
@@ -62,15 +62,6 @@ class _Kind:
     brackets: str = ""
 
 
-@dataclass(slots=True)
-class _Types:
-    """The definitions in a text, by scoped name."""
-
-    structs: dict[str, list[tuple[_Kind, str]]] = field(default_factory=dict)
-    others: dict[str, _Kind] = field(default_factory=dict)
-    numbers: dict[str, str] = field(default_factory=dict)
-
-
 def convert_idl(name: str, text: str) -> str:
     """Return the `ros2msg` text of a type and of the types that it uses.
 
@@ -80,25 +71,25 @@ def convert_idl(name: str, text: str) -> str:
     """
     if len(text) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")
-    types = _Types()
+    types = _Types(name)
     for part in _PART.split(text):
-        _Parser(name, part, types).parse()
-    wanted = name.replace("/", "::")
-    if wanted not in types.structs:
-        known = ", ".join(types.structs)[:80]
-        raise LogError(f"schema {name}: its definition is missing{known and f'; there is {known}'}")
-    return _Printer(name, types).print(wanted)
+        types.parse(part)
+    return types.print()
 
 
-class _Parser:
-    """Parser of one IDL text."""
+class _Types:
+    """The definitions in IDL texts, by scoped name; parser of the texts."""
 
-    def __init__(self, name: str, text: str, types: _Types) -> None:
-        self._name, self._types = name, types
-        self._tokens = list(_list_tokens(name, text))
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._structs: dict[str, list[tuple[_Kind, str]]] = {}
+        self._others: dict[str, _Kind] = {}
+        self._numbers: dict[str, str] = {}
+        self._tokens: list[str] = []
         self._place = 0
 
-    def parse(self) -> None:
+    def parse(self, text: str) -> None:
+        self._tokens, self._place = list(_list_tokens(self._name, text)), 0
         while self._next:
             self._parse_definition(())
 
@@ -134,36 +125,31 @@ class _Parser:
     def _parse_definition(self, scope: tuple[str, ...]) -> None:
         self._pass_annotations()
         word = self._take()
-        parse = {
-            "module": self._parse_module,
-            "struct": self._parse_struct,
-            "typedef": self._parse_typedef,
-            "enum": self._parse_enum,
-            "const": self._parse_constant,
-        }.get(word)
-        if word in _NOT_READ:
-            raise LogError(f"schema {self._name}: {word} is not read")
-        if parse is not None:
-            parse(scope)
-        elif word != ";":
-            self._fail("module, struct, typedef, enum or const", word)
+        match word:
+            case "module":
+                self._parse_module((*scope, self._take_name()))
+            case "struct":
+                self._parse_struct(scope)
+            case "typedef":
+                found = self._parse_declarators(scope)
+                self._others |= {"::".join((*scope, name)): kind for kind, name in found}
+            case "enum":
+                self._others["::".join((*scope, self._take_name()))] = _Kind("uint32", ())
+                self._pass_until("}")
+            case "const":
+                self._parse_constant(scope)
+            case _ if word in _NOT_READ:
+                raise LogError(f"schema {self._name}: {word} is not read")
+            case _ if word != ";":
+                self._fail("module, struct, typedef, enum or const", word)
         self._skip(";")
 
-    def _parse_typedef(self, scope: tuple[str, ...]) -> None:
-        for kind, name in self._parse_declarators(scope):
-            self._types.others["::".join((*scope, name))] = kind
-
-    def _parse_enum(self, scope: tuple[str, ...]) -> None:
-        self._types.others["::".join((*scope, self._take_name()))] = _Kind("uint32", ())
-        self._pass_until("}")
-
     def _parse_module(self, scope: tuple[str, ...]) -> None:
-        inner = (*scope, self._take_name())
-        if len(inner) > _DEEPEST:
+        if len(scope) > _DEEPEST:
             raise LogError(f"schema {self._name}: expected up to {_DEEPEST} modules in each other")
         self._take("{")
         while not self._skip("}"):
-            self._parse_definition(inner)
+            self._parse_definition(scope)
 
     def _parse_struct(self, scope: tuple[str, ...]) -> None:
         name = "::".join((*scope, self._take_name()))
@@ -180,7 +166,7 @@ class _Parser:
         # IDL requires a member: ROS writes this one for types without fields.
         if [member for _, member in members] == ["structure_needs_at_least_one_member"]:
             members = []
-        self._types.structs[name] = members
+        self._structs[name] = members
 
     def _parse_constant(self, scope: tuple[str, ...]) -> None:
         self._parse_kind(scope)
@@ -189,7 +175,7 @@ class _Parser:
         first = self._place
         self._pass_until(";")
         if self._place == first + 2:  # a computed value is not accepted as the length of an array
-            self._types.numbers[name] = self._tokens[first]
+            self._numbers[name] = self._tokens[first]
 
     def _parse_declarators(self, scope: tuple[str, ...]) -> Iterator[tuple[_Kind, str]]:
         """Yield type and name of each declarator in a line such as `double x, y[3]`."""
@@ -243,7 +229,7 @@ class _Parser:
     def _take_length(self, scope: tuple[str, ...]) -> str:
         found = self._take()
         for count in range(len(scope), -1, -1):
-            found = self._types.numbers.get("::".join((*scope[:count], found)), found)
+            found = self._numbers.get("::".join((*scope[:count], found)), found)
         if not re.fullmatch(r"\d{1,9}", found, re.ASCII):
             self._fail("a length", found)
         return found
@@ -265,33 +251,18 @@ class _Parser:
                 return
             depth += (found == "(") - (found == ")")
 
-
-def _list_tokens(name: str, text: str) -> Iterator[str]:
-    place = 0
-    while place < len(text):
-        found = _TOKEN.match(text, place)
-        if found is None:
-            raise LogError(f"schema {name}: expected IDL, found {text[place : place + 40]!r}")
-        if found.lastgroup == "word" and len(found[0]) > _LONGEST_WORD:
-            raise LogError(f"schema {name}: expected shorter names, found {found[0][:40]!r}")
-        if found.lastgroup is not None:
-            yield found[0]
-        # A comment or text without an end: searching for further ends would take quadratic time.
-        place = len(text) if found.lastgroup == "open" else found.end()
-
-
-class _Printer:
-    """Writer of a struct as `ros2msg`, followed by the structs that it uses."""
-
-    def __init__(self, name: str, types: _Types) -> None:
-        self._name, self._types = name, types
-
-    def print(self, wanted: str) -> str:
+    def print(self) -> str:
+        """Return the wanted struct as `ros2msg`, followed by the structs that it uses."""
+        wanted = self._name.replace("/", "::")
+        if wanted not in self._structs:
+            others = ", ".join(self._structs)[:80]
+            found = others and f"; there is {others}"
+            raise LogError(f"schema {self._name}: its definition is missing{found}")
         parts: list[str] = []
         known, waiting = {wanted}, [wanted]
         while waiting:
             struct, lines = waiting.pop(), []
-            for kind, member in self._types.structs[struct]:
+            for kind, member in self._structs[struct]:
                 text, nested = self._describe(kind)
                 lines.append(f"{text} {member}\n")
                 if nested and nested not in known:
@@ -308,9 +279,9 @@ class _Printer:
             if kind.name in _KINDS:
                 return _KINDS[kind.name] + brackets, ""
             found = self._find(kind)
-            if found in self._types.structs:
+            if found in self._structs:
                 return _rename(found) + brackets, found
-            kind = self._types.others[found]
+            kind = self._others[found]
             if brackets and kind.brackets:
                 raise LogError(f"schema {self._name}: {found}: arrays of arrays are not read")
             brackets = brackets or kind.brackets
@@ -321,9 +292,23 @@ class _Printer:
         name, is_absolute = kind.name.removeprefix("::"), kind.name.startswith("::")
         for count in range(0 if is_absolute else len(kind.scope), -1, -1):
             found = "::".join((*kind.scope[:count], name))
-            if found in self._types.structs or found in self._types.others:
+            if found in self._structs or found in self._others:
                 return found
         raise LogError(f"schema {self._name}: no definition of {kind.name}")
+
+
+def _list_tokens(name: str, text: str) -> Iterator[str]:
+    place = 0
+    while place < len(text):
+        found = _TOKEN.match(text, place)
+        if found is None:
+            raise LogError(f"schema {name}: expected IDL, found {text[place : place + 40]!r}")
+        if found.lastgroup == "word" and len(found[0]) > _LONGEST_WORD:
+            raise LogError(f"schema {name}: expected shorter names, found {found[0][:40]!r}")
+        if found.lastgroup is not None:
+            yield found[0]
+        # A comment or text without an end: searching for further ends would take quadratic time.
+        place = len(text) if found.lastgroup == "open" else found.end()
 
 
 def _rename(scoped: str) -> str:

@@ -1,4 +1,4 @@
-"""Limits on memory and time for reading a file, by its size, and unpacking within them.
+"""Limits on memory and time for reading a file, by its size; reading and unpacking within them.
 
 A few kilobytes can unpack to gigabytes, or contain millions of empty records. In every command, a
 file of less than 10 MB takes less than 256 MB and 10 s, whatever its content. A larger file may
@@ -87,8 +87,6 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
 _COLUMNS: Final = 40_000_000
 _COLUMNS_SHARE: Final = 16  # of the size beyond
 
-_LARGER_CHUNKS: Final = "mcap filter FILE -o NEW.mcap writes larger ones"
-
 _CHANNEL: Final = 500  # bytes in memory, without the letters of its name
 _ENTRY: Final = 200  # bytes in memory of an entry of its table, without its letters
 
@@ -121,18 +119,18 @@ class Allowance:
         """
         with self._spending:  # several threads unpack messages at once
             self._left[kind] = left = self._left[kind] - count
-        if left < 0:
-            raise LogError(self._describe_most(kind))
-
-    def _describe_most(self, kind: str) -> str:
+        if left >= 0:
+            return
         most, size = self._most[kind], self._file_size
-        if kind != COLUMNS:
-            reason = f"expected up to {most} {kind} in a file of {size} bytes, found more"
-            return f"{reason}; {_LARGER_CHUNKS}" if kind == CHUNKS else reason
-        return (
-            f"its messages take more than {most:,} bytes as columns, the most for a file of"
-            f" {size:,} bytes. Cut the file into parts, or store it without compression"
-            " (mcap decompress FILE)"
+        if kind == COLUMNS:
+            raise LogError(
+                f"its messages take more than {most:,} bytes as columns, the most for a file of"
+                f" {size:,} bytes. Cut the file into parts, or store it without compression"
+                " (mcap decompress FILE)"
+            )
+        advice = "; mcap filter FILE -o NEW.mcap writes larger ones" if kind == CHUNKS else ""
+        raise LogError(
+            f"expected up to {most} {kind} in a file of {size} bytes, found more{advice}"
         )
 
     def spend_description(self, described: Schema | Channel) -> None:
@@ -259,3 +257,47 @@ def _join(pieces: Iterator[bytes], limit: int, spend: Callable[[int], None]) -> 
     if data.tell() > limit:
         raise LogError(f"expected up to {limit} bytes in a chunk, found more")
     return data.getvalue()
+
+
+_WINDOW: Final = 2**22  # bytes read at once
+_HELD: Final = 2**24  # bytes of a file that are cached, in whatever order records refer to them
+
+
+class FileWindow:
+    """A file with random access; small reads use a cached window, or the whole file.
+
+    Attributes:
+        size: Size of the file [bytes].
+        allowance: Limits for unpacking the file's chunks.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._start, self._data = 0, b""
+        self.size = stream.seek(0, 2)
+        self._spare = self.size
+        self.allowance = Allowance(measure_stored(stream))
+        self._is_held = self.size <= _HELD
+        if self._is_held:
+            stream.seek(0)
+            self._data = stream.read(self.size)
+
+    def read(self, start: int, count: int) -> bytes:
+        """Return `count` bytes from `start`, fewer at the end of the file."""
+        at = start - self._start
+        if self._is_held or (at >= 0 and at + count <= len(self._data)):
+            return self._data[at : at + count]
+        self._stream.seek(start)
+        if count > _WINDOW:
+            return self._stream.read(count)
+        self._start, self._data = start, self._stream.read(_WINDOW)
+        return self._data[:count]
+
+    def spend(self, count: int) -> bool:
+        """Return whether bytes may be read to try a checksum, although no length agrees.
+
+        The total is limited to the file's size, because otherwise overlapping records could be read
+        many times.
+        """
+        self._spare -= count
+        return self._spare >= 0

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.parsing import HEADING_FIELDS
+from turtlelog.log.engine.records import HEADING_FIELDS
 
 TEXT: Final = "text"
 """Kind of a text; every other kind is a type code of numpy, or the fields of a nested message."""
@@ -61,6 +61,7 @@ _SHORT: Final = MappingProxyType(
         "Header": "std_msgs/Header",
     }
 )
+
 
 _SEPARATOR: Final = re.compile(r"^={3,}[ \t\r]*\n", re.MULTILINE)
 _HEADING: Final = re.compile(r"\s*MSG:[ \t]*(\S+)[ \t\r]*(?:\n|\Z)")
@@ -171,7 +172,11 @@ def read_type(name: str, definition: str) -> MessageType:
     if known is not None:
         return known
     fields, size = _parse_schema(name, definition)
-    layout = _lay_out(fields)
+    alike, layout = lay_out_alike(fields, {}), None
+    if alike is not None and not alike.constants and alike.size <= _LARGEST_RECORD:
+        kinds = {name: kind for name, kind, *_ in alike.numbers}
+        little, big = (_join(alike, order) for order in "<>")
+        layout = Layout(little=little, big=big, size=ENCAPSULATION + alike.size, kinds=kinds)
     row_size = ROW_HEAD + (_measure(fields) if layout is None else layout.size)
     sequence = _find_sequence(fields)
     found = MessageType(
@@ -187,15 +192,15 @@ def read_type(name: str, definition: str) -> MessageType:
 
 def _measure(fields: tuple[Field, ...]) -> int:
     """Return the approximate memory of the values of a message [bytes]."""
-    return sum(_measure_field(field) * (field.length or 1) for field in fields)
-
-
-def _measure_field(field: Field) -> int:
-    if field.is_sequence:
-        return _SEQUENCE_SIZE
-    if isinstance(field.kind, str):
-        return TEXT_SIZE if field.kind == TEXT else NUMBER_SIZE
-    return _measure(field.kind)
+    size = 0
+    for field in fields:
+        if field.is_sequence:
+            size += _SEQUENCE_SIZE
+        elif isinstance(field.kind, str):
+            size += (TEXT_SIZE if field.kind == TEXT else NUMBER_SIZE) * (field.length or 1)
+        else:
+            size += _measure(field.kind) * (field.length or 1)
+    return size
 
 
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
@@ -224,11 +229,8 @@ class _Resolver:
         self._known: dict[str, tuple[tuple[Field, ...], int]] = {}
 
     def resolve(self, name: str, inside: tuple[str, ...]) -> tuple[tuple[Field, ...], int]:
-        if name not in self._known:
-            self._known[name] = self._build(name, inside)
-        return self._known[name]
-
-    def _build(self, name: str, inside: tuple[str, ...]) -> tuple[tuple[Field, ...], int]:
+        if name in self._known:
+            return self._known[name]
         if name in inside or len(inside) > DEEPEST:
             raise LogError(f"schema {name}: expected types that end, found one that holds itself")
         if name not in self._definitions:
@@ -247,7 +249,8 @@ class _Resolver:
                 )
         if len({field.name for field in fields}) < len(fields):
             raise LogError(f"schema {name}: expected names that differ, found one twice")
-        return tuple(fields), count
+        self._known[name] = tuple(fields), count
+        return self._known[name]
 
     def _find_kind(
         self, name: str, kind: str, inside: tuple[str, ...]
@@ -281,25 +284,6 @@ def shorten_type(name: str, package: str = "") -> str:
     return f"{before[-1] if before else package}/{last}"
 
 
-def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
-    """Return the layout of a type; None if its messages differ in size.
-
-    CDR aligns a number to its own size; nothing else is aligned.
-    """
-    if not _is_fixed(fields):
-        return None
-    places: list[tuple[str, str, int | None, int]] = []
-    end = _place(fields, "", 0, places)
-    if end > _LARGEST_RECORD:
-        return None
-    return Layout(
-        little=_join(places, end, "<"),
-        big=_join(places, end, ">"),
-        size=ENCAPSULATION + end,
-        kinds={name: kind for name, kind, *_ in places},
-    )
-
-
 def name_parts(field: Field) -> Iterator[str]:
     """Yield the parts of dotted names for a nested message: one part, or one per array element."""
     if field.length is None:
@@ -320,14 +304,6 @@ def fill_columns(columns: Mapping[str, Column], layout: Layout, rows: NDArray[np
             columns[name][is_big] = big[name]
 
 
-def _is_fixed(fields: tuple[Field, ...]) -> bool:
-    return all(
-        not field.is_sequence
-        and (field.kind != TEXT if isinstance(field.kind, str) else _is_fixed(field.kind))
-        for field in fields
-    )
-
-
 def _find_sequence(fields: tuple[Field, ...]) -> str | None:
     """Return the dotted name of the first sequence of texts or messages."""
     for part in fields:
@@ -339,36 +315,124 @@ def _find_sequence(fields: tuple[Field, ...]) -> str | None:
     return None
 
 
-def _place(
-    fields: tuple[Field, ...], prefix: str, end: int, places: list[tuple[str, str, int | None, int]]
-) -> int:
-    """Append name, kind, array length and offset of every number; return the end of the last."""
-    for field in fields:
-        if isinstance(field.kind, str):
-            size = np.dtype(field.kind).itemsize
-            end += -end % size
-            places.append((prefix + field.name, field.kind, field.length, end))
-            end += size * (1 if field.length is None else field.length)
-        else:
-            for part in name_parts(field):
-                end = _place(field.kind, f"{prefix}{part}.", end, places)
-    # ROS gives a type without fields one byte.
-    return end if fields else end + 1
-
-
-def _join(
-    places: list[tuple[str, str, int | None, int]], end: int, order: str
-) -> np.dtype[np.void]:
-    codes = ((f"{order}{kind.replace('?', 'u1')}", length) for _, kind, length, _ in places)
+def _join(alike: "AlikeLayout", order: str) -> np.dtype[np.void]:
+    codes = ((f"{order}{kind.replace('?', 'u1')}", length) for _, kind, length, _ in alike.numbers)
     formats = [code if length is None else f"({length},){code}" for code, length in codes]
     assert MESSAGE.names is not None
     layout = {
-        "names": [*MESSAGE.names, *(name for name, *_ in places)],
+        "names": [*MESSAGE.names, *(name for name, *_ in alike.numbers)],
         "formats": [*(MESSAGE[name] for name in MESSAGE.names), *formats],
         "offsets": [
             *(MESSAGE.fields[name][1] for name in MESSAGE.names if MESSAGE.fields),
-            *(MESSAGE.itemsize + place for *_, place in places),
+            *(MESSAGE.itemsize + place for *_, place in alike.numbers),
         ],
-        "itemsize": MESSAGE.itemsize + end,
+        "itemsize": MESSAGE.itemsize + alike.size,
     }
     return np.dtype(layout)  # type: ignore[call-overload,no-any-return]
+
+
+class _UnlikeError(Exception):
+    """Messages that differ in more than numbers."""
+
+
+class AlikeLayout:
+    """The offsets of fields in messages that differ only in numbers.
+
+    A type with texts or sequences has no fixed layout. If every text is the same in all messages
+    and every sequence has the same length, fields nevertheless have fixed offsets. CDR aligns a
+    number to its own size; nothing else is aligned.
+
+    Attributes:
+        size: Size of a message [bytes].
+        numbers: Name, type code, array length and offset [bytes] of each number.
+        constants: Bytes that are the same in all messages, with their offsets.
+        names: Names of all fields.
+    """
+
+    def __init__(self, fields: tuple[Field, ...], columns: Mapping[str, Column]) -> None:
+        self.size = 0
+        self.numbers: list[tuple[str, str, int | None, int]] = []
+        self.constants: list[tuple[bytes, int]] = []
+        self.names: list[str] = []
+        self._columns = columns
+        self._place(fields, "")
+
+    def fill(self, rows: int, columns: Mapping[str, Column]) -> NDArray[np.uint8]:
+        """Return the bytes of messages, shape (rows, size).
+
+        Numbers by field name are little-endian and of the field's type. Missing fields are 0.
+        """
+        found = np.zeros((rows, self.size), dtype=np.uint8)
+        for data, place in self.constants:
+            found[:, place : place + len(data)] = np.frombuffer(data, dtype=np.uint8)
+        for name, *_, place in self.numbers:
+            if name in columns:
+                part = np.ascontiguousarray(columns[name]).view(np.uint8).reshape(rows, -1)
+                found[:, place : place + part.shape[1]] = part
+        return found
+
+    def _place(self, fields: tuple[Field, ...], prefix: str) -> None:
+        for one in fields:
+            name = prefix + one.name
+            self.names.append(name)
+            if one.is_sequence:
+                self._place_items(one, name)
+            elif one.kind == TEXT:
+                self._place_text(one, self._columns.get(name))
+            elif isinstance(one.kind, str):
+                self._place_number(name, one.kind, one.length)
+            else:
+                for part in name_parts(one):
+                    self._place(one.kind, f"{prefix}{part}.")
+        if not fields:  # ROS gives a type without fields one byte
+            self.size += 1
+
+    def _place_number(self, name: str, kind: str, length: int | None) -> None:
+        column, shape = self._columns.get(name), () if length is None else (length,)
+        # Objects are checked one by one where they are encoded.
+        if column is not None and (column.dtype == object or column.shape[1:] != shape):
+            raise _UnlikeError
+        size = np.dtype(kind).itemsize
+        self.size += -self.size % size
+        self.numbers.append((name, kind, length, self.size))
+        self.size += size * (1 if length is None else length)
+
+    def _place_text(self, one: Field, column: Column | None) -> None:
+        text: Any = "" if column is None or not len(column) else column[0]
+        is_same = isinstance(text, str) and (
+            column is None or all(text == other for other in column)
+        )
+        if one.length is not None or not is_same:
+            raise _UnlikeError
+        data = text.encode() + b"\x00"
+        self._place_count(len(data))
+        self.constants.append((data, self.size))
+        self.size += len(data)
+
+    def _place_items(self, one: Field, name: str) -> None:
+        keys = [key.removeprefix(f"{name}.") for key in self._columns if key.startswith(f"{name}.")]
+        numbers = {key.split(".")[0] for key in keys}
+        is_listed = numbers == {str(number) for number in range(len(numbers))}
+        if name in self._columns or (isinstance(one.kind, str) and numbers) or not is_listed:
+            raise _UnlikeError
+        self._place_count(len(numbers))
+        for number in range(len(numbers)):
+            assert not isinstance(one.kind, str)
+            self._place(one.kind, f"{name}.{number}.")
+
+    def _place_count(self, count: int) -> None:
+        self.size += -self.size % 4
+        self.constants.append((count.to_bytes(4, "little"), self.size))
+        self.size += 4
+
+
+def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
+    """Return the layout of messages; None if the messages differ in more than numbers.
+
+    Columns have dotted field names. Those of items of a sequence of messages have an index, as in
+    `transforms.0.child_frame_id`.
+    """
+    try:
+        return AlikeLayout(fields, columns)
+    except _UnlikeError:
+        return None

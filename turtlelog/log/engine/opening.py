@@ -11,8 +11,8 @@ import zstandard
 
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.engine.framing import MCAP0_MAGIC, SQLITE_MAGIC, START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, ZSTD_MAGIC, Allowance, measure_stored
+from turtlelog.log.engine.records import MCAP0_MAGIC, SQLITE_MAGIC, START_SIZE, find_wrong_start
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
 from turtlelog.log.file_access import DamageError, name_file, open_file

@@ -1,63 +1,94 @@
-"""Reading of requested messages piece by piece, by the index or record by record."""
+"""An MCAP file: its ends and summary, and its chunks by the index or record by record.
 
+The mcap library checks chunks and the data section, but not the summary.
+"""
+
+import io
 import os
+import struct
+import zlib
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, describe_error
 from turtlelog.files.urls import expect_reads
+from turtlelog.log.engine import records
 from turtlelog.log.engine.blocks import (
     Block,
-    Offsets,
+    ChunkEntry,
     build_indexed_block,
     count_indexed,
     walk_blocks,
 )
-from turtlelog.log.engine.channels import Catalogue, TopicPlan, measure_object
-from turtlelog.log.engine.decode import (
-    LOG_TIME,
-    FixedColumns,
-    Rows,
-    decode_rows,
-    pick_rows,
-    rewrite_ros1,
-    unpack_messages,
-)
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.limits import COLUMNS, Allowance, measure_stored
-from turtlelog.log.engine.parsing import gather_heads, read_record
-from turtlelog.log.engine.sqlite_source import SqliteSource
-from turtlelog.log.engine.summary import (
-    ChunkEntry,
-    Ends,
-    check_data,
-    find_lone_records,
-    parse_summary,
-    read_ends,
-)
-from turtlelog.log.file_access import DamageError, name_place
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import EVER
+from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
+from turtlelog.log.engine.records import MCAP0_MAGIC, RECORD, Place
+from turtlelog.log.file_access import DamageError, UnfinishedError
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
 
 T = TypeVar("T")
+J = TypeVar("J")
 
 _Job = tuple[ChunkEntry, bytes, Mapping[str, int]]
 
 _THREADS: Final = min(os.cpu_count() or 1, 4)
 _AHEAD: Final = 2**25  # bytes of chunks that are unpacked before they are needed
 
-_MOST_REASONS: Final = 3
-"""Largest number of topics that an error lists with their reasons."""
 
-EVER: Final = 2**64
-"""A log time after all others [ns]."""
+_FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
+_DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
+_STEP: Final = 2**20  # bytes
+
+_TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, size of the offsets
+_OFFSET: Final = np.dtype([("channel", "<u2"), ("offset", "<u8")])
+_SIZES: Final = struct.Struct("<QI")  # size of the message indexes, of the compression's name
+
+_ALONE: Final = frozenset({Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA})
+"""Kinds of records that are read from between the chunks of a file with an index."""
+
+_KINDS: Final[Mapping[int, str]] = {
+    Opcode.CHUNK_INDEX: CHUNKS,
+    Opcode.SCHEMA: DESCRIPTIONS,
+    Opcode.CHANNEL: DESCRIPTIONS,
+    Opcode.STATISTICS: NOTES,
+    Opcode.METADATA_INDEX: NOTES,
+    Opcode.ATTACHMENT_INDEX: NOTES,
+    Opcode.HEADER: NOTES,
+    Opcode.METADATA: NOTES,
+    Opcode.ATTACHMENT: NOTES,
+}
+"""Limit that a record in the summary, or outside chunks, counts against."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileSummary:
+    """Contents of the summary section.
+
+    Attributes:
+        schemas: Schemas in order.
+        channels: Channels in order.
+        chunks: Chunks in the order of the file.
+        statistics: Statistics record; None if the file has none.
+        named: Opcode and name of each metadata record and attachment, by offset in the file.
+        described: Schemas and channels by their bytes, including the opcode; chunks repeat them.
+    """
+
+    schemas: tuple[Schema, ...]
+    channels: tuple[Channel, ...]
+    chunks: tuple[ChunkEntry, ...]
+    statistics: Statistics | None
+    named: Mapping[int, tuple[int, str]]
+    described: Mapping[bytes, Schema | Channel]
 
 
 class Source:
@@ -68,20 +99,29 @@ class Source:
             read.
         is_indexed: Whether the summary indexes the complete file.
         statistics: Statistics record; None if the file has none.
-        ends: Offsets of the file's parts.
+        summary_start: Offset of the summary [bytes]; of the footer if the summary is empty.
         allowance: Remaining limits of the file.
         size: Size of the file [bytes].
     """
 
     def __init__(self, stream: BinaryIO) -> None:
+        """Check the ends and the summary.
+
+        Raises:
+            LogError: If the file is not MCAP.
+            DamageError: If the file is truncated, or its summary is damaged.
+        """
+        records.check_start(stream)
         self._stream = stream
-        self.ends: Ends = read_ends(stream)
+        footer, self.summary_start, checksum = _read_footer(stream)
+        self._data_end, self._data_crc = _read_data_end(stream, self.summary_start)
+        data = _read_summary(stream, footer, self.summary_start, checksum)
         self.size = stream.seek(0, os.SEEK_END)
         self.allowance = Allowance(measure_stored(stream))
-        summary = parse_summary(self.ends.summary, self.ends.summary_start, self.allowance)
+        summary = _parse_summary(data, self.summary_start, self.allowance)
         self.catalogue = Catalogue(self.allowance)
-        self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary_start)
-        lone = find_lone_records(stream, self.ends, summary, self.allowance)
+        self.catalogue.add((*summary.schemas, *summary.channels), self.summary_start)
+        lone = _find_lone_records(stream, self._data_end, summary, self.allowance)
         self.statistics, self.is_indexed = summary.statistics, lone is not None
         self._lone, self._summary = lone or (), summary
 
@@ -92,7 +132,7 @@ class Source:
         for place in self._lone:
             if place.opcode not in opcodes:
                 continue
-            record, byte = read_record(self._stream, place), place.start - RECORD.size
+            record, byte = records.read_record(self._stream, place), place.start - RECORD.size
             # Metadata has no checksum; the summary has one, and shows which metadata must exist.
             found = place.opcode, getattr(record, "name", "")
             if named.pop(byte, found) != found:
@@ -102,18 +142,14 @@ class Source:
             raise DamageError(f"byte {byte}: not the record named {name}")
 
     @property
-    def summary_start(self) -> int:
-        """The offset of the summary [bytes]."""
-        return self.ends.summary_start
-
-    @property
     def index_length(self) -> int:
         """The total size of all message indexes [bytes]."""
         return sum(entry.index_length for entry in self._summary.chunks)
 
     def check_data(self) -> None:
         """Check the checksum of the whole data section, in one pass over the file."""
-        check_data(self._stream, self.ends)
+        expecting = f"byte {self._data_end}: expected data"
+        check_sum(self._stream, 0, self._data_end, self._data_crc, expecting)
 
     def map_blocks(
         self,
@@ -153,12 +189,15 @@ class Source:
         )
         jobs = self._read_chunks(wanted)
         # Starting threads takes longer than reading one chunk.
-        yield from map(build, jobs) if len(wanted) <= 1 else _map_ahead(build, jobs)
+        if len(wanted) <= 1:
+            yield from map(build, jobs)
+        else:
+            yield from map_ahead(build, jobs, lambda job: job[0].size + job[0].length, _AHEAD)
 
     def _walk_blocks(self) -> Iterator[Block]:
         counts: Counter[str] = Counter()
         known = self.catalogue.channels
-        for block in walk_blocks(self._stream, self.catalogue, self.allowance):
+        for block in walk_blocks(self._stream, self.catalogue):
             yield replace(block, before=dict(counts))
             for channel, starts in block.offsets.items():
                 if channel in known:
@@ -176,219 +215,23 @@ class Source:
                     counts[known[channel].topic] += count
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
-    """A segment of consecutive messages.
-
-    Attributes:
-        rows: Rows of requested topics.
-        size: Number of bytes read.
-        counts: Number of messages by channel, requested or not.
-        rest: Other records of the block; only in the first piece of a block.
-    """
-
-    rows: Mapping[str, Rows]
-    size: int
-    counts: Mapping[int, int]
-    rest: tuple[Any, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Selection:
-    """The requested messages.
-
-    Attributes:
-        topics: Names of the topics to read. None: every topic that can be decoded.
-        start_ns: Earliest log time [ns], inclusive.
-        end_ns: End of the log time [ns], exclusive.
-        is_lenient: Whether named topics may be missing or undecodable. All chunks are then read and
-            checked.
-        is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
-            messages take some hundred times their bytes in memory.
-        is_counted: Whether the memory of rows is limited in proportion to the file's size.
-        kept: Columns to keep, by topic, including the log time. Topics that are not listed keep all
-            columns.
-    """
-
-    topics: frozenset[str] | None = None
-    start_ns: int = 0
-    end_ns: int = EVER
-    is_lenient: bool = False
-    is_flat: bool = False
-    is_counted: bool = False
-    kept: Mapping[str, Collection[str]] = field(default_factory=dict)
-
-    @property
-    def is_ever(self) -> bool:
-        """Whether no message is left out because of its time."""
-        return self.start_ns <= 0 and self.end_ns >= EVER
-
-    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
-        """Return the plans of the requested topics that are known so far."""
-        known = catalogue.topics
-        names = sorted(known if self.topics is None else self.topics.intersection(known))
-        plans = ((topic, self.choose_plan(catalogue, topic)) for topic in names)
-        return {topic: plan for topic, plan in plans if plan is not None}
-
-    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
-        """Return the plan of a topic; None if it is not requested."""
-        if self.topics is not None and topic not in self.topics:
-            return None
-        plan = catalogue.find_plan(topic)
-        if plan.reason and self.topics is not None and not self.is_lenient:
-            raise LogError(plan.describe_reason())
-        if self.is_flat and plan.sequence is not None:
-            raise LogError(
-                f"topic {topic}: expected fields of numbers and texts, found the sequence"
-                f" {plan.sequence}"
-            )
-        if self.is_flat and plan.json is not None:
-            flat = tuple(field for field in plan.json if field.kind != "any")
-            plan = replace(plan, json=flat, row_size=measure_object(flat))
-        return None if plan.reason else plan
-
-    def require_topics(self, catalogue: Catalogue) -> None:
-        """Check that every topic requested by name exists, or that any topic can be decoded."""
-        if self.topics is None and not self.is_lenient:
-            plans = [catalogue.find_plan(topic) for topic in sorted(catalogue.topics)]
-            if plans and all(plan.reason for plan in plans):
-                raise LogError("; ".join(plan.describe_reason() for plan in plans[:_MOST_REASONS]))
-        missing = (self.topics or frozenset()).difference(catalogue.topics)
-        for topic in () if self.is_lenient else sorted(missing):
-            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
-
-
-def iterate_pieces(
-    source: Source | SqliteSource,
-    selection: Selection,
-    most_rows: int | None = None,
-    wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
-) -> Iterator[Piece]:
-    """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
-
-    Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
-
-    Raises:
-        LogError: If a requested topic is missing or cannot be decoded.
-        DamageError: If the file is damaged, or counts differ from the statistics.
-    """
-    catalogue, channels = source.catalogue, None
-    if source.is_indexed:
-        selection.require_topics(catalogue)
-        plans = selection.choose_plans(catalogue)
-        known = catalogue.channels.values()
-        if not selection.is_lenient:
-            channels = {channel.id for channel in known if channel.topic in plans}
-    counts: Counter[int] = Counter()
-
-    def read(block: Block) -> list[Piece]:
-        parts = _split(block.offsets, most_rows)
-        pieces = [read_piece(catalogue, selection, block, offsets, wholes) for offsets in parts]
-        return [replace(pieces[0], rest=block.rest), *pieces[1:]]
-
-    for pieces in source.map_blocks(read, channels, selection.start_ns, selection.end_ns):
-        for piece in pieces:
-            counts.update(piece.counts)
-            yield piece
-    if not source.is_indexed:  # the blocks have named the topics
-        selection.require_topics(catalogue)
-        selection.choose_plans(catalogue)
-    if selection.is_ever:
-        _check_counts(source, counts, channels)
-
-
-def count_rows(source: Source | SqliteSource, selection: Selection) -> Mapping[str, int]:
-    """Return the number of rows of each topic from the statistics; empty without statistics.
-
-    If there are message indexes, their size limits the numbers.
-    """
-    if source.statistics is None or not selection.is_ever:
-        return {}
-    room = source.index_length // 16 if source.is_indexed else EVER
-    counts: Counter[str] = Counter()
-    for number, count in source.statistics.channel_message_counts.items():
-        if number in source.catalogue:
-            counts[source.catalogue.channels[number].topic] += min(count, room)
-    return counts
-
-
-def read_piece(
-    catalogue: Catalogue,
-    selection: Selection,
-    block: Block,
-    offsets: Mapping[int, Offsets],
-    wholes: Mapping[str, FixedColumns] = MappingProxyType({}),
-) -> Piece:
-    """Return the requested messages among those at some offsets of a block."""
-    found = {}
-    for topic, channels in catalogue.group_channels(offsets, block.byte).items():
-        parts = [offsets[channel] for channel in channels]
-        starts = parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts))
-        plan = selection.choose_plan(catalogue, topic)
-        if plan is None or not len(starts):
-            continue
-        whole = None if block.before is None else wholes.get(topic)
-        rows = _read_topic(plan, block, starts, selection, catalogue.allowance, whole)
-        if rows and len(rows[LOG_TIME]):
-            found[topic] = rows
-    counts = {channel: len(starts) for channel, starts in offsets.items()}
-    share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
-    return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
-
-
-def _read_topic(
-    plan: TopicPlan,
-    block: Block,
-    starts: Offsets,
-    selection: Selection,
-    allowance: Allowance,
-    whole: FixedColumns | None,
-) -> Rows:
-    """Return the requested messages of a topic; empty if they went into the columns `whole`."""
-    place = f"{block.unit} {block.byte}: topic {plan.topic}"
-    with name_place(place):
-        messages = unpack_messages(block, starts, allowance)
-        unpacked, starts = rewrite_ros1(plan, *messages)
-    if selection.is_counted:
-        allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
-    with name_place(place):
-        first = 0 if block.before is None else block.before.get(plan.topic, 0)
-        if whole is not None and whole.fill(unpacked.data, starts, first):
-            return {}
-        rows = decode_rows(plan, unpacked, starts)
-    kept = selection.kept.get(plan.topic)
-    if kept is not None:
-        rows = {name: rows[name] for name in rows if name in kept}
-    if selection.is_ever:
-        return rows
-    times = rows[LOG_TIME]
-    return pick_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
-
-
-_LISTS: Final = 2
-"""Memory factor for lists: nested messages take ten times their bytes, columns five times."""
-
-
-def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
-    """Return the approximate memory of messages as columns [bytes]."""
-    size = len(starts) * plan.row_size
-    if plan.layout is None:
-        share = 1 if plan.sequence is None else _LISTS
-        size += share * int(gather_heads(data, starts)["length"].sum())
-    return size
-
-
-def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
-    """Yield results in order. Threads compute them ahead, up to a limited number of bytes."""
+def map_ahead(
+    work: Callable[[J], T],
+    jobs: Iterable[J],
+    measure: Callable[[J], int],
+    most: int,
+    threads: int = _THREADS,
+) -> Iterator[T]:
+    """Yield results in order. Threads compute them ahead, up to a total size `most`."""
     from concurrent.futures import ThreadPoolExecutor  # 8 ms that a file with one chunk saves
 
     waiting: deque[tuple[int, Future[T]]] = deque()
-    ahead = 0  # bytes computed ahead
-    with ThreadPoolExecutor(_THREADS) as pool:
+    ahead = 0  # total size that is computed ahead
+    with ThreadPoolExecutor(threads) as pool:
         try:
             for job in jobs:
-                size = job[0].size + job[0].length
-                while waiting and (ahead + size > _AHEAD or len(waiting) > 4 * _THREADS):
+                size = measure(job)
+                while waiting and (ahead + size > most or len(waiting) > 4 * threads):
                     done, future = waiting.popleft()
                     ahead -= done
                     yield future.result()
@@ -401,29 +244,170 @@ def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
                 future.cancel()
 
 
-def _split(
-    offsets: Mapping[int, Offsets], most_rows: int | None
-) -> Sequence[Mapping[int, Offsets]]:
-    """Return the messages of a block in segments of at most `most_rows` messages per channel."""
-    if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
-        return [offsets]
-    borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
-    stretches: Sequence[dict[int, Offsets]] = [{} for _ in range(len(borders) + 1)]
-    for channel, of in offsets.items():
-        parts = np.split(of, np.searchsorted(of, borders))
-        for stretch, part in zip(stretches, parts, strict=True):
-            if len(part):
-                stretch[channel] = part
-    return stretches
+def check_sum(stream: BinaryIO, start: int, end: int, expected: int, expecting: str) -> None:
+    """Check a part of a file step by step, if it has a checksum; `expecting` begins the error."""
+    if not expected:
+        return
+    stream.seek(start)
+    found, buffer = 0, memoryview(bytearray(min(_STEP, max(end - start, 0))))
+    while start < end:
+        count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
+        if not count:
+            break  # the file became shorter; the checksum will differ
+        found = zlib.crc32(buffer[:count], found)
+        start += count
+    if found != expected:
+        raise DamageError(f"{expecting} of checksum {expected:#010x}, found {found:#010x}")
 
 
-def _check_counts(
-    source: Source | SqliteSource, counts: Counter[int], channels: Collection[int] | None
-) -> None:
-    statistics = source.statistics
-    for channel, expected in statistics.channel_message_counts.items() if statistics else ():
-        if (channels is None or channel in channels) and counts[channel] != expected:
-            raise DamageError(
-                f"byte {source.summary_start}: channel {channel}: expected {expected} messages"
-                f" as the statistics say, found {counts[channel]}"
-            )
+def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
+    """Return the offsets of footer and summary, and the summary's checksum; 0 without a checksum.
+
+    An empty summary starts at the footer.
+    """
+    size = stream.seek(0, io.SEEK_END)
+    place = size - _FOOTER.size - len(MCAP0_MAGIC)
+    stream.seek(max(place, 0))
+    footer, end = stream.read(_FOOTER.size), stream.read()
+    if place < len(MCAP0_MAGIC) or end != MCAP0_MAGIC:
+        raise UnfinishedError(f"truncated or unfinished (no end of an MCAP file at byte {size})")
+    opcode, length, start, _, checksum = _FOOTER.unpack(footer)
+    if opcode != Opcode.FOOTER or length != 20 or start > place:
+        raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
+    return place, start or place, checksum
+
+
+def _read_summary(stream: BinaryIO, footer: int, start: int, expected: int) -> bytes:
+    end = footer + _FOOTER.size - 4  # the checksum covers the footer up to itself
+    # Checked before anything is read: a damaged footer may claim that the whole file is summary.
+    check_sum(stream, start, end, expected, f"byte {start}: expected a summary")
+    stream.seek(start)
+    return stream.read(footer - start)
+
+
+def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
+    place = max(summary_start - _DATA_END.size, 0)
+    stream.seek(place)
+    record = stream.read(_DATA_END.size)
+    if len(record) < _DATA_END.size or _DATA_END.unpack(record)[:2] != (Opcode.DATA_END, 4):
+        raise DamageError(f"byte {place}: expected the end of the data, found 0x{record.hex()}")
+    return place, int(_DATA_END.unpack(record)[2])
+
+
+def _parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
+    """Return the contents of the summary section; `byte` is its offset in the file."""
+    chunks: list[ChunkEntry] = []
+    statistics, named = None, dict[int, tuple[int, str]]()
+    described: dict[bytes, Schema | Channel] = {}
+    for place in records.iterate_places(data, 0, len(data), byte):
+        _spend(allowance, place.opcode, byte + place.start)
+        if place.opcode == Opcode.CHUNK_INDEX:
+            chunks.append(_parse_entry(data, place, byte))
+            continue
+        found = records.parse_record(place, data[place.start : place.end], byte + place.start)
+        if isinstance(found, Schema | Channel):
+            described[records.take_whole(data, place)] = found
+        elif isinstance(found, Statistics):
+            statistics = found
+        elif isinstance(found, MetadataIndex):
+            named[found.offset] = Opcode.METADATA, found.name
+        elif isinstance(found, AttachmentIndex):
+            named[found.offset] = Opcode.ATTACHMENT, found.name
+    return FileSummary(
+        schemas=tuple(found for found in described.values() if isinstance(found, Schema)),
+        channels=tuple(found for found in described.values() if isinstance(found, Channel)),
+        chunks=tuple(sorted(chunks, key=lambda entry: entry.start)),
+        statistics=statistics,
+        named=named,
+        described=described,
+    )
+
+
+def _spend(allowance: Allowance, opcode: int, byte: int) -> None:
+    kind = _KINDS.get(opcode)
+    try:
+        if kind is not None:
+            allowance.spend(kind)
+    except LogError as err:
+        raise DamageError(f"byte {byte}: {err}") from err
+
+
+def _find_lone_records(
+    stream: BinaryIO, data_end: int, summary: FileSummary, allowance: Allowance
+) -> tuple[Place, ...] | None:
+    """Return the records between the chunks; None if the index is incomplete.
+
+    The index is complete under two conditions. There is no message and no further chunk between its
+    chunks. Every chunk has message indexes with known channels and schemas.
+    """
+    schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
+    known = {channel.id for channel in summary.channels if channel.schema_id in schemas}
+    lone: list[Place] = []
+    start = len(MCAP0_MAGIC)
+    for entry in (*summary.chunks, None):
+        end = data_end if entry is None else entry.start
+        if entry and not (entry.channels and entry.index_length and entry.channels <= known):
+            return None
+        places = _find_between(stream, start, end, allowance)
+        if places is None:
+            return None
+        lone += places
+        start = end if entry is None else entry.end
+    return tuple(lone)
+
+
+def _find_between(
+    stream: BinaryIO, start: int, end: int, allowance: Allowance
+) -> list[Place] | None:
+    found = []
+    while start < end:
+        stream.seek(start)
+        heading = stream.read(RECORD.size)
+        if len(heading) < RECORD.size:
+            return None
+        opcode, length = RECORD.unpack(heading)
+        if opcode in {0, Opcode.CHUNK, Opcode.MESSAGE}:
+            return None
+        _spend(allowance, opcode, start)
+        if opcode in _ALONE:
+            found.append(Place(opcode, start + RECORD.size, length))
+        start += RECORD.size + length
+    return found if start == end else None
+
+
+def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
+    body = data[place.start : place.end]
+    try:
+        start_ns, end_ns, start, length, offsets_size = _TIMES.unpack_from(body)
+        after = _TIMES.size + offsets_size
+        count = offsets_size // _OFFSET.itemsize
+        offsets = np.frombuffer(body[_TIMES.size : after], _OFFSET, count)
+        index_length, name_length = _SIZES.unpack_from(body, after)
+        (size,) = struct.unpack_from("<Q", body, after + 20 + name_length)
+    except (struct.error, ValueError) as err:
+        expected = f"byte {byte + place.start}: expected the index of a chunk"
+        raise DamageError(f"{expected}, found {describe_error(err)}") from err
+    return ChunkEntry(
+        start=start,
+        length=length,
+        index_length=index_length,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        channels=frozenset(offsets["channel"].tolist()),
+        size=size,
+    )
+
+
+def salvage_summary(stream: BinaryIO) -> FileSummary | None:
+    """Return the last record of each id in the summary; None if its end or checksum is wrong."""
+    try:
+        place, start, checksum = _read_footer(stream)
+        if not checksum:  # without a checksum only this confirms the start
+            _read_data_end(stream, start)
+        data = _read_summary(stream, place, start, checksum)
+        summary = _parse_summary(data, start, Allowance(measure_stored(stream)))
+    except DamageError:
+        return None
+    schemas = {schema.id: schema for schema in summary.schemas}
+    channels = {channel.id: channel for channel in summary.channels}
+    return replace(summary, schemas=tuple(schemas.values()), channels=tuple(channels.values()))

@@ -1,26 +1,32 @@
-"""Opening of SQLite files without writing next to them, and the tables of a bag."""
+"""Opening of SQLite files without writing next to them, after counting their pages.
+
+A row claims its length and the pages of the part that does not fit into its own page. In a valid
+file each page belongs to one tree, and rows have no more bytes than the file. In other files rows
+may share pages: if thousands of rows refer to the same megabyte, SQLite would copy it thousands of
+times.
+
+The format is described at https://www.sqlite.org/fileformat2.html. Numbers are read as SQLite reads
+them, so that every row is counted: offsets in a page wrap around, lengths have 32 bits.
+"""
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
-from mcap.records import Channel, Schema
-from mcap.well_known import MessageEncoding
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.limits import DESCRIPTIONS, SCHEMA_BYTES, Allowance
 from turtlelog.log.file_access import DamageError, open_file
 
 if TYPE_CHECKING:
     import sqlite3
-    from sqlite3 import Cursor
 
 
-_HEADER: Final = 100  # bytes
+_FILE_HEAD: Final = 100  # bytes
 _PAGE_SIZE: Final = slice(16, 18)
 _CHANGES: Final = slice(24, 28)
 _PAGES: Final = slice(28, 32)
@@ -51,8 +57,6 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
     import sqlite3
     from tempfile import TemporaryDirectory
 
-    from turtlelog.log.engine.sqlite_pages import check_pages
-
     path = path.resolve()
     with ExitStack() as closing:
         place = path
@@ -61,8 +65,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
             if present := [side for side in sides if side.exists() and side.stat().st_size]:
                 folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
                 place = folder / "bag.db3"
-                _copy_with_sides(path, place, present)
-                _take_sides_in(place, is_damaged=is_damaged)
+                _copy_merged(path, place, present, is_damaged=is_damaged)
             size, claimed, page = measure_pages(place)
             is_short = size % page or size < claimed
             if is_short and not is_damaged:
@@ -97,8 +100,20 @@ def _connect(place: Path, mode: str, *, is_damaged: bool) -> "sqlite3.Connection
     return connection
 
 
-def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
-    """Make SQLite merge the files next to a copy into this copy, without reading a table."""
+def _copy_merged(path: Path, place: Path, sides: list[Path], *, is_damaged: bool) -> None:
+    """Copy a file and the files next to it, which SQLite merges without reading a table."""
+    import shutil
+
+    for source in (path, *sides):
+        target = place.with_name(place.name + source.name.removeprefix(path.name))
+        with open_file(source) as stream, target.open("w+b") as copy:
+            shutil.copyfileobj(stream, copy, 2**20)
+            copy.seek(max(copy.tell() - len(_JOURNAL_MAGIC), 0))
+            end = copy.read()
+        if source.name.endswith("-journal") and end == _JOURNAL_MAGIC:
+            raise LogError(
+                f"{source.name}: expected the journal of one file, found one that names another"
+            )
     most = sum(found.stat().st_size for found in place.parent.iterdir())
     connection = _connect(place, "mode=rw", is_damaged=is_damaged)
     try:
@@ -115,7 +130,7 @@ def _take_sides_in(place: Path, *, is_damaged: bool) -> None:
 def measure_pages(path: Path) -> tuple[int, int, int]:
     """Return the size of a file, the size in its header, and the size of a page [bytes]."""
     with path.open("rb") as stream:
-        head = stream.read(_HEADER)
+        head = stream.read(_FILE_HEAD)
         size = stream.seek(0, os.SEEK_END)
     page = int.from_bytes(head[_PAGE_SIZE], "big")
     page = 2**16 if page == 1 else page or 2**16
@@ -133,162 +148,235 @@ def describe_sqlite_error(err: "sqlite3.Error") -> str:
     return f"expected a sound SQLite file, found: {text}"
 
 
-def _copy_with_sides(path: Path, place: Path, sides: list[Path]) -> None:
-    import shutil
+_TABLE_LEAF, _TABLE_INTERIOR, _INDEX_LEAF, _INDEX_INTERIOR = 13, 5, 10, 2
+_PARENTS: Final = (_TABLE_INTERIOR, _INDEX_INTERIOR)
 
-    for source in (path, *sides):
-        target = place.with_name(place.name + source.name.removeprefix(path.name))
-        with open_file(source) as stream, target.open("wb") as copy:
-            shutil.copyfileobj(stream, copy, 2**20)
-        if source.name.endswith("-journal"):
-            with target.open("rb") as stream:
-                stream.seek(-min(16, target.stat().st_size), 2)
-                if stream.read()[-8:] == _JOURNAL_MAGIC:
-                    raise LogError(
-                        f"{source.name}: expected the journal of one file, found one that names"
-                        " another"
-                    )
+_RESERVED: Final = 20
+_PAGE_SIZES: Final = frozenset(2**power for power in range(9, 17))
+_LEAST_USABLE: Final = 480  # bytes of a page
+_PARENT_HEAD: Final = 12
+_LEAF_HEAD: Final = 8
+_COUNT: Final = 3
+_RIGHT: Final = 8
+"""Position in a page's header of the number of its cells and the last page below it."""
+
+_LEAST_CELL: Final = 6  # bytes, including its pointer
+_LONGEST_VARINT: Final = 9
+_DEEPEST: Final = 20  # levels; SQLite reads no deeper tree
+_READ_BYTES: Final = 2**20
+
+_MOST_DEFINED: Final = 2**16
+"""Largest size of table definitions [bytes]. A bag has 2,000; SQLite stores 100 times as many."""
+
+_MOST_TABLES: Final = 2**10
+_DAMAGED_SHARE: Final = 64
+"""Total size of rows that a recovery accepts, as a multiple of the file's size; a damaged row may
+claim any length."""
+
+_INTEGERS: Final = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
+"""Size of a whole number in a row, by its kind [bytes]; NULL, 0 and 1 take no space."""
+
+_ONE: Final = 9
+_REAL: Final = 8  # bytes
 
 
-_TOPIC_COLUMNS: Final = ("id", "name", "type", "serialization_format")
-_TOPIC_NOTES: Final = {
-    "offered_qos_profiles": "offered_qos_profiles",
-    "type_description_hash": "topic_type_hash",
-}
-"""Columns that only some rosbag2 versions have, and their names in an MCAP channel."""
+def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
+    """Check that the rows of a SQLite file claim no more bytes than the file has.
 
-_ROW_NUMBERS: Final = ("rowid", "_rowid_", "oid")
-
-_MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
-_DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
-
-_MOST_CHANNELS: Final = 2**16 - 1  # channel numbers have 16 bits in a block
-
-_Execute = Callable[..., "Cursor"]
-"""A function that runs a query with its values, within a limited number of steps."""
+    In a damaged file, invalid pages and rows that claim too much are skipped, but the definitions
+    of tables must be valid. No file beside it may change it.
+    """
+    with path.open("rb") as stream:
+        usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]
+        if page_size not in _PAGE_SIZES or usable < _LEAST_USABLE:
+            found = f"{usable} of {page_size}"
+            raise DamageError(f"expected pages of 512 to 65536 bytes, found {found} to use")
+        pages = _Pages(stream, page_size, usable)
+        roots = pages.list_roots()
+        pages.most_bytes *= _DAMAGED_SHARE if is_damaged else 1
+        pages.is_damaged = is_damaged
+        for root in roots:
+            pages.count_tree(root)
 
 
 @dataclass(frozen=True, slots=True)
-class BagTable:
-    """A table of a bag.
+class _Batch:
+    """Several pages of a tree: their bytes one after another, and the offset of each header."""
+
+    data: NDArray[np.uint8]
+    heads: NDArray[np.int64]
+    page_size: int
+
+    def find_cells(self, kinds: tuple[int, ...], head: int) -> NDArray[np.int64]:
+        """Return the offsets of the cells of pages of some kinds."""
+        heads = self.heads[np.isin(self.data[self.heads], kinds)]
+        counts = _read_number(self.data, heads + _COUNT, 2)
+        counts[counts > (self.page_size - _LEAF_HEAD) // _LEAST_CELL] = 0  # SQLite refuses these
+        first = np.repeat(heads + head - 2 * (np.cumsum(counts) - counts), counts)
+        places = _read_number(self.data, first + 2 * np.arange(len(first)), 2)
+        starts = np.repeat(heads - heads % self.page_size, counts)
+        return starts + places % self.page_size
+
+    def list_children(self) -> NDArray[np.int64]:
+        """Return the numbers of the child pages."""
+        heads = self.heads[np.isin(self.data[self.heads], _PARENTS)]
+        cells = self.find_cells(_PARENTS, _PARENT_HEAD)
+        return _read_number(self.data, np.concatenate([cells, heads + _RIGHT]), 4)
+
+    def find_rows(self) -> NDArray[np.int64]:
+        """Return the offsets of rows and their lengths."""
+        leaves = self.find_cells((_TABLE_LEAF, _INDEX_LEAF), _LEAF_HEAD)
+        return np.concatenate([leaves, self.find_cells((_INDEX_INTERIOR,), _PARENT_HEAD) + 4])
+
+    def read_varints(self, places: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return numbers of up to nine bytes, of which 32 bits are used."""
+        values = self.data[places].astype(np.int64)
+        more = np.flatnonzero(values > 0x7F)
+        values &= 0x7F
+        for byte in range(1, _LONGEST_VARINT):
+            if not len(more):
+                break
+            found = self.data[places[more] + byte].astype(np.int64)
+            values[more] = (values[more] << 7 | found & 0x7F) & 0xFFFFFFFF
+            more = more[found > 0x7F]
+        return values
+
+
+class _Pages:
+    """The pages of a file.
 
     Attributes:
-        columns: Columns with values, named as in the file.
-        row_number: Name of the row number; no column has this name.
+        most_bytes: Largest total size of all rows [bytes].
+        is_damaged: Whether pages that occur twice are skipped.
     """
 
-    columns: Sequence[str]
-    row_number: str
+    def __init__(self, stream: BinaryIO, page_size: int, usable: int) -> None:
+        self._stream, self._size, self._usable = stream, page_size, usable
+        self.file_size = stream.seek(0, 2)
+        self._count = self.file_size // page_size
+        self._seen = np.zeros(self._count + 1, np.bool_)
+        self._bytes = 0
+        self.most_bytes = self.file_size
+        self.is_damaged = False
+
+    def list_roots(self) -> list[int]:
+        """Return the first page of every tree in the table of tables."""
+        roots, defined, tables = [], 0, 0
+        for batch in self._walk(1):
+            rows = batch.find_rows()
+            lengths = batch.read_varints(rows)
+            defined, tables = defined + int(lengths.sum()), tables + len(rows)
+            if defined > _MOST_DEFINED or tables > _MOST_TABLES:
+                raise DamageError(
+                    f"expected up to {_MOST_DEFINED} bytes that define up to {_MOST_TABLES} tables,"
+                    " found more: this is no bag"
+                )
+            for place, length in zip(rows.tolist(), lengths.tolist(), strict=True):
+                cell = batch.data[place : place + self._size].tobytes()
+                roots.append(_find_root(self._read_payload(cell, length)))
+        return [root for root in roots if root]
+
+    def _read_payload(self, cell: bytes, length: int) -> bytes:
+        """Return the available bytes of a row."""
+        _, at = _read_varint(cell, 0)
+        _, at = _read_varint(cell, at)
+        local = length
+        if length > self._usable - 35:  # the rest is in other pages
+            least = (self._usable - 12) * 32 // 255 - 23
+            local = least + (length - least) % (self._usable - 4)
+            local = local if local <= self._usable - 35 else least
+        data, following = cell[at : at + local], cell[at + local : at + local + 4]
+        while len(data) < length and (number := int.from_bytes(following, "big")):
+            self._stream.seek((number - 1) * self._size)
+            page = self._stream.read(self._size)[: self._usable]
+            if len(page) <= len(following):
+                break
+            data, following = data + page[4:], page[:4]
+        return data[:length]
+
+    def count_tree(self, root: int) -> None:
+        """Add the number of bytes that the rows of a tree claim."""
+        for batch in self._walk(root):
+            lengths = batch.read_varints(batch.find_rows())
+            if self.is_damaged:
+                lengths = np.minimum(lengths, self.file_size)
+            self._bytes += int(lengths.sum())
+            if self._bytes > self.most_bytes:
+                fix = "" if self.is_damaged else "; turtlelog convert --recover reads what is left"
+                raise DamageError(
+                    f"expected rows of up to {self.file_size} bytes in all, the size of the file,"
+                    f" found more: rows share their pages, or claim a wrong length{fix}"
+                )
+
+    def _walk(self, root: int) -> Iterator[_Batch]:
+        """Yield the pages of a tree, level by level."""
+        level = np.array([root], np.int64)
+        for _ in range(_DEEPEST):
+            below = [np.empty(0, np.int64)]
+            for batch in self._read(self._visit(level)):
+                yield batch
+                below.append(batch.list_children())
+            level = np.concatenate(below)
+
+    def _visit(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return pages in order. SQLite itself reports missing pages."""
+        numbers = np.sort(numbers[(numbers > 0) & (numbers <= self._count)])
+        is_again = self._seen[numbers]
+        is_again[1:] |= numbers[1:] == numbers[:-1]
+        if is_again.any() and not self.is_damaged:
+            number = numbers[is_again][0]
+            raise DamageError(
+                f"page {number}: expected each page in one table once, found it twice: pages lead"
+                " in circles, or are shared; turtlelog convert --recover reads what is left"
+            )
+        self._seen[numbers] = True
+        return numbers[~is_again]
+
+    def _read(self, numbers: NDArray[np.int64]) -> Iterator[_Batch]:
+        for some in np.split(numbers, np.arange(0, len(numbers), _READ_BYTES // self._size)[1:]):
+            if not len(some):
+                continue
+            data = bytearray()
+            for run in np.split(some, np.flatnonzero(np.diff(some) != 1) + 1):
+                self._stream.seek((int(run[0]) - 1) * self._size)
+                data += self._stream.read(len(run) * self._size)
+            heads = np.arange(len(some)) * self._size
+            heads[some == 1] += _FILE_HEAD
+            data += bytes(_FILE_HEAD + _PARENT_HEAD)  # pointers to cells may lie beyond the end
+            yield _Batch(np.frombuffer(data, np.uint8), heads, self._size)
 
 
-def list_tables(execute: _Execute) -> dict[str, BagTable]:
-    """Return the tables of a bag by name."""
-    kinds = {}
-    for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
-        if kind in {"table", "view"}:
-            is_plain = kind == "table" and str(sql).upper().startswith("CREATE TABLE")
-            kinds[str(name)] = "table" if is_plain else str(sql)[:40]
-    needed = {"topics": _TOPIC_COLUMNS, "messages": _MESSAGE_COLUMNS}
-    for table in needed:
-        if table not in kinds:
-            found = ", ".join(kinds)[:200] or "no tables"
-            raise LogError(f"expected a bag with tables topics and messages, found {found}")
-    tables = {}
-    for table, names in (needed | {"message_definitions": _DEFINITION_COLUMNS}).items():
-        if table in kinds:
-            if kinds[table] != "table":
-                raise LogError(f"{table}: expected a table, found {kinds[table]}")
-            tables[table] = _describe_table(execute, table, names)
-    return tables
+def _read_number(
+    data: NDArray[np.uint8], places: NDArray[np.int64], size: int
+) -> NDArray[np.int64]:
+    found = np.zeros(len(places), np.int64)
+    for byte in range(size):
+        found = found << 8 | data[places + byte]
+    return found
 
 
-def _describe_table(execute: _Execute, table: str, needed: Collection[str]) -> BagTable:
-    found = [(name, hidden) for _, name, *_, hidden in execute(f"PRAGMA table_xinfo({table})")]
-    columns = [name for name, hidden in found if not hidden]
-    for name in needed:
-        if name not in columns:
-            others = ", ".join(f"{other} computed" if hidden else other for other, hidden in found)
-            raise LogError(f"{table}: expected a column {name}, found {others[:200]}")
-    import sqlite3  # MCAP files do not need it
-
-    # A column with such a name hides the row number.
-    taken = {name.lower() for name, _ in found}
-    free = [name for name in _ROW_NUMBERS if name not in taken]
-    if not free:
-        raise LogError(f"{table}: expected rows with numbers, found columns of all their names")
-    try:
-        execute(f"SELECT {free[0]} FROM {table} NOT INDEXED LIMIT 0")
-    except sqlite3.OperationalError as err:
-        raise LogError(f"{table}: its rows have no numbers: {err}") from err
-    return BagTable(columns, free[0])
+def _find_root(row: bytes) -> int:
+    """Return the root page in a row of the table of tables; 0 for a view or a trigger."""
+    place, at = _read_varint(row, 0)
+    kinds = list[int]()
+    for _ in range(4):
+        kind, at = _read_varint(row, at)
+        kinds.append(kind)
+    place += sum(map(_measure_value, kinds[:3]))
+    count = _measure_value(kinds[3])
+    if kinds[3] not in _INTEGERS or place + count > len(row):
+        raise DamageError("expected a sound SQLite file, found a damaged table of tables")
+    return int.from_bytes(row[place : place + count], "big", signed=True) + (kinds[3] == _ONE)
 
 
-def read_channels(
-    execute: _Execute, tables: Mapping[str, BagTable], catalogue: Catalogue, allowance: Allowance
-) -> dict[int, int]:
-    """Add the topics to the catalogue; return the channel number of each topic by its id."""
-    numbers: dict[int, int] = {}
-    described = tables.get("message_definitions")
-    definitions = _read_definitions(execute, described, allowance) if described else {}
-    topics = tables["topics"]
-    notes = [name for name in _TOPIC_NOTES if name in topics.columns]
-    schemas: dict[str, int] = {}
-    for row in _select(execute, "topics", topics, (*_TOPIC_COLUMNS, *notes)):
-        allowance.spend(DESCRIPTIONS)
-        topic_id, name, kind, encoding, *texts = row
-        if not isinstance(topic_id, int):
-            found = repr(topic_id)[:60]
-            raise LogError(f"topics: {str(name)[:60]}: id: expected a whole number, found {found}")
-        _require_texts(f"topics: row {topic_id}", _TOPIC_COLUMNS[1:], (name, kind, encoding))
-        if len(numbers) == _MOST_CHANNELS:
-            raise LogError(f"topics: expected up to {_MOST_CHANNELS}, found more")
-        if kind not in schemas:
-            schemas[kind] = len(schemas) + 1
-            encoded, data = definitions.get(kind, ("", ""))
-            schema = Schema(id=schemas[kind], name=kind, encoding=encoded, data=data.encode())
-            catalogue.add([schema], 0)
-        numbers[topic_id] = number = len(numbers) + 1
-        channel = Channel(
-            id=number,
-            topic=name,
-            message_encoding=encoding or MessageEncoding.CDR,
-            schema_id=schemas[kind],
-            metadata={
-                _TOPIC_NOTES[key]: str(text or "") for key, text in zip(notes, texts, strict=True)
-            },
-        )
-        catalogue.add([channel], 0)
-    return numbers
+def _measure_value(kind: int) -> int:
+    return (kind - 12) // 2 if kind >= 12 else _INTEGERS.get(kind, _REAL)
 
 
-def _read_definitions(
-    execute: _Execute, table: BagTable, allowance: Allowance
-) -> dict[str, tuple[str, str]]:
-    """Return encoding and text of the types that the file defines."""
-    definitions: dict[str, tuple[str, str]] = {}
-    rows = _select(execute, "message_definitions", table, _DEFINITION_COLUMNS)
-    for number, row in enumerate(rows, start=1):
-        allowance.spend(DESCRIPTIONS)
-        _require_texts(f"message_definitions: row {number}", _DEFINITION_COLUMNS, row)
-        allowance.spend(SCHEMA_BYTES, sum(map(len, row)))
-        kind, encoding, text = row
-        # If rosbag2 finds no definition, it writes the encoding `unknown` and no text.
-        if text and encoding != "unknown":
-            definitions.setdefault(kind, (encoding, text))
-    return definitions
-
-
-def _select(
-    execute: _Execute, name: str, table: BagTable, columns: Sequence[str]
-) -> Iterator[tuple[Any, ...]]:
-    return execute(
-        f"SELECT {', '.join(columns)} FROM {name} NOT INDEXED ORDER BY {table.row_number}"
-    )
-
-
-def _require_texts(place: str, columns: Sequence[str], values: Sequence[object]) -> None:
-    for column, value in zip(columns, values, strict=True):
-        if not isinstance(value, str):
-            shown = value[:60] if isinstance(value, bytes) else value
-            found = "NULL" if value is None else repr(shown)[:60]
-            raise LogError(f"{place}: {column}: expected text, found {found}")
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for byte in data[at : at + _LONGEST_VARINT]:
+        value, at = value << 7 | byte & 0x7F, at + 1
+        if byte < 0x80:
+            break
+    return value & 0xFFFFFFFF, at

@@ -5,40 +5,39 @@ blob. All headers are written at once. After that, decoding is the same as for M
 
 A recording cannot run code: only tables are read, never views, and no function of the schema is
 called. Reading a file whose pages form a loop stops after a limited number of steps.
-
-A damaged bag is read row by row: the readable rows, and the gaps between them. A table is a tree of
-pages in order of row numbers, so with a page its rows are lost. The rows after it are found by
-searching the smallest row number that SQLite can read again.
 """
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+    Set as AbstractSet,
+)
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
+from mcap.records import Channel, Schema
+from mcap.well_known import MessageEncoding
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import Block
+from turtlelog.log.engine.blocks import Block, group_starts
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.limits import DAMAGES, Allowance
-from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
-from turtlelog.log.engine.sqlite_file import (
-    describe_sqlite_error,
-    list_tables,
-    measure_pages,
-    open_connection,
-    read_channels,
-)
-from turtlelog.log.engine.walk import Loss, Section
+from turtlelog.log.engine.limits import DESCRIPTIONS, SCHEMA_BYTES, Allowance
+from turtlelog.log.engine.records import COUNTED_HEAD, HEADING, MESSAGE_HEAD
+from turtlelog.log.engine.sqlite_file import open_connection
 from turtlelog.log.file_access import DamageError
 
 if TYPE_CHECKING:
     import sqlite3
+    from sqlite3 import Cursor
 
 T = TypeVar("T")
 Row = tuple[Any, ...]
@@ -59,6 +58,12 @@ _STEPS_A_BYTE: Final = 20
 _FUNCTIONS: Final = frozenset({"count", "min", "max", "typeof"})
 
 _GAP: Final = bytearray(MESSAGE_HEAD)
+
+_SHORTENED: Final = (
+    "CASE typeof({0}) WHEN 'integer' THEN {0} WHEN 'real' THEN 0.5 WHEN 'text' THEN ''"
+    " WHEN 'blob' THEN x'' END"
+)
+"""A value of the same type as a column's, and of few bytes."""
 
 
 class SqliteRows:
@@ -118,10 +123,10 @@ class SqliteSource:
         self.size = size
         self._steps_left = 0
         connection.set_progress_handler(self._count_steps, _STEPS)
-        tables = list_tables(self.execute)
+        tables = _list_tables(self.execute)
         connection.set_authorizer(_authorize)
-        self.catalogue = Catalogue(allowance := Allowance(stored_size))
-        self._numbers = read_channels(self.execute, tables, self.catalogue, allowance)
+        self.catalogue = Catalogue(Allowance(stored_size))
+        self._numbers = _read_channels(self.execute, tables, self.catalogue)
         self.row_number = tables["messages"].row_number
 
     def execute(self, query: str, *values: object) -> "sqlite3.Cursor":
@@ -154,23 +159,16 @@ class SqliteSource:
     def map_blocks(
         self,
         work: Callable[[Block], T],
-        channels: Collection[int] | None = None,
+        channels: AbstractSet[int] | None = None,
         start_ns: int = 0,
         end_ns: int = 2**64,
     ) -> Iterator[T]:
         """Yield the result of `work` for each block, in the order in which rows were written."""
-        wanted = [
-            topic_id
-            for topic_id, number in self._numbers.items()
-            if channels is None or number in channels
-        ]
-        query = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"
+        query, conditions = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED", []
         # The plus sign keeps SQLite from converting a text to a number.
-        conditions = (
-            [f"+topic_id IN ({','.join(map(str, wanted))})"]
-            if len(wanted) < len(self._numbers)
-            else []
-        )
+        if channels is not None and not channels >= {*self._numbers.values()}:
+            wanted = (str(key) for key, number in self._numbers.items() if number in channels)
+            conditions.append(f"+topic_id IN ({','.join(wanted)})")
         conditions += [f"+timestamp >= {min(start_ns, 2**63 - 1)}"] if start_ns > 0 else []
         conditions += [f"+timestamp < {end_ns}"] if end_ns < 2**63 else []
         if conditions:
@@ -208,17 +206,18 @@ class SqliteSource:
             raise self._find_fault()
         numbers = np.array([self._numbers[number] for number in known.tolist()])[places]
         data, lengths = rows.join(), np.frombuffer(rows.lengths, np.int64)
-        ends = np.cumsum(lengths + MESSAGE_HEAD)
-        starts = ends - lengths - MESSAGE_HEAD
-        _scatter_heads(data, starts, lengths, numbers, time_ns)
-        order = np.argsort(numbers, kind="stable")
-        present, firsts = np.unique(numbers[order], return_index=True)
-        offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
+        starts = np.cumsum(lengths + MESSAGE_HEAD) - lengths - MESSAGE_HEAD
+        heads = np.zeros(len(starts), HEADING)
+        heads["opcode"], heads["length"] = Opcode.MESSAGE, lengths + COUNTED_HEAD
+        heads["channel"], heads["log_time"], heads["publish_time"] = numbers, time_ns, time_ns
+        kind = f"V{MESSAGE_HEAD}"
+        places = np.ndarray((len(data) - MESSAGE_HEAD + 1,), kind, buffer=data, strides=(1,))
+        places[starts] = heads.view(kind)
+        offsets = group_starts(numbers, starts)
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
 
-    def find_fault_of(self, row: Row) -> str | None:
-        """Return the error in a row of topic, time and data; None if valid."""
-        topic_id, timestamp, data = row
+    def judge_row(self, topic_id: object, timestamp: object, data: object) -> str | None:
+        """Return the error in a row; None if valid."""
         if not isinstance(topic_id, int):
             return f"topic_id: expected a whole number, found {_name_kind(topic_id)}"
         if topic_id not in self._numbers:
@@ -226,16 +225,14 @@ class SqliteSource:
         if not isinstance(timestamp, int) or timestamp < 0:
             found = timestamp if isinstance(timestamp, int) else _name_kind(timestamp)
             return f"timestamp: expected nanoseconds from 0 on, found {found}"
-        if not isinstance(data, bytes):
-            return f"data: expected a blob, found {_name_kind(data)}"
-        return None
+        is_blob = isinstance(data, bytes)
+        return None if is_blob else f"data: expected a blob, found {_name_kind(data)}"
 
     def _find_fault(self) -> DamageError:
         """Return the error of the first invalid row of `messages`."""
         query = (
-            f"SELECT {self.row_number}, typeof(timestamp), typeof(data), typeof(topic_id),"
-            " CASE typeof(timestamp) WHEN 'integer' THEN timestamp END,"
-            " CASE typeof(topic_id) WHEN 'integer' THEN topic_id END FROM messages NOT INDEXED"
+            f"SELECT {self.row_number}, {', '.join(map(_SHORTENED.format, _MESSAGE_COLUMNS))}"
+            " FROM messages NOT INDEXED"
             " WHERE typeof(timestamp) != 'integer' OR typeof(data) != 'blob'"
             " OR typeof(topic_id) != 'integer' OR timestamp < 0"
             f" OR topic_id NOT IN (SELECT id FROM topics) ORDER BY {self.row_number} LIMIT 1"
@@ -245,16 +242,8 @@ class SqliteSource:
             return DamageError(
                 "messages: expected rows with a topic, a time and data, found others"
             )
-        row, kind, held, named, timestamp, topic_id = found
-        fault = f"the table topics has no topic_id {topic_id}"
-        if kind != "integer" or timestamp < 0:
-            value = timestamp if kind == "integer" else kind
-            fault = f"timestamp: expected nanoseconds from 0 on, found {value}"
-        elif held != "blob":
-            fault = f"data: expected a blob, found {held}"
-        elif named != "integer":
-            fault = f"topic_id: expected a whole number, found {named}"
-        return DamageError(f"messages: row {row}: {fault}")
+        row, *values = found
+        return DamageError(f"messages: row {row}: {self.judge_row(*values)}")
 
     def _count_steps(self) -> bool:
         self._steps_left -= _STEPS
@@ -290,160 +279,139 @@ def _authorize(
     return sqlite3.SQLITE_OK if is_known and inside is None else sqlite3.SQLITE_DENY
 
 
-def _scatter_heads(
-    data: bytearray,
-    starts: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-    numbers: NDArray[np.int64],
-    time_ns: NDArray[np.int64],
-) -> None:
-    """Write the head of a message record before every blob."""
-    heads = np.zeros(len(starts), HEADING)
-    heads["opcode"] = Opcode.MESSAGE
-    heads["length"] = lengths + COUNTED_HEAD
-    heads["channel"] = numbers
-    heads["log_time"] = heads["publish_time"] = time_ns
-    kind = f"V{MESSAGE_HEAD}"
-    places = np.ndarray((len(data) - MESSAGE_HEAD + 1,), kind, buffer=data, strides=(1,))
-    places[starts] = heads.view(kind)
+_TOPIC_COLUMNS: Final = ("id", "name", "type", "serialization_format")
+
+_TOPIC_NOTES: Final = {
+    "offered_qos_profiles": "offered_qos_profiles",
+    "type_description_hash": "topic_type_hash",
+}
+"""Columns that only some rosbag2 versions have, and their names in an MCAP channel."""
+
+_ROW_NUMBERS: Final = ("rowid", "_rowid_", "oid")
+
+_MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
+
+_DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
+
+_MOST_CHANNELS: Final = 2**16 - 1  # channel numbers have 16 bits in a block
+
+_Execute = Callable[..., "Cursor"]
+"""A function that runs a query with its values, within a limited number of steps."""
 
 
-_BATCH: Final = 4096  # rows
-_BATCH_BYTES: Final = 2**22
-_MOST_NAMED: Final = 10_000  # invalid rows that are listed with their reasons
-_LEAST, _MOST = -(2**63), 2**63 - 1  # smallest and largest row number
-_BEFORE: Final = _LEAST - 1
-"""Row number before the first row. The smallest number itself may belong to a row."""
+class _BagTable(NamedTuple):
+    columns: Sequence[str]  # with values, named as in the file
+    row_number: str  # name of the row number; no column has this name
 
 
-def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
-    """Yield the messages of a bag that was opened as damaged, and the unreadable parts."""
-    size, claimed, _ = measure_pages(path)
-    yield from _group_rows(source, size)
-    if size < claimed:
-        reason = f"expected a file of {claimed} bytes, found its end: cut short"
-        yield Loss(start=size, end=claimed, reason=reason)
+def _list_tables(execute: _Execute) -> dict[str, _BagTable]:
+    """Return the tables of a bag by name."""
+    kinds = {}
+    for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
+        if kind in {"table", "view"}:
+            is_plain = kind == "table" and str(sql).upper().startswith("CREATE TABLE")
+            kinds[str(name)] = "table" if is_plain else str(sql)[:40]
+    needed = {"topics": _TOPIC_COLUMNS, "messages": _MESSAGE_COLUMNS}
+    for table in needed:
+        if table not in kinds:
+            found = ", ".join(kinds)[:200] or "no tables"
+            raise LogError(f"expected a bag with tables topics and messages, found {found}")
+    tables = {}
+    for table, names in (needed | {"message_definitions": _DEFINITION_COLUMNS}).items():
+        if table in kinds:
+            if kinds[table] != "table":
+                raise LogError(f"{table}: expected a table, found {kinds[table]}")
+            tables[table] = _describe_table(execute, table, names)
+    return tables
 
 
-def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
-    """Yield readable rows and losses in sections of some thousand rows."""
-    rows = SqliteRows()
+def _describe_table(execute: _Execute, table: str, needed: Collection[str]) -> _BagTable:
+    found = [(name, hidden) for _, name, *_, hidden in execute(f"PRAGMA table_xinfo({table})")]
+    columns = [name for name, hidden in found if not hidden]
+    for name in needed:
+        if name not in columns:
+            others = ", ".join(f"{other} computed" if hidden else other for other, hidden in found)
+            raise LogError(f"{table}: expected a column {name}, found {others[:200]}")
+    import sqlite3  # MCAP files do not need it
 
-    def join() -> Section:
-        data = source.build_block(rows, 1).data
-        return Section(data=data, start=0, is_chunk=True, is_checked=False)
-
-    for found in _judge_rows(source):
-        if isinstance(found, str):
-            yield Loss(start=0, end=size, reason=found)
-            continue
-        rows.take([found])
-        if len(rows.times) == _BATCH or rows.size > _BATCH_BYTES:
-            yield join()
-            rows = SqliteRows()
-    if rows.times:
-        yield join()
-
-
-def _judge_rows(source: SqliteSource) -> Iterator[Row | str]:
-    """Yield the rows that are messages; for other rows and for gaps, yield the reason."""
-    faults, left = 0, source.size
-    for found in _walk_rows(source):
-        if isinstance(found, str):
-            yield found
-            continue
-        number, *values = found
-        left -= sum(len(value) for value in values if isinstance(value, str | bytes))
-        if left < 0:
-            yield "expected messages of the size of the file"
-            break
-        fault = source.find_fault_of(tuple(values))
-        faults += fault is not None
-        if fault is None:
-            yield tuple(values)
-        elif faults <= _MOST_NAMED:
-            yield f"messages: row {number}: {fault}"
-    if faults > _MOST_NAMED:
-        yield f"messages: {faults - _MOST_NAMED} rows more that are no messages"
-
-
-def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
-    """Yield the rows that SQLite can read, with their numbers; for gaps, yield the reason."""
-    last: int | None = _BEFORE
-    while last is not None:
-        last, error = yield from _walk_sound(source, last)
-        if error is None:
-            return
-        try:
-            source.catalogue.allowance.spend(DAMAGES)
-        except LogError as err:
-            yield str(err)
-            return
-        # The cursor reads one row ahead: the row that it would return next may be valid.
-        row = _read_row(source, last)
-        if row:
-            yield row
-            last = int(row[0])
-        elif row is None:
-            after = _find_next(source, last)
-            since = "the first row" if last == _BEFORE else f"row {last + 1}"
-            until = "the last" if after is None else f"row {after - 1}"
-            yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
-            last = None if after is None else after - 1
-        else:
-            yield f"messages behind row {last}: {describe_sqlite_error(error)}"
-            return
-
-
-def _walk_sound(
-    source: SqliteSource, last: int
-) -> "Generator[Row, None, tuple[int, sqlite3.Error | None]]":
-    """Yield rows after `last` up to an error; return the last row's number and the error."""
-    import sqlite3
-
+    # A column with such a name hides the row number.
+    taken = {name.lower() for name, _ in found}
+    free = [name for name in _ROW_NUMBERS if name not in taken]
+    if not free:
+        raise LogError(f"{table}: expected rows with numbers, found columns of all their names")
     try:
-        for row in source.execute(_build_query(source), last + 1):
-            if row[0] <= last:
-                return last, sqlite3.DatabaseError("rows out of order")
-            last = row[0]
-            yield row
-    except sqlite3.Error as err:
-        return last, err
-    return last, None
+        execute(f"SELECT {free[0]} FROM {table} NOT INDEXED LIMIT 0")
+    except sqlite3.OperationalError as err:
+        raise LogError(f"{table}: its rows have no numbers: {err}") from err
+    return _BagTable(columns, free[0])
 
 
-def _build_query(source: SqliteSource) -> str:
-    number = source.row_number
-    return (
-        f"SELECT {number}, topic_id, timestamp, data FROM messages NOT INDEXED"
-        f" WHERE {number} >= ? ORDER BY {number}"
-    )
+def _read_channels(
+    execute: _Execute, tables: Mapping[str, _BagTable], catalogue: Catalogue
+) -> dict[int, int]:
+    """Add the topics to the catalogue; return the channel number of each topic by its id."""
+    numbers: dict[int, int] = {}
+    allowance = catalogue.allowance
+    definitions = _read_definitions(execute, tables, allowance)
+    notes = [name for name in _TOPIC_NOTES if name in tables["topics"].columns]
+    schemas: dict[str, int] = {}
+    for row in _select(execute, tables, "topics", (*_TOPIC_COLUMNS, *notes)):
+        allowance.spend(DESCRIPTIONS)
+        topic_id, name, kind, encoding, *texts = row
+        if not isinstance(topic_id, int):
+            found = repr(topic_id)[:60]
+            raise LogError(f"topics: {str(name)[:60]}: id: expected a whole number, found {found}")
+        _require_texts(f"topics: row {topic_id}", _TOPIC_COLUMNS[1:], (name, kind, encoding))
+        if len(numbers) == _MOST_CHANNELS:
+            raise LogError(f"topics: expected up to {_MOST_CHANNELS}, found more")
+        if kind not in schemas:
+            schemas[kind] = len(schemas) + 1
+            encoded, data = definitions.get(kind, ("", ""))
+            schema = Schema(id=schemas[kind], name=kind, encoding=encoded, data=data.encode())
+            catalogue.add([schema], 0)
+        numbers[topic_id] = number = len(numbers) + 1
+        channel = Channel(
+            id=number,
+            topic=name,
+            message_encoding=encoding or MessageEncoding.CDR,
+            schema_id=schemas[kind],
+            metadata={
+                _TOPIC_NOTES[key]: str(text or "") for key, text in zip(notes, texts, strict=True)
+            },
+        )
+        catalogue.add([channel], 0)
+    return numbers
 
 
-def _read_row(source: SqliteSource, after: int) -> Row | None:
-    """Return the first row after another row; () after the last row, None if it cannot be read."""
-    import sqlite3
+def _read_definitions(
+    execute: _Execute, tables: Mapping[str, _BagTable], allowance: Allowance
+) -> dict[str, tuple[str, str]]:
+    """Return encoding and text of the types that the file defines."""
+    definitions: dict[str, tuple[str, str]] = {}
+    rows = _select(execute, tables, "message_definitions", _DEFINITION_COLUMNS)
+    for number, row in enumerate(rows, start=1):
+        allowance.spend(DESCRIPTIONS)
+        _require_texts(f"message_definitions: row {number}", _DEFINITION_COLUMNS, row)
+        allowance.spend(SCHEMA_BYTES, sum(map(len, row)))
+        kind, encoding, text = row
+        # If rosbag2 finds no definition, it writes the encoding `unknown` and no text.
+        if text and encoding != "unknown":
+            definitions.setdefault(kind, (encoding, text))
+    return definitions
 
-    if after == _MOST:
+
+def _select(
+    execute: _Execute, tables: Mapping[str, _BagTable], name: str, columns: Sequence[str]
+) -> Iterable[tuple[Any, ...]]:
+    if name not in tables:
         return ()
-    try:
-        found: Row | None = source.execute(f"{_build_query(source)} LIMIT 1", after + 1).fetchone()
-    except sqlite3.Error:
-        return None
-    return () if found is None else found
+    order = tables[name].row_number
+    return execute(f"SELECT {', '.join(columns)} FROM {name} NOT INDEXED ORDER BY {order}")
 
 
-def _find_next(source: SqliteSource, after: int) -> int | None:
-    """Return the number of the first readable row after a gap; None if no such row exists."""
-    lost = max(after, 0)
-    step, found = 1, None
-    while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:
-        step *= 2
-    if found is None:
-        return None
-    least, most = step // 2, step  # the row after `least` is lost, the row after `most` is not
-    while most - least > 1:
-        middle = (least + most) // 2
-        nearer = _read_row(source, lost + middle)
-        least, most, found = (middle, most, found) if nearer is None else (least, middle, nearer)
-    return int(found[0]) if found else None
+def _require_texts(place: str, columns: Sequence[str], values: Sequence[object]) -> None:
+    for column, value in zip(columns, values, strict=True):
+        if not isinstance(value, str):
+            shown = value[:60] if isinstance(value, bytes) else value
+            found = "NULL" if value is None else repr(shown)[:60]
+            raise LogError(f"{place}: {column}: expected text, found {found}")

@@ -1,9 +1,11 @@
 """Reading of the messages of a file as columns, topic by topic."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -11,19 +13,13 @@ from numpy.typing import NDArray
 
 from turtlelog.display import fit_line
 from turtlelog.errors import LogError
-from turtlelog.log.engine.decode import (
-    LOG_TIME,
-    PUBLISH_TIME,
-    SEQUENCE,
-    FixedColumns,
-    Rows,
-    make_empty_rows,
-    pick_rows,
-)
+from turtlelog.log.engine import decode
+from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
-from turtlelog.log.engine.source import EVER, Piece, Selection, Source, count_rows, iterate_pieces
+from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
+from turtlelog.log.file_access import DamageError
 from turtlelog.run.tables import Tabular
 
 _MOST_BYTES: Final = 2**25  # bytes of blocks in a batch: rows of images are large
@@ -72,7 +68,7 @@ class TopicColumns(Tabular):
             log_time_ns=self.log_time_ns[rows],
             publish_time_ns=self.publish_time_ns[rows],
             sequence=self.sequence[rows],
-            fields=pick_rows(self.fields, rows),
+            fields=decode.pick_rows(self.fields, rows),
         )
 
     def describe_missing(self, field: str) -> LogError:
@@ -131,7 +127,7 @@ def read_some_columns(
             messages.
     """
     with open_source(path) as source:
-        selection = Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
+        selection = decode.Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
         return _collect_columns(source, selection)
 
 
@@ -154,13 +150,15 @@ def iter_columns(
         raise LogError(f"{path}: expected batches of at least one row, found {rows!r:.60}")
     with open_source(path) as source:
         selection = _select_topics(topics, start_ns, end_ns)
-        batch: dict[str, list[Rows]] = {}
-        size = 0
+        batch: dict[str, list[decode.Rows]] = {}
+        size, counts = 0, Counter[str]()
         for piece in iterate_pieces(source, selection, rows):
-            if batch and (size + piece.size > _MOST_BYTES or _is_over(batch, piece, rows)):
+            new = Counter({topic: len(of[decode.LOG_TIME]) for topic, of in piece.rows.items()})
+            is_over = any(count > rows for count in (counts + new).values())
+            if batch and (size + piece.size > _MOST_BYTES or is_over):
                 yield build_columns(batch, source.catalogue.types)
-                batch, size = {}, 0
-            size += piece.size
+                batch, size, counts = {}, 0, Counter()
+            size, counts = size + piece.size, counts + new
             for topic, found in piece.rows.items():
                 batch.setdefault(topic, []).append(found)
         if batch:
@@ -168,20 +166,22 @@ def iter_columns(
 
 
 def _collect_columns(
-    source: Source | SqliteSource, selection: Selection
+    source: Source | SqliteSource, selection: decode.Selection
 ) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, including topics without messages."""
     found = collect_parts(source, selection)
     plans = selection.choose_plans(source.catalogue)
-    parts = {topic: found.get(topic) or [make_empty_rows(plan)] for topic, plan in plans.items()}
+    parts = {
+        topic: found.get(topic) or [decode.make_empty_rows(plan)] for topic, plan in plans.items()
+    }
     return build_columns(parts, source.catalogue.types)
 
 
 def collect_parts(
     source: Source | SqliteSource,
-    selection: Selection,
-    look: Callable[[Piece], object] = lambda _: None,
-) -> dict[str, list[Rows]]:
+    selection: decode.Selection,
+    look: Callable[[decode.Piece], object] = lambda _: None,
+) -> dict[str, list[decode.Rows]]:
     """Return the rows of topics with messages, in parts; `look` is called with each piece."""
     expected = count_rows(source, selection)
     wholes = _set_aside(source, selection, expected)
@@ -200,8 +200,8 @@ def collect_parts(
 
 
 def _set_aside(
-    source: Source | SqliteSource, selection: Selection, expected: Mapping[str, int]
-) -> Mapping[str, FixedColumns]:
+    source: Source | SqliteSource, selection: decode.Selection, expected: Mapping[str, int]
+) -> Mapping[str, decode.FixedColumns]:
     """Allocate columns for topics with messages of fixed size and a known count."""
     try:
         plans = selection.choose_plans(source.catalogue)
@@ -209,7 +209,7 @@ def _set_aside(
         return {}
     most = _SHARE * source.size + _SPARE
     return {
-        topic: FixedColumns(plan.layout, expected[topic], selection.kept.get(topic))
+        topic: decode.FixedColumns(plan.layout, expected[topic], selection.kept.get(topic))
         for topic, plan in plans.items()
         if plan.layout is not None
         and plan.json is None
@@ -218,31 +218,27 @@ def _set_aside(
     }
 
 
-def _join_rows(parts: list[Rows]) -> Rows:
-    """Return the rows of all parts in order of log time; equal times keep their order."""
-    if len(parts) == 1:
-        rows = parts[0]
-    else:
-        rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    times = rows[LOG_TIME]
-    if len(times) > 1 and (times[1:] < times[:-1]).any():
-        rows = pick_rows(rows, np.argsort(times, kind="stable"))
-    return rows
-
-
 def build_columns(
-    parts: Mapping[str, list[Rows]], types: Mapping[str, str]
+    parts: Mapping[str, list[decode.Rows]], types: Mapping[str, str]
 ) -> Mapping[str, TopicColumns]:
-    """Return rows of topics as columns, in order of topic names; `types` are the message types."""
+    """Return rows of topics as columns, in order of topic names and of log time.
+
+    Rows with equal times keep their order. `types` are the message types.
+    """
     topics = {}
-    for topic in sorted(parts):
-        rows = _join_rows(parts[topic])
+    for topic, found in sorted(parts.items()):
+        rows = found[0]
+        if len(found) > 1:
+            rows = {name: np.concatenate([part[name] for part in found]) for name in rows}
+        times = rows[decode.LOG_TIME]
+        if len(times) > 1 and (times[1:] < times[:-1]).any():
+            rows = decode.pick_rows(rows, np.argsort(times, kind="stable"))
         topics[topic] = TopicColumns(
             topic=topic,
             type=types[topic],
-            log_time_ns=rows.pop(LOG_TIME),
-            publish_time_ns=rows.pop(PUBLISH_TIME),
-            sequence=rows.pop(SEQUENCE),
+            log_time_ns=rows.pop(decode.LOG_TIME),
+            publish_time_ns=rows.pop(decode.PUBLISH_TIME),
+            sequence=rows.pop(decode.SEQUENCE),
             fields=rows,
         )
     return topics
@@ -250,21 +246,13 @@ def build_columns(
 
 def _select_topics(
     topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
-) -> Selection:
+) -> decode.Selection:
     """Return a selection; None selects all."""
     names = [topics] if isinstance(topics, str) else topics
-    return Selection(
+    return decode.Selection(
         topics=None if names is None else frozenset(names),
         start_ns=0 if start_ns is None else start_ns,
-        end_ns=EVER if end_ns is None else end_ns,
-    )
-
-
-def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> bool:
-    """Return whether this piece would give a topic more than `most_rows` rows."""
-    return any(
-        sum(len(part[LOG_TIME]) for part in batch.get(topic, [])) + len(found[LOG_TIME]) > most_rows
-        for topic, found in piece.rows.items()
+        end_ns=decode.EVER if end_ns is None else end_ns,
     )
 
 
@@ -273,12 +261,12 @@ class _RowStore:
 
     def __init__(self, expected: int) -> None:
         self._expected, self._used = expected, 0
-        self._whole: Rows = {}
-        self._others: list[Rows] = []
+        self._whole: decode.Rows = {}
+        self._others: list[decode.Rows] = []
 
-    def take(self, part: Rows) -> None:
+    def take(self, part: decode.Rows) -> None:
         """Append rows."""
-        end = self._used + len(part[LOG_TIME])
+        end = self._used + len(part[decode.LOG_TIME])
         # In JSON, one block may have floats where another has whole numbers.
         is_new = any(
             name in self._whole and self._whole[name].dtype != values.dtype
@@ -300,7 +288,91 @@ class _RowStore:
         self._used = end
 
     @property
-    def parts(self) -> list[Rows]:
+    def parts(self) -> list[decode.Rows]:
         """All rows, as a single part if the expected number was right."""
-        whole = [pick_rows(self._whole, slice(self._used))] if self._used else []
+        whole = [decode.pick_rows(self._whole, slice(self._used))] if self._used else []
         return [*whole, *self._others]
+
+
+def iterate_pieces(
+    source: Source | SqliteSource,
+    selection: decode.Selection,
+    most_rows: int | None = None,
+    wholes: Mapping[str, decode.FixedColumns] = MappingProxyType({}),
+) -> Iterator[decode.Piece]:
+    """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
+
+    Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
+
+    Raises:
+        LogError: If a requested topic is missing or cannot be decoded.
+        DamageError: If the file is damaged, or counts differ from the statistics.
+    """
+    catalogue, channels = source.catalogue, None
+    if source.is_indexed:
+        selection.require_topics(catalogue)
+        plans = selection.choose_plans(catalogue)
+        known = catalogue.channels.values()
+        if not selection.is_lenient:
+            channels = {channel.id for channel in known if channel.topic in plans}
+    counts: Counter[int] = Counter()
+
+    def read(block: Block) -> list[decode.Piece]:
+        parts = _split(block.offsets, most_rows)
+        pieces = [
+            decode.read_piece(catalogue, selection, block, offsets, wholes) for offsets in parts
+        ]
+        return [replace(pieces[0], rest=block.rest), *pieces[1:]]
+
+    for pieces in source.map_blocks(read, channels, selection.start_ns, selection.end_ns):
+        for piece in pieces:
+            counts.update(piece.counts)
+            yield piece
+    if not source.is_indexed:  # the blocks have named the topics
+        selection.require_topics(catalogue)
+        selection.choose_plans(catalogue)
+    if selection.is_ever:
+        _check_counts(source, counts, channels)
+
+
+def count_rows(source: Source | SqliteSource, selection: decode.Selection) -> Mapping[str, int]:
+    """Return the number of rows of each topic from the statistics; empty without statistics.
+
+    If there are message indexes, their size limits the numbers.
+    """
+    if source.statistics is None or not selection.is_ever:
+        return {}
+    room = source.index_length // 16 if source.is_indexed else decode.EVER
+    counts: Counter[str] = Counter()
+    for number, count in source.statistics.channel_message_counts.items():
+        if number in source.catalogue:
+            counts[source.catalogue.channels[number].topic] += min(count, room)
+    return counts
+
+
+def _split(
+    offsets: Mapping[int, Offsets], most_rows: int | None
+) -> Sequence[Mapping[int, Offsets]]:
+    """Return the messages of a block in segments of at most `most_rows` messages per channel."""
+    if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
+        return [offsets]
+    borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
+    stretches: Sequence[dict[int, Offsets]] = [{} for _ in range(len(borders) + 1)]
+    for channel, of in offsets.items():
+        parts = np.split(of, np.searchsorted(of, borders))
+        for stretch, part in zip(stretches, parts, strict=True):
+            if len(part):
+                stretch[channel] = part
+    return stretches
+
+
+def _check_counts(
+    source: Source | SqliteSource, counts: Counter[int], channels: Collection[int] | None
+) -> None:
+    statistics = source.statistics
+    for channel, expected in statistics.channel_message_counts.items() if statistics else ():
+        if (channels is None or channel in channels) and counts[channel] != expected:
+            raise DamageError(
+                f"byte {source.summary_start}: channel {channel}: expected {expected} messages"
+                f" as the statistics say, found {counts[channel]}"
+            )

@@ -4,43 +4,73 @@ Finished files are read by their indexes. This module is for files without an in
 unfinished or damaged files.
 """
 
+import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import BinaryIO, Final
 
+import numpy as np
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.framing import (
-    CHUNK_HEAD,
-    MCAP0_MAGIC,
-    RECORD,
-    START_SIZE,
-    SUMMARY_ONLY,
-    FileWindow,
-    find_next_record,
-    find_record_end,
-    find_wrong_start,
-    is_padding,
-    is_record_start,
-    measure_record,
-    skip_followed,
-)
-from turtlelog.log.engine.limits import (
-    CHUNKS,
-    DAMAGES,
-    LARGEST_CHUNK,
-    NOTES,
-    UNPACKED,
-    Allowance,
-    unpack_chunk,
-)
+from turtlelog.log.engine import limits, records
+from turtlelog.log.engine.limits import FileWindow
+from turtlelog.log.engine.records import MCAP0_MAGIC, RECORD
+
+CHUNK_HEAD: Final = struct.Struct("<QQQII")
+"""Start and end time, unpacked size, checksum, and length of the compression's name."""
+
+_INDEXES: Final = frozenset({Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX})
+_SUMMARY_ONLY: Final = _INDEXES | {Opcode.STATISTICS, Opcode.SUMMARY_OFFSET}
+"""Kinds of records that occur only after the data section."""
+
+_AFTER_DATA: Final = _SUMMARY_ONLY | {Opcode.FOOTER, Opcode.SCHEMA, Opcode.CHANNEL}
+
+_CHAIN: Final = 4
+"""Number of consecutive records that are accepted without a checksum.
+
+The worst case is messages half of zeros: a megabyte contains a thousand places that look like a
+record's head. One in a hundred of these is followed by another such place. By chance, three in a
+row occur once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if
+this number of them are consecutive.
+"""
+
+_PRIVATE: Final = 0x80  # first opcode for private use
+_KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
+_BEFORE_INDEX: Final = frozenset({0, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
+
+# Size of the fixed front of a body [bytes], and number of length-prefixed fields after it.
+_SHAPES: Final[Mapping[int, tuple[int, int]]] = {
+    Opcode.HEADER: (0, 2),
+    Opcode.SCHEMA: (2, 3),
+    Opcode.CHANNEL: (4, 3),
+    Opcode.METADATA: (0, 2),
+    Opcode.MESSAGE_INDEX: (2, 1),
+    Opcode.ATTACHMENT: (16, 2),
+    Opcode.CHUNK: (28, 1),
+}
+# Two kinds continue with data that have an 8-byte length; number of bytes after these data.
+_DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
+_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: records.COUNTED_HEAD, Opcode.CHUNK: 40}
+_EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
+
+_FIRST_STEP: Final = 2**12  # bytes searched at a time while the next record may be near
+_STEP: Final = 2**19
+_FOOTER_SIZE: Final = 29
+_INDEX_HEAD: Final = 6  # bytes of a message index before its pairs: channel, length of the pairs
+_PAIR: Final = 16  # bytes: log time, offset
+
+_RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
+"""Kinds of records that stand one after the other outside chunks."""
+
+_BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
+
 
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression
-_RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
 _LONE: Final = _RUNS | {Opcode.HEADER, Opcode.DATA_END}
 
 
@@ -62,6 +92,11 @@ class Section:
     start: int
     is_chunk: bool
     is_checked: bool
+
+    @property
+    def opcode(self) -> int:
+        """Kind of the records; for records outside chunks, that of the first."""
+        return Opcode.CHUNK if self.is_chunk else self.data[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +127,16 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     for found in _walk_records(window):
         if isinstance(found, Loss):
             damaged = True
-        elif not damaged and _find_opcode(found) == Opcode.DATA_END:
-            yield from _check_data(window, found)
+        elif not damaged and found.opcode == Opcode.DATA_END:
+            expected, checksum = int.from_bytes(found.data[-4:], "little"), 0
+            for place in range(0, found.start if expected else 0, _BATCH):
+                data = window.read(place, min(_BATCH, found.start - place))
+                checksum = zlib.crc32(data, checksum)
+            yield replace(found, is_checked=expected != 0 and checksum == expected)
+            if checksum != expected:
+                start = found.start
+                reason = f"expected data with the checksum {expected:#010x}, found {checksum:#010x}"
+                yield Loss(start=start, end=start, reason=reason)
             continue
         yield found
 
@@ -121,7 +164,7 @@ def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None,
 
 def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
     place: int | None = len(MCAP0_MAGIC)
-    reason = find_wrong_start(window.read(0, START_SIZE))
+    reason = records.find_wrong_start(window.read(0, records.START_SIZE))
     if reason is not None:
         yield Loss(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
     kind = 0  # first kind found: chunks, single messages, or 0 for records that precede both
@@ -130,27 +173,24 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
         try:
             found, place = _read_record(window, place, kind)
             losses = sum(isinstance(one, Loss) for one in found)
-            window.allowance.spend(DAMAGES, losses)
+            window.allowance.spend(limits.DAMAGES, losses)
             sections = [one for one in found if isinstance(one, Section)]
-            window.allowance.spend(CHUNKS, sum(one.is_chunk for one in sections))
-            notes = [one for one in sections if _find_opcode(one) == Opcode.ATTACHMENT]
-            window.allowance.spend(NOTES, len(notes))
+            window.allowance.spend(limits.CHUNKS, sum(one.is_chunk for one in sections))
+            notes = [one for one in sections if one.opcode == Opcode.ATTACHMENT]
+            window.allowance.spend(limits.NOTES, len(notes))
         except LogError as err:
-            if not all(map(window.allowance.count_left, (CHUNKS, DAMAGES, NOTES))):
+            counted = limits.CHUNKS, limits.DAMAGES, limits.NOTES
+            if not all(map(window.allowance.count_left, counted)):
                 yield Loss(start=start, end=window.size, reason=str(err))
                 return
-            window.allowance.spend(DAMAGES)
-            place = find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
+            window.allowance.spend(limits.DAMAGES)
+            place = _find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
             end = window.size if place is None else place
             yield Loss(start=start, end=end, reason=str(err))
             continue
         yield from found
         if kind not in {Opcode.CHUNK, Opcode.MESSAGE} and start < window.size:
             kind = window.read(start, 1)[0]
-
-
-def _find_opcode(section: Section) -> int:
-    return Opcode.CHUNK if section.is_chunk else section.data[0]
 
 
 def _read_record(
@@ -164,13 +204,13 @@ def _read_record(
         return _read_chunk(window, place)
     if window.read(place, 1)[0] == Opcode.ATTACHMENT:
         return _read_attachment(window, place)
-    opcode, end = find_record_end(window, place)
+    opcode, end = _find_record_end(window, place)
     # A wrong bit can turn a header or a message index into a message. No writer mixes chunks and
     # single messages.
     if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
         raise LogError("expected messages in chunks, found one that stands alone")
     # A wrong bit can turn metadata or an attachment into one of these.
-    if opcode in SUMMARY_ONLY:
+    if opcode in _SUMMARY_ONLY:
         raise LogError(f"expected data, found a record of the summary (opcode {opcode})")
     if opcode == Opcode.FOOTER:
         reason = "expected the end of the data, found that of the file"
@@ -184,12 +224,12 @@ def _read_record(
 
 def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     """Return consecutive records of one kind from `place`, up to a batch."""
-    end = find_record_end(window, place)[1]
+    end = _find_record_end(window, place)[1]
     if opcode == Opcode.MESSAGE:
-        end = max(end, place + skip_followed(window.read(place, _BATCH)))
+        end = max(end, place + records.skip_followed(window.read(place, _BATCH)))
     while opcode in _RUNS and end - place < _BATCH:
         try:
-            found, after = find_record_end(window, end)
+            found, after = _find_record_end(window, end)
         except LogError:
             break
         if found != opcode:
@@ -200,9 +240,9 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
 
 def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Loss], int]:
     fault = None
-    last = measure_record(window, place, Opcode.ATTACHMENT, window.size)
+    last = _measure_record(window, place, Opcode.ATTACHMENT, window.size)
     try:
-        _, end = find_record_end(window, place)
+        _, end = _find_record_end(window, place)
     except LogError as err:
         if last > window.size or not window.spend(last - place):
             raise
@@ -235,16 +275,17 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
         raise LogError(f"expected a chunk, found a compression of {name_size} letters")
     rest = window.read(place + front, name_size + 8)
     start = place + front + name_size + 8
-    by_record, by_data = place + RECORD.size + length, start + int.from_bytes(rest[-8:], "little")
+    by_record = place + RECORD.size + length
+    by_data = start + int.from_bytes(rest[-8:], "little")
     agree = by_data == by_record or (
-        by_data < by_record <= window.size and is_padding(window, by_data, by_record, Opcode.CHUNK)
+        by_data < by_record <= window.size and _is_padding(window, by_data, by_record, Opcode.CHUNK)
     )
     ends = [
         end
         for end in dict.fromkeys((by_data, by_record))
-        if start <= end <= min(window.size, start + LARGEST_CHUNK)
+        if start <= end <= min(window.size, start + limits.LARGEST_CHUNK)
     ]
-    after = [end for end in ends if agree or is_record_start(window, end, after=Opcode.CHUNK)]
+    after = [end for end in ends if agree or _is_record_start(window, end, after=Opcode.CHUNK)]
     reason = f"the file ends {window.size - start} bytes into a chunk of {length}"
     for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
@@ -268,14 +309,14 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], i
     return [Loss(start=place, end=end, reason=reason)], end
 
 
-def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) -> bytes:
+def _unpack(allowance: limits.Allowance, compression: str, packed: bytes, size: int) -> bytes:
     largest = allowance.largest_chunk
     if compression and size > largest:
         raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
-    if compression and not allowance.count_left(UNPACKED):
-        allowance.spend(UNPACKED)
-    spend = partial(allowance.spend, UNPACKED)
-    return unpack_chunk(compression, packed, size, largest=largest, spend=spend)
+    if compression and not allowance.count_left(limits.UNPACKED):
+        allowance.spend(limits.UNPACKED)
+    spend = partial(allowance.spend, limits.UNPACKED)
+    return limits.unpack_chunk(compression, packed, size, largest=largest, spend=spend)
 
 
 def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
@@ -285,12 +326,174 @@ def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
         raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
 
 
-def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Loss]:
-    """Check the checksum of the data section, if there is one."""
-    expected, found = int.from_bytes(end.data[-4:], "little"), 0
-    for place in range(0, end.start if expected else 0, _BATCH):
-        found = zlib.crc32(window.read(place, min(_BATCH, end.start - place)), found)
-    yield replace(end, is_checked=expected != 0 and found == expected)
-    if found != expected:
-        reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"
-        yield Loss(start=end.start, end=end.start, reason=reason)
+def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
+    """Return opcode and end of the complete, consistent record at `place`.
+
+    Bytes after its fields belong to the record if `_is_padding` returns True.
+
+    Raises:
+        LogError: If the lengths disagree, or the file ends within the record; the message is one
+            clause.
+    """
+    opcode, length = _read_head(window, place)
+    end = place + RECORD.size + length
+    if end > window.size:
+        raise LogError(f"the file ends within a record of {length} bytes, and the rest is missing")
+    found = _measure_record(window, place, opcode, end)
+    if found > end or (found < end and not _is_padding(window, found, end, opcode)):
+        found -= place + RECORD.size
+        raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
+    # If the fields do not confirm the length of a record, the next record must.
+    is_borne_out = opcode in _SHAPES or opcode in _EXACT
+    if not is_borne_out and not _is_record_start(window, end, after=opcode):
+        raise LogError(f"no record follows the one of {length} bytes")
+    return opcode, end
+
+
+def _is_record_start(window: FileWindow, place: int, *, after: int = 0) -> bool:
+    """Return whether a record can start here; the end of the file may truncate it.
+
+    A message index can follow only a chunk or another index.
+    """
+    if window.size - place < RECORD.size:
+        head = window.read(place, 1)
+        return not head or head[0] >= _PRIVATE or head[0] in _KNOWN
+    try:
+        opcode, _ = _read_head(window, place)
+    except LogError:
+        return False
+    return opcode != Opcode.MESSAGE_INDEX or after in _BEFORE_INDEX
+
+
+def _measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int:
+    """Return the end of a record by the lengths of its fields; `end` is that by its own length."""
+    shape = _SHAPES.get(opcode)
+    if shape is None:
+        return end
+    fixed, fields = shape
+    at = place + RECORD.size + fixed
+    for _ in range(fields):
+        if at + 4 > end:
+            return at + 4
+        at += 4 + int.from_bytes(window.read(at, 4), "little")
+    if opcode not in _DATA:
+        return at
+    if at + 8 > end:
+        return at + 8
+    return at + 8 + int.from_bytes(window.read(at, 8), "little") + _DATA[opcode]
+
+
+def _is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
+    """Return whether the bytes from `start` to `end` belong to the record before them.
+
+    The known fields of the record end at `start`; the record ends at `end`, according to its
+    length. A later version may append fields, which readers ignore. The length is accepted if a
+    valid record begins at `end`. If valid records begin at `start`, the length is damaged.
+    """
+    return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
+
+
+def _is_followed(window: FileWindow, place: int, after: int) -> bool:
+    """Return whether a record follows whose fields, or whose next record, confirm its length.
+
+    For a record truncated by the end of the file, a valid header is enough.
+    """
+    if not _is_record_start(window, place, after=after):
+        return False
+    if window.size - place < RECORD.size:
+        return True
+    opcode, length = _read_head(window, place)
+    end = place + RECORD.size + length
+    if end > window.size:
+        return True
+    if opcode in _SHAPES:
+        return _measure_record(window, place, opcode, end) <= end
+    return _is_record_start(window, end, after=opcode)
+
+
+def _is_chain(window: FileWindow, place: int, after: int) -> bool:
+    """Return whether complete records of known kinds follow one another up to the footer."""
+    for _ in range(_CHAIN):
+        if window.size - place < RECORD.size or not _is_record_start(window, place, after=after):
+            return False
+        opcode, length = _read_head(window, place)
+        end = place + RECORD.size + length
+        if opcode >= _PRIVATE or end > window.size:
+            return False
+        if _measure_record(window, place, opcode, end) > end:
+            return False
+        if opcode == Opcode.FOOTER:
+            return True
+        place, after = end, opcode
+    return True
+
+
+def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
+    head = window.read(place, RECORD.size)
+    if len(head) < RECORD.size:
+        raise LogError("expected a record, found the end of the file within its first 9 bytes")
+    opcode, length = RECORD.unpack(head)
+    if opcode < _PRIVATE and opcode not in _KNOWN:
+        raise LogError(f"expected a record, found the opcode {opcode:#04x}")
+    exact = _EXACT.get(opcode)
+    least, most = (
+        (_LEAST.get(opcode, 0), records.LARGEST_RECORD) if exact is None else (exact, exact)
+    )
+    if not least <= length <= most:
+        raise LogError(f"expected a record (opcode {opcode}), found one of {length} bytes")
+    return opcode, length
+
+
+def _find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int | None:
+    """Return the offset of the next record that can be confirmed, if any.
+
+    Schemas, channels and messages outside chunks are searched only in files with such messages:
+    within a damaged uncompressed chunk such records would look valid without any confirmation.
+    """
+    is_wanted = np.zeros(256, dtype=bool)
+    is_wanted[[*_BOUND, Opcode.DATA_END, *(_RUNS if is_lone else ())]] = True
+    for candidate in _iterate_candidates(window, place, is_wanted):
+        try:
+            if _is_borne_out(window, candidate):
+                return candidate
+        except LogError:
+            continue
+    return None
+
+
+def _iterate_candidates(
+    window: FileWindow, place: int, is_wanted: NDArray[np.bool_]
+) -> Iterator[int]:
+    """Yield the offsets at which an opcode and a length below 2^40 are possible."""
+    start, after, step = place, place, _FIRST_STEP
+    while after < window.size:
+        start, after, step = after, after + step, min(2 * step, _STEP)
+        block = np.frombuffer(window.read(start, after - start + RECORD.size - 1), dtype=np.uint8)
+        count = len(block) - RECORD.size + 1
+        if count <= 0:
+            return
+        high = [block[at : at + count] == 0 for at in (6, 7, 8)]
+        found = is_wanted[block[:count]] & high[0] & high[1] & high[2]
+        yield from (start + at for at in np.flatnonzero(found).tolist())
+
+
+def _is_borne_out(window: FileWindow, place: int) -> bool:
+    opcode = window.read(place, 1)[0]
+    if opcode == Opcode.FOOTER:
+        return place + _FOOTER_SIZE + len(MCAP0_MAGIC) == window.size
+    _, end = _find_record_end(window, place)
+    if opcode == Opcode.CHUNK:  # the reader of chunks checks the content
+        return _is_record_start(window, end, after=opcode)
+    if opcode == Opcode.DATA_END:
+        follows = window.read(end, 1)
+        return bool(follows) and follows[0] in _AFTER_DATA
+    if opcode == Opcode.MESSAGE_INDEX:
+        pairs = _measure_record(window, place, opcode, end) - place - RECORD.size - _INDEX_HEAD
+        return pairs % _PAIR == 0
+    if opcode == Opcode.ATTACHMENT:
+        return True
+    for _ in range(_CHAIN - 1):
+        if end == window.size:
+            break
+        _, end = _find_record_end(window, end)
+    return True

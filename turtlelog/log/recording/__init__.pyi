@@ -1,8 +1,5 @@
-from .contents import PartialRecordingWarning as PartialRecordingWarning
-from .live_run import Recorder as Recorder
-from .reader import (
-    RecordingTail as RecordingTail,
-    read_if_own as read_if_own,
-    read_recording as read_recording,
-)
+from .live_run import RecordingTail as RecordingTail
+from .reader import read_if_own as read_if_own, read_recording as read_recording
+from .recorder import Recorder as Recorder
 from .run_writer import write_recording as write_recording
+from .topics import PartialRecordingWarning as PartialRecordingWarning

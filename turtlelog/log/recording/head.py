@@ -11,12 +11,11 @@ import numpy as np
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import name_place
-from turtlelog.log.read_choice import CHOSEN, UNUSED
-from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.run import Clock
 from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
@@ -24,7 +23,6 @@ from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from turtlelog.run import Run
-    from turtlelog.scenario import Scenario
 
 
 HEAD: Final = "turtlelog"
@@ -33,7 +31,7 @@ HEAD: Final = "turtlelog"
 CHECKSUM: Final = "checksum"
 """Name of the entry with the crc32 of all other entries, as JSON sorted by name, in hexadecimal."""
 
-_FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
 """Attachment with a complete scenario."""
 
@@ -102,51 +100,6 @@ class Head:
     simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
-def describe_run(run: "Run") -> Head:
-    """Return the metadata for the recording of a run."""
-    return Head(
-        format_version=_FORMAT_VERSION,
-        source=run.source,
-        name=run.name,
-        stop_reason=run.stop_reason,
-        goal_heading_rad=run.goal_heading_rad,
-        absent=run.absent,
-        nan_columns=frozenset(_list_nan_columns(run)),
-        more_topics=frozenset(_list_more_topics(run)),
-        declaration=run.declaration,
-        clock=run.clock,
-        simulated_by=run.simulated_by,
-        notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
-    )
-
-
-def describe_scenario(
-    scenario: "Scenario",
-    declaration: Declaration,
-    *,
-    stop_reason: str | None = None,
-    nan_columns: Collection[str] = (),
-    more_topics: Collection[str] = (),
-    notes: Mapping[str, str],
-) -> Head:
-    """Return the metadata for the recording of a scenario that is running or has run."""
-    from turtlelog.simulate import find_software  # only recorders load laws
-
-    return Head(
-        format_version=_FORMAT_VERSION,
-        source="simulation",
-        name=scenario.name,
-        stop_reason=stop_reason,
-        goal_heading_rad=scenario.goal.heading_rad if declaration.uses_goal else None,
-        absent=(),
-        nan_columns=frozenset(nan_columns),
-        more_topics=frozenset(more_topics),
-        declaration=declaration,
-        simulated_by=find_software(scenario.law.kind),
-        notes=notes,
-    )
-
-
 def format_head(head: Head) -> dict[str, str]:
     """Return the metadata record. Entries that are None are omitted.
 
@@ -168,12 +121,12 @@ def format_head(head: Head) -> dict[str, str]:
             most = _LONGEST_DECLARATION
             raise LogError(f"declaration: expected up to {most} bytes as JSON, found {len(text)}")
         record["declaration"] = text
-    if head.more_topics:
-        record["more_topics"] = _encode(sorted(head.more_topics))
-    if head.clock is not None:
-        record["clock"] = _encode(head.clock)
-    if head.simulated_by:
-        record["simulated_by"] = _encode(dict(head.simulated_by))
+    rest = {
+        "more_topics": sorted(head.more_topics),
+        "clock": head.clock,
+        "simulated_by": dict(head.simulated_by),
+    }
+    record |= {name: _encode(value) for name, value in rest.items() if value}
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -191,12 +144,18 @@ def parse_head(record: Mapping[str, str]) -> Head:
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
     version = _decode(record, "format_version", int)
-    if version > _FORMAT_VERSION:
-        raise LogError(f"format version {version}: this turtlelog reads up to {_FORMAT_VERSION}")
+    if version > FORMAT_VERSION:
+        raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
     if version < 1:
-        raise LogError(f"format version {version}: expected 1 to {_FORMAT_VERSION}")
+        raise LogError(f"format version {version}: expected 1 to {FORMAT_VERSION}")
     if _get(record, CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
+    declaration = None
+    if version > 1:
+        text = _get(record, "declaration")
+        with name_place(f"metadata {HEAD}: declaration"):
+            parse = _keep_declaration if len(text) <= _USUAL else parse_declaration
+            declaration = parse(text)
     return Head(
         format_version=version,
         source=_get(record, "source"),
@@ -206,7 +165,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         absent=_decode(record, "absent", tuple[str, ...]),
         nan_columns=_decode(record, "nan_columns", frozenset[str]),
         more_topics=_decode(record, "more_topics", frozenset[str], frozenset()),
-        declaration=None if version == 1 else _parse_declaration(record),
+        declaration=declaration,
         notes=_decode(record, "notes", dict[str, str]),
         clock=_decode(record, "clock", Clock, None),
         simulated_by=_decode(record, "simulated_by", dict[str, str], {}),
@@ -266,46 +225,10 @@ _keep_tables = lru_cache(maxsize=32)(_parse_tables)
 """Files of one experiment share their tables."""
 
 
-def _list_nan_columns(run: "Run") -> list[str]:
-    columns = {
-        "poses.speed_m_s": run.poses.speed_m_s,
-        "poses.turn_rate_rad_s": run.poses.turn_rate_rad_s,
-    }
-    measured = {
-        "poses.measured_speed_m_s": run.poses.measured_speed_m_s,
-        "poses.measured_turn_rate_rad_s": run.poses.measured_turn_rate_rad_s,
-    }
-    if any(values is not None for values in measured.values()):
-        columns |= measured
-    samples = {name: getattr(run.samples, name) for name in MAY_BE_ABSENT}
-    if run.declaration.has_reference:
-        for name in ("reference_xy_m", "reference_heading_rad"):
-            samples[name] = getattr(run.samples, name)
-    columns |= {f"samples.{name}": values for name, values in samples.items()}
-    return [name for name, values in columns.items() if values is None]
-
-
-def _list_more_topics(run: "Run") -> list[str]:
-    poses, shaped = run.poses, run.samples.shaped_speed_m_s
-    speed, turn_rate = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
-    is_there = {
-        SENSED.name: poses.sensed_xy_m is not None,
-        SHAPED.name: shaped is not None,
-        MEASURED.name: speed is not None or turn_rate is not None,
-    }
-    return [name for name, is_one in is_there.items() if is_one]
-
-
 def sum_up_record(record: Mapping[str, str]) -> str:
     """Return the checksum of all entries except `CHECKSUM`."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
-
-
-def _parse_declaration(record: Mapping[str, str]) -> Declaration:
-    text = _get(record, "declaration")
-    with name_place(f"metadata {HEAD}: declaration"):
-        return _keep_declaration(text) if len(text) <= _USUAL else parse_declaration(text)
 
 
 _keep_declaration = lru_cache(maxsize=32)(parse_declaration)
@@ -349,8 +272,6 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
 RECOVERY: Final = "turtlelog_recovery"
 """Name of the metadata record that distinguishes a recovered file from a complete one."""
 
-_NOTE: Final = "recovered"
-
 LOSS_NOTES: Final = ("partial", "recovered")
 """Notes of a run on the losses of its recording."""
 
@@ -367,10 +288,10 @@ def describe_damages(damages: Sequence[Loss]) -> str:
     """Return one line on the losses: their total, and the first place."""
     if not damages:
         return _SUMMARY_ALONE
-    lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
-    times = "1 place" if places == 1 else f"{places} places"
+    lost = sum(damage.end - damage.start for damage in damages)
     extent = f"{lost} bytes are lost in" if lost else "not whole in"
-    return f"{extent} {times}: byte {damages[0].start}: {damages[0].reason}"
+    places = describe_count(len(damages), "place")
+    return f"{extent} {places}: byte {damages[0].start}: {damages[0].reason}"
 
 
 def format_recovery(
@@ -388,15 +309,9 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
     Raises:
         LogError: If the record was changed after writing.
     """
-    found = [
-        record.metadata
-        for record in records
-        if isinstance(record, Metadata) and record.name == RECOVERY
-    ]
-    if not found:
-        return {}
-    losses = "; ".join(dict.fromkeys(map(_describe, found)))
-    return {_NOTE: f"{_FROM_DAMAGED}{losses}"}
+    notes = [found for found in records if isinstance(found, Metadata) and found.name == RECOVERY]
+    losses = "; ".join(dict.fromkeys(_describe(note.metadata) for note in notes))
+    return {"recovered": f"{_FROM_DAMAGED}{losses}"} if notes else {}
 
 
 def _describe(record: Mapping[str, str]) -> str:
@@ -412,7 +327,7 @@ def _describe(record: Mapping[str, str]) -> str:
         count = _NO_MESSAGE
     places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
     if len(lost) > 1:
-        places.append("1 more place" if len(lost) == 2 else f"{len(lost) - 1} more places")
+        places.append(describe_count(len(lost) - 1, "more place"))
     return f"{count} ({', and '.join(places)})" if places else count
 
 

@@ -1,46 +1,31 @@
-"""Live simulation into sinks, and their recorder, whose file is readable up to the last second."""
+"""Live runs: simulated into sinks, and read from a recording that still grows."""
 
-import struct
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
-from os import fstat
-from os.path import samestat
 from pathlib import Path
-from types import MappingProxyType
-from typing import BinaryIO, Final, Protocol, Self
+from typing import Any, Final, Protocol, Self
 
 import msgspec
+from mcap.opcode import Opcode
 
-from turtlelog.errors import LogError, SimulationError
-from turtlelog.files.urls import RemotePath, make_path
-from turtlelog.log.file_access import (
-    StopRequest,
-    catch_stop,
-    exit_on_terminate,
-    hold_stop,
-    mark_live,
-    name_write_error,
-)
-from turtlelog.log.mcap_writer import McapFile
-from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
-from turtlelog.log.recording.tick_records import TickRecords, measure_tick
+from turtlelog.errors import SimulationError
+from turtlelog.log.engine.blocks import build_walked_block
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import Rows, Selection, read_piece
+from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.records import MCAP0_MAGIC, check_start
+from turtlelog.log.engine.walk import Section, walk_growing
+from turtlelog.log.file_access import StopRequest, catch_stop, is_live, name_file, open_file
+from turtlelog.log.recording import topics
+from turtlelog.log.recording.reader import build_run, reconcile_contents
+from turtlelog.log.recording.topics import build_contents
 from turtlelog.run import Event, Run
 from turtlelog.run.stop_reasons import INTERRUPTED
-from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
-from turtlelog.simulate import Tick, collect_run, declare_scenario, iterate_ticks
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate import Tick, collect_run, iterate_ticks
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-
-CHUNK_BYTES: Final = 2**16
-"""Approximate chunk size in a live recording [bytes]."""
-
-_FLUSH_S: Final = 1.0
-"""Time after which a chunk is written even if it is not full, by the wall clock [s]."""
-
-_INTERRUPTIONS: Final = (KeyboardInterrupt, SystemExit)
-_NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})
 
 
 class Sink(Protocol):
@@ -175,215 +160,81 @@ def _end(tick: Tick) -> Tick:
     return msgspec.structs.replace(tick, stop_reason=INTERRUPTED, events=(*tick.events, event))
 
 
-def create_file(path: Path) -> BinaryIO:
-    """Create a new file and return it unbuffered."""
-    return path.open("xb", buffering=0)
+_EVERYTHING: Final = Selection()
+_ANY_SIZE: Final = 2**40  # bytes; the final size is unknown
 
 
-class Recorder:
-    """Recorder of the ticks of a running loop in a new file, visible under its name at once.
+class RecordingTail:
+    """An open turtlelog recording that may still grow.
 
-    Ticks are buffered until 64 KiB are full or a second has passed, and then written to the
-    operating system as one self-contained chunk. A killed process therefore loses about the last
-    second; a power failure may also lose data not yet written to disk. Nothing runs in the
-    background: if the loop blocks, buffered ticks are written with the next tick.
-
-    As a context manager, the recorder finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP
-    or SIGQUIT. An existing file is refused, also if another recorder is writing it. If the file is
-    deleted, moved or replaced, the recording ends with the next chunk, because later data would be
-    lost.
+    Attributes:
+        is_finished: Whether the end of the recording has been read.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        scenario: Scenario,
-        *,
-        flush_s: float = _FLUSH_S,
-        create: Callable[[Path], BinaryIO] = create_file,
-    ) -> None:
-        """Create the file and write the metadata of the scenario.
-
-        Args:
-            path: The file, which must not exist.
-            scenario: Scenario that runs.
-            flush_s: Longest time that a tick is buffered [s].
-            create: Function that creates the file, like `create_file`.
+    def __init__(self, path: str | Path) -> None:
+        """Open the recording.
 
         Raises:
-            LogError: If the file exists or cannot be written.
-            ScenarioError: If the law cannot be loaded or may not run.
-            LawError: If the law's declaration is invalid.
+            LogError: If the file cannot be read, or is not an MCAP file.
         """
-        if isinstance(make_path(path), RemotePath):
-            raise LogError(f"{make_path(path)}: expected a local file to record live, found a URL")
-        scenario = resolve_scenario(scenario)
-        self._path, self._scenario, self._flush_s = Path(path), scenario, flush_s
-        self._declaration = declare_scenario(scenario)
-        self._records = TickRecords(scenario, self._declaration)
-        self._ticks: list[Tick] = []
-        self._size, self._oldest_s = 0, 0.0
-        self._safe_ns: int | None = None
-        self._stop_reason: str | None = None
-        self._exits, self._error_before = ExitStack(), sys.exception()
-        with ExitStack() as undoing:
-            with hold_stop():
-                self._stream = self._create(create)
-                undoing.callback(self._discard)
-                self._place = self._path.absolute()  # the process may change its folder
-                mark_live(self._stream)
-                self._file, self._is_open = McapFile(self._stream), True
-                with self._guard():
-                    self._file.begin()
-                    self._add_head(_NO_NOTES)
-                    self._file.add_attachment(SCENARIO_FILE, format_scenario(scenario).encode())
-            undoing.pop_all()
+        self.is_finished = False
+        self._path, self._place = Path(path), len(MCAP0_MAGIC)
+        self._catalogue = Catalogue(Allowance(_ANY_SIZE))
+        self._records: list[Any] = []
+        self._parts: dict[str, list[Rows]] = {}
+        with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
+            self._stream = closing.enter_context(open_file(self._path))
+            check_start(self._stream)
+            closing.pop_all()
 
     def __enter__(self) -> Self:
-        self._exits.enter_context(exit_on_terminate())
         return self
 
     def __exit__(self, *_: object) -> None:
-        with self._exits:
-            self.close()
+        self._stream.close()
 
-    def receive(self, tick: Tick) -> None:
-        """Record a tick.
+    @property
+    def is_live(self) -> bool:
+        """Whether a program still writes to the recording; False if there are no file locks."""
+        return is_live(self._path)
 
-        Raises:
-            LogError: If the file cannot be written. The file is then closed, and readable up to
-                that point.
-        """
-        if not self._is_open:
-            raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
-        now_s = time.monotonic()
-        if not self._ticks:
-            self._oldest_s = now_s
-        self._ticks.append(tick)
-        self._size += measure_tick(tick)
-        if self._size >= CHUNK_BYTES or now_s - self._oldest_s >= self._flush_s:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write buffered ticks to the operating system.
+    def read_run(self) -> Run | None:
+        """Return the run so far; None if nothing is new since the last call, or there is no pose.
 
         Raises:
-            LogError: As for `receive`, or if the file was moved, deleted or replaced.
+            LogError: If the file is not a recording by turtlelog.
         """
-        self._write_ticks()
-        loss = self._find_loss() if self._is_open else None
-        if loss is not None:
-            self._give_up(f"the file was {loss}")
-            raise self._describe_loss(loss)
+        with name_file(self._path, expected="a turtlelog recording"):
+            has_grown = False
+            for section, place in walk_growing(self._stream, self._place):
+                self._place = place
+                has_grown |= section is not None and self._take(section)
+            return self._build() if has_grown and topics.POSE.name in self._parts else None
 
-    def close(self, notes: Mapping[str, str] = _NO_NOTES) -> None:
-        """Finish the file. A second call does nothing.
+    def read_last_run(self) -> Run:
+        """Return the run so far, even if it is incomplete.
 
-        A recording closed by Ctrl-C or an exit gets the stop reason `interrupted`.
-
-        Args:
-            notes: Notes of the run, as in `Run`.
+        Raises:
+            LogError: If the file is not a recording by turtlelog, or contains no pose.
         """
-        with hold_stop():
-            self._write_ticks()
-            if not self._is_open:
-                return
-            error = sys.exception()
-            if error is not self._error_before and isinstance(error, _INTERRUPTIONS):
-                self._stop_reason = self._stop_reason or INTERRUPTED
-            with self._guard():
-                self._add_head(notes)
-                self._file.finish()
-            self._is_open = False
-            loss = self._find_loss()
-            try:
-                self._stream.close()
-            except OSError as err:
-                raise LogError(
-                    f"{self._path}: expected the system to keep the file, found: {err.strerror}"
-                ) from err
-            if loss is not None:
-                raise self._describe_loss(loss)
+        self.read_run()
+        with name_file(self._path, expected="a turtlelog recording"):
+            return self._build()
 
-    def _write_ticks(self) -> None:
-        if self._is_open and self._ticks:
-            with self._guard():
-                self._file.add_chunk(self._records.encode(self._ticks))
-                self._safe_ns = self._ticks[-1].time_ns
-                self._stop_reason = self._ticks[-1].stop_reason or self._stop_reason
-                self._ticks, self._size = [], 0
+    def _build(self) -> Run:
+        # `build_contents` empties its parts, which are needed again here.
+        parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
+        contents = build_contents(self._records, self._catalogue, parts, ())
+        return build_run(reconcile_contents(contents)[0])
 
-    def _find_loss(self) -> str | None:
-        """Return what happened to the file if its name no longer leads to it; else None."""
-        try:
-            own = fstat(self._stream.fileno())
-            with suppress(FileNotFoundError, NotADirectoryError):
-                if samestat(own, self._place.stat()):
-                    return None
-        except OSError:  # not a regular file, or a folder that is no longer readable
-            return None
-        return "moved" if own.st_nlink else "deleted"
-
-    def _describe_loss(self, loss: str) -> LogError:
-        until = f"{(self._safe_ns or 0) / 1e9:.3f} s"
-        rest = f"its {until} are lost" if loss == "deleted" else f"{until} are safe where it is now"
-        return LogError(f"{self._path}: expected a file that stays, found it {loss}: {rest}")
-
-    def _discard(self) -> None:
-        """Remove a file that will not be finished."""
-        with suppress(OSError):
-            self._stream.close()
-        self._path.unlink(missing_ok=True)
-
-    def _create(self, create: Callable[[Path], BinaryIO]) -> BinaryIO:
-        try:
-            format_scenario(self._scenario).encode()
-            return create(self._path)
-        except FileExistsError as err:
-            raise LogError(
-                f"{self._path}: expected a new file, found one: a live recording replaces nothing"
-            ) from err
-        except OSError as err:
-            raise LogError(f"{self._path}: cannot be written: {err.strerror or err}") from err
-        except UnicodeEncodeError as err:
-            raise name_write_error(self._path, err) from err
-
-    def _add_head(self, notes: Mapping[str, str]) -> None:
-        head = describe_scenario(
-            self._scenario,
-            self._declaration,
-            stop_reason=self._stop_reason,
-            nan_columns=self._records.nan_columns,
-            more_topics=self._records.more_topics,
-            notes=notes,
-        )
-        self._file.add_metadata(HEAD, format_head(head))
-
-    @contextmanager
-    def _guard(self) -> Iterator[None]:
-        """Delay signals until a write ends. If the write fails, close the readable file."""
-        try:
-            with hold_stop():
-                yield
-        except (OSError, UnicodeEncodeError, struct.error) as err:
-            reason = (isinstance(err, OSError) and err.strerror) or str(err)
-            self._give_up(reason)
-            safe = (
-                "its head alone is" if self._safe_ns is None else f"{self._safe_ns / 1e9:.3f} s are"
-            )
-            raise LogError(
-                f"{self._path}: no room for the recording: {reason}: {safe} safe"
-            ) from err
-
-    def _give_up(self, reason: str) -> None:
-        """Remove an incomplete record, finish the file if there is room, and close it."""
-        self._is_open = False
-        try:
-            self._file.cut_back()
-            self._add_head({"recording_failed": reason})
-            self._file.finish()
-        except OSError:
-            with suppress(OSError):
-                self._file.cut_back()
-        with suppress(OSError):
-            self._stream.close()
+    def _take(self, section: Section) -> bool:
+        """Add a section, and return whether it contains new data for a run."""
+        if section.opcode == Opcode.DATA_END:
+            self.is_finished = True
+            return False
+        block = build_walked_block(self._catalogue, section)
+        self._records += block.rest
+        piece = read_piece(self._catalogue, _EVERYTHING, block, block.offsets)
+        for topic, rows in piece.rows.items():
+            self._parts.setdefault(topic, []).append(rows)
+        return True

@@ -1,39 +1,23 @@
-"""Reading of recordings as runs, finished or still growing."""
+"""Reading of recordings as runs, complete or with losses."""
 
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Self
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import build_walked_block
-from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.decode import Rows
-from turtlelog.log.engine.framing import MCAP0_MAGIC, check_start
-from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
-from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file
-from turtlelog.log.file_info import Survey, survey_file
+from turtlelog.log.file_access import DamageError, UnfinishedError, name_file
+from turtlelog.log.file_info import survey_file
 from turtlelog.log.recording import topics
-from turtlelog.log.recording.contents import (
-    Contents,
-    ForeignFileError,
-    PartialRecordingWarning,
-    build_contents,
-    read_contents,
-    reconcile_contents,
-    salvage_contents,
-)
 from turtlelog.log.recording.head import (
     MAY_BE_ABSENT,
     Head,
@@ -43,6 +27,13 @@ from turtlelog.log.recording.head import (
     lacks_values,
     parse_scenario_file,
 )
+from turtlelog.log.recording.topics import (
+    Contents,
+    ForeignFileError,
+    PartialRecordingWarning,
+    read_contents,
+    salvage_contents,
+)
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import flatten_tables
@@ -50,8 +41,6 @@ from turtlelog.scenario import flatten_tables
 Values = NDArray[np.float64]
 
 _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
-_EVERYTHING: Final = Selection()
-_ANY_SIZE: Final = 2**40  # bytes; the final size is unknown
 NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
 """Advice for a damaged file without a recoverable message."""
 
@@ -89,7 +78,9 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             # The error's frames hold unpacked data; they are freed before the file is read again.
             damage, is_unfinished = str(err), isinstance(err, UnfinishedError)
         if not allow_partial:
-            survey = _survey_rest(stream)
+            survey = None
+            with suppress(LogError):  # no record is left
+                survey = survey_file(stream, allow_partial=True)
             if may_be_foreign and is_unfinished and survey is not None and not survey.is_own:
                 raise ForeignFileError(f"{damage}: not a recording by turtlelog")
             is_empty = survey is not None and not any(survey.counts.values())
@@ -102,14 +93,6 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             raise LogError(f"{damage}; in what it still holds: {err}") from err
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=3)
     return replace(run, notes={**run.notes, "partial": lost})
-
-
-def _survey_rest(stream: BinaryIO) -> Survey | None:
-    """Return the remaining contents of a damaged file; None if there is no record."""
-    try:
-        return survey_file(stream, allow_partial=True)
-    except LogError:
-        return None
 
 
 def _build_whole_run(contents: Contents) -> Run:
@@ -135,89 +118,6 @@ def _build_part(contents: Contents) -> Run:
     return replace(run, absent=add_lost(contents.head, held))
 
 
-class RecordingTail:
-    """An open turtlelog recording that may still grow.
-
-    Attributes:
-        is_finished: Whether the end of the recording has been read.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        """Open the recording.
-
-        Raises:
-            LogError: If the file cannot be read, or is not an MCAP file.
-        """
-        self.is_finished = False
-        self._path, self._place = Path(path), len(MCAP0_MAGIC)
-        self._allowance = Allowance(_ANY_SIZE)
-        self._catalogue = Catalogue(self._allowance)
-        self._records: list[Any] = []
-        self._parts: dict[str, list[Rows]] = {}
-        with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
-            self._stream = closing.enter_context(open_file(self._path))
-            check_start(self._stream)
-            closing.pop_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stream.close()
-
-    @property
-    def is_live(self) -> bool:
-        """Whether a program still writes to the recording; False if there are no file locks."""
-        return is_live(self._path)
-
-    def read_run(self) -> Run | None:
-        """Return the run so far; None if nothing is new since the last call, or there is no pose.
-
-        Raises:
-            LogError: If the file is not a recording by turtlelog.
-        """
-        with name_file(self._path, expected="a turtlelog recording"):
-            has_grown = [self._take(section) for section in self._read_sections()]
-            return self._build() if any(has_grown) and topics.POSE.name in self._parts else None
-
-    def read_last_run(self) -> Run:
-        """Return the run so far, even if it is incomplete.
-
-        Raises:
-            LogError: If the file is not a recording by turtlelog, or contains no pose.
-        """
-        self.read_run()
-        with name_file(self._path, expected="a turtlelog recording"):
-            return self._build()
-
-    def _build(self) -> Run:
-        # `build_contents` empties its parts, which are needed again here.
-        parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
-        contents = build_contents(self._records, self._catalogue, parts, ())
-        return build_run(reconcile_contents(contents)[0])
-
-    def _read_sections(self) -> Iterator[Section]:
-        for section, place in walk_growing(self._stream, self._place):
-            self._place = place
-            if section is not None:
-                yield section
-
-    def _take(self, section: Section) -> bool:
-        """Add a section, and return whether it contains new data for a run."""
-        if not section.is_chunk and section.data[0] == Opcode.DATA_END:
-            self.is_finished = True
-            return False
-        block = build_walked_block(
-            section.data, section.start, self._allowance, is_chunk=section.is_chunk
-        )
-        self._catalogue.add(block.rest, block.byte)
-        self._records += block.rest
-        piece = read_piece(self._catalogue, _EVERYTHING, block, block.offsets)
-        for topic, rows in piece.rows.items():
-            self._parts.setdefault(topic, []).append(rows)
-        return True
-
-
 def build_run(contents: Contents) -> Run:
     """Return the run in the contents of a recording. The topics are removed to save memory."""
     head = contents.head
@@ -232,7 +132,13 @@ def build_run(contents: Contents) -> Run:
     # Each table frees its source before the next is built.
     columns.pop(topics.REFERENCE.name, None)
     poses = _build_poses(columns, head)
-    commands = _build_commands(columns.pop(topics.COMMAND.name))
+    command = columns.pop(topics.COMMAND.name)
+    commands = CommandColumns(
+        time_ns=command.log_time_ns,
+        speed_m_s=command.fields["linear.x"],
+        lateral_speed_m_s=command.fields["linear.y"],
+        turn_rate_rad_s=command.fields["angular.z"],
+    )
     events = _build_events(columns.pop(topics.EVENT.name))
     samples = _build_samples(columns, head, declaration)
     return Run(
@@ -336,23 +242,13 @@ def _prefer(exact: TopicColumns, rounded: TopicColumns) -> TopicColumns:
     return exact
 
 
-def _build_commands(columns: TopicColumns) -> CommandColumns:
-    command = columns.fields
-    return CommandColumns(
-        time_ns=columns.log_time_ns,
-        speed_m_s=command["linear.x"],
-        lateral_speed_m_s=command["linear.y"],
-        turn_rate_rad_s=command["angular.z"],
-    )
-
-
 def _build_samples(
     columns: dict[str, TopicColumns], head: Head, declaration: Declaration
 ) -> SampleColumns:
     sequence = columns[topics.CONTROL.name].fields["sequence"]
     reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
-    states = _build_states(columns, declaration.states, sequence)
-    shaped = _build_shaped(columns, sequence)
+    states = _pop_numbered(columns, topics.LAW_STATE, sequence)
+    shaped = _pop_numbered(columns, topics.SHAPED.name, sequence)
     samples = columns.pop(topics.CONTROL.name)
     time_ns, fields = samples.log_time_ns, dict(samples.fields)
     del samples, sequence
@@ -361,11 +257,15 @@ def _build_samples(
         found[name] = _gather(fields, parts)
         for part in parts:
             del fields[part]
-    found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
+    for name in MAY_BE_ABSENT:
+        # The metadata at the start of a live recording cannot list what its samples will lack.
+        is_late = head.format_version > 1 and name in _FOUND_LATE
+        is_lacking = is_late and lacks_values(name, found[name])
+        found[name] = None if is_lacking else _unless_nan(head, f"samples.{name}", found[name])
     return SampleColumns(
         time_ns=time_ns,
         **found,
-        states=states,
+        states=np.column_stack([states[name] for name in declaration.states]) if states else None,
         shaped_speed_m_s=shaped.get("linear.x"),
         shaped_turn_rate_rad_s=shaped.get("angular.z"),
         reference_xy_m=reference_xy_m,
@@ -379,40 +279,17 @@ def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
     return values.astype(np.float64 if values.dtype.kind == "f" else np.int64, copy=False)
 
 
-def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
-    """Return a column of samples; None if the metadata says so or a live recording lacks it.
-
-    The metadata at the start of a live recording cannot list the columns that its samples will
-    lack.
-    """
-    if head.format_version > 1 and name in _FOUND_LATE and lacks_values(name, values):
-        return None
-    return _unless_nan(head, f"samples.{name}", values)
-
-
-def _build_states(
-    columns: dict[str, TopicColumns], names: tuple[str, ...], sequence: Column
-) -> Values | None:
-    if not names:
-        return None
-    found = columns.pop(topics.LAW_STATE)
-    _require_numbers(found, sequence)
-    return np.column_stack([found.fields[name] for name in names])
-
-
-def _build_shaped(columns: dict[str, TopicColumns], sequence: Column) -> Mapping[str, Column]:
-    if topics.SHAPED.name not in columns:
+def _pop_numbered(
+    columns: dict[str, TopicColumns], topic: str, sequence: Column
+) -> Mapping[str, Column]:
+    """Return the fields of a topic with exactly one message per sample; empty without the topic."""
+    if topic not in columns:
         return {}
-    found = columns.pop(topics.SHAPED.name)
-    _require_numbers(found, sequence)
-    return found.fields
-
-
-def _require_numbers(found: TopicColumns, sequence: Column) -> None:
-    """Refuse a topic without exactly one message per sample."""
+    found = columns.pop(topic)
     if not np.array_equal(found.sequence, sequence):
         expected = f"the numbers of the {len(sequence)} samples"
-        raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
+        raise LogError(f"topic {topic}: expected {expected}, found {len(found)} others")
+    return found.fields
 
 
 def _build_reference(
@@ -437,3 +314,96 @@ def _build_events(columns: TopicColumns) -> tuple[Event, ...]:
 
 def _unless_nan(head: Head, name: str, values: Column) -> Values | None:
     return None if name in head.nan_columns else values.astype(np.float64, copy=False)
+
+
+def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
+    """Return contents with consistent rows, and a clause on the changes; empty without changes.
+
+    Poses are numbered from 0, and each sample contains the number of its pose. Poses with a missing
+    column are dropped. Samples are dropped if their pose, states, reference, sensed pose or shaped
+    command is missing. The remaining poses are numbered anew. If no sample read a pose, it is
+    unknown whether the pose dropped out or its sensed values are lost.
+    """
+    tables, declaration = dict(contents.topics), contents.head.declaration
+    exact = topics.POSE64.name, topics.VELOCITY64.name, topics.MEASURED.name
+    pose_topics = [name for name in exact if name in tables and len(tables[name])]
+    pose_topics.insert(0, topics.POSE.name)
+    numbers = _intersect({name: tables[name] for name in pose_topics})
+    for name in pose_topics:
+        tables[name] = tables[name].select(np.isin(tables[name].sequence, numbers))
+    clauses, read = _reconcile_sensed(tables, numbers)
+    samples = tables[topics.CONTROL.name]
+    kept = samples.select(np.isin(samples.fields["pose_sequence"], read))
+    if declaration is not None:
+        kept = _take_described(kept, tables, declaration)
+    rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
+    fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
+    tables[topics.CONTROL.name] = replace(kept, fields=fields)
+    lost = len(samples) - len(kept)
+    if lost:
+        more = [name for topic, name in _MORE_OF_SAMPLES.items() if topic in tables]
+        whats = ", ".join(["pose", *more, "states or reference"])
+        clauses.insert(0, f"{lost} samples without their {whats} are dropped")
+    return replace(contents, topics=tables), "".join(f"; {clause}" for clause in clauses)
+
+
+_MORE_OF_SAMPLES: Final = {topics.SENSED.name: "sensed pose", topics.SHAPED.name: "shaped command"}
+"""Other messages of each sample, in runs with these topics."""
+
+
+def _reconcile_sensed(
+    tables: dict[str, TopicColumns], numbers: NDArray[np.uint32]
+) -> tuple[list[str], NDArray[np.uint32]]:
+    """Drop the sensed values of lost poses, and number the rest like the remaining poses.
+
+    Returns:
+        Clauses on the losses, and the numbers of poses that a sample may have read.
+    """
+    if topics.SENSED.name not in tables:
+        return [], numbers
+    names = [name for name in (topics.SENSED.name, topics.SENSED64.name) if len(tables[name])]
+    sensed = _intersect({name: tables[name] for name in names}) if names else numbers[:0]
+    both = np.intersect1d(sensed, numbers)
+    for name in names:
+        found = tables[name].select(np.isin(tables[name].sequence, both))
+        places = np.searchsorted(numbers, found.sequence).astype(np.uint32)
+        tables[name] = replace(found, sequence=places)
+    clauses = []
+    if lost := len(sensed) - len(both):
+        clauses.append(f"{lost} sensed poses without their pose are dropped")
+    if unknown := len(numbers) - len(both):
+        clauses.append(f"of {unknown} poses none was sensed, or what was sensed is lost")
+    return clauses, both
+
+
+def _take_described(
+    samples: TopicColumns, tables: dict[str, TopicColumns], declaration: Declaration
+) -> TopicColumns:
+    """Return the complete samples, and drop all rows of the other samples."""
+    for name in (topics.LAW_STATE, topics.SHAPED.name):
+        if name in tables:
+            is_there = np.isin(samples.fields["sequence"], tables[name].sequence)
+            samples = samples.select(is_there)
+    if declaration.has_reference:
+        # In these phases every sample has a reference pose.
+        moved = {loop.name for loop in declaration.loops if loop.moves}
+        phases = enumerate(declaration.phases.values())
+        numbers = [number for number, loops in phases if not moved.isdisjoint(loops)]
+        due = np.isin(samples.fields["phase"], numbers)
+        is_there = np.isin(samples.fields["sequence"], tables[topics.REFERENCE64.name].sequence)
+        samples = samples.select(is_there | ~due)
+    references = topics.REFERENCE.name, topics.REFERENCE64.name
+    for name in (topics.LAW_STATE, *references, topics.SHAPED.name):
+        if name in tables:
+            is_kept = np.isin(tables[name].sequence, samples.fields["sequence"])
+            tables[name] = tables[name].select(is_kept)
+    return samples
+
+
+def _intersect(tables: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
+    numbers = next(iter(tables.values())).sequence
+    for name, columns in tables.items():
+        if (columns.sequence[1:] <= columns.sequence[:-1]).any():
+            raise LogError(f"topic {name}: expected poses numbered in order, found others")
+        numbers = np.intersect1d(numbers, columns.sequence)
+    return numbers

@@ -9,13 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import Column, read_type
+from turtlelog.log.engine.cdr import PackedItems
+from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_write_error
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.message_encoding import PackedItems, lay_out_alike
+from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
-from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
+from turtlelog.log.recording.head import (
+    FORMAT_VERSION,
+    HEAD,
+    MAY_BE_ABSENT,
+    Head,
+    format_head,
+    format_scenario_file,
+)
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns, require_run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
@@ -24,6 +32,7 @@ Values = dict[str, Any]
 
 _INFO: Final = 20
 _WARN: Final = 30
+_TWIST: Final = ("linear.x", "angular.z")
 
 
 def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -> None:
@@ -58,27 +67,66 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     _require_range("samples.time_ns", run.samples.time_ns, 2**63)
     _require_range("samples.sequence", run.samples.sequence, 2**32)
     _require_range("events.time_ns", np.array([event.time_ns for event in run.events]), 2**63)
+    poses, samples, goal = run.poses, run.samples, list[tuple[int, Values]]()
+    if run.goal_xy_m is not None:
+        time_ns = int(poses.time_ns[0])
+        goal = [(time_ns, describe_pose(time_ns, *run.goal_xy_m, run.goal_heading_rad))]
+    measured = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
+    shaped = samples.shaped_speed_m_s, samples.shaped_turn_rate_rad_s
     messages = (
-        _build_goal(run),
-        *_build_poses(run.poses),
-        *_build_sensed(run.poses),
-        *_build_measured(run.poses),
-        _build_samples(run.samples),
+        _collect_rows(topics.GOAL, goal),
+        *_build_poses(poses),
+        *_build_sensed(poses),
+        *_build_twists(topics.MEASURED, poses.time_ns, measured),
+        _build_samples(samples),
         *_build_states(run),
         *_build_references(run),
-        *_build_shaped(run.samples),
+        *_build_twists(topics.SHAPED, samples.time_ns, shaped, samples.sequence.astype(np.uint32)),
         _build_commands(run),
         _build_phases(run),
-        _build_events(run.events),
+        _collect_rows(topics.EVENT, [(one.time_ns, tabulate_event(one)) for one in run.events]),
     )
     return tuple(of_topic for of_topic in messages if len(of_topic))
+
+
+def describe_run(run: Run) -> Head:
+    """Return the metadata for the recording of a run."""
+    poses, samples = ["speed_m_s", "turn_rate_rad_s"], [*MAY_BE_ABSENT]
+    measured = [f"measured_{name}" for name in poses]
+    is_measured = any(getattr(run.poses, name) is not None for name in measured)
+    poses += measured if is_measured else ()
+    if run.declaration.has_reference:
+        samples += "reference_xy_m", "reference_heading_rad"
+    nan_columns = [f"poses.{name}" for name in poses if getattr(run.poses, name) is None]
+    nan_columns += [f"samples.{name}" for name in samples if getattr(run.samples, name) is None]
+    more_topics = {
+        topics.SENSED.name: run.poses.sensed_xy_m is not None,
+        topics.SHAPED.name: run.samples.shaped_speed_m_s is not None,
+        topics.MEASURED.name: is_measured,
+    }
+    return Head(
+        format_version=FORMAT_VERSION,
+        source=run.source,
+        name=run.name,
+        stop_reason=run.stop_reason,
+        goal_heading_rad=run.goal_heading_rad,
+        absent=run.absent,
+        nan_columns=frozenset(nan_columns),
+        more_topics=frozenset(name for name, is_there in more_topics.items() if is_there),
+        declaration=run.declaration,
+        clock=run.clock,
+        simulated_by=run.simulated_by,
+        notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
+    )
 
 
 def describe_pose(time_ns: int, x_m: float, y_m: float, heading_rad: float | None) -> Values:
     """Return the fields of a goal or reference; a missing heading becomes 0."""
     half_rad = (heading_rad or 0.0) / 2.0
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
     return {
-        **_stamp(time_ns),
+        "header.stamp.sec": seconds,
+        "header.stamp.nanosec": nanoseconds,
         "header.frame_id": "world",
         "pose.position.x": x_m,
         "pose.position.y": y_m,
@@ -134,25 +182,17 @@ def _collect_rows(
     return _collect(topic, time_ns, fields, sequence)
 
 
-def _build_goal(run: Run) -> TopicColumns:
-    if run.goal_xy_m is None:
-        return _collect_rows(topics.GOAL, [])
-    time_ns = int(run.poses.time_ns[0])
-    goal = describe_pose(time_ns, *run.goal_xy_m, run.goal_heading_rad)
-    return _collect_rows(topics.GOAL, [(time_ns, goal)])
-
-
 def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
     """Yield the poses, and their exact values if 32-bit floats would lose digits."""
     place = {"x": poses.xy_m[:, 0], "y": poses.xy_m[:, 1], "theta": poses.heading_rad}
     speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
+    names = "linear_velocity", "angular_velocity"
     velocity = [_or_nan(values, len(poses)) for values in (speed, turn_rate)]
-    names = ("linear_velocity", "angular_velocity"), ("linear.x", "angular.z")
-    yield _collect(topics.POSE, poses.time_ns, place | dict(zip(names[0], velocity, strict=True)))
+    yield _collect(topics.POSE, poses.time_ns, place | dict(zip(names, velocity, strict=True)))
     if not (_fits_float32(poses.xy_m) and _fits_float32(poses.heading_rad)):
         yield _collect(topics.POSE64, poses.time_ns, place)
     if not (_fits_float32(speed) and _fits_float32(turn_rate)):
-        yield _collect(topics.VELOCITY64, poses.time_ns, dict(zip(names[1], velocity, strict=True)))
+        yield _collect(topics.VELOCITY64, poses.time_ns, dict(zip(_TWIST, velocity, strict=True)))
 
 
 def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
@@ -173,19 +213,16 @@ def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
         yield _collect(topics.SENSED64, time_ns, place, sequence)
 
 
-def _build_measured(poses: PoseColumns) -> Iterator[TopicColumns]:
-    speed, turn_rate = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
-    if speed is not None or turn_rate is not None:
-        found = {"linear.x": speed, "angular.z": turn_rate}
-        columns = {name: _or_nan(values, len(poses)) for name, values in found.items()}
-        yield _collect(topics.MEASURED, poses.time_ns, columns)
-
-
-def _build_shaped(samples: SampleColumns) -> Iterator[TopicColumns]:
-    speed, turn_rate = samples.shaped_speed_m_s, samples.shaped_turn_rate_rad_s
-    if speed is not None and turn_rate is not None:
-        columns = {"linear.x": speed, "angular.z": turn_rate}
-        yield _collect(topics.SHAPED, samples.time_ns, columns, samples.sequence.astype(np.uint32))
+def _build_twists(
+    topic: topics.Topic,
+    time_ns: NDArray[np.int64],
+    rates: tuple[NDArray[np.float64] | None, NDArray[np.float64] | None],
+    sequence: NDArray[np.uint32] | None = None,
+) -> Iterator[TopicColumns]:
+    """Yield speed and turn rate as one topic, if any is known."""
+    if any(values is not None for values in rates):
+        columns = [_or_nan(values, len(time_ns)) for values in rates]
+        yield _collect(topic, time_ns, dict(zip(_TWIST, columns, strict=True)), sequence)
 
 
 def _build_samples(samples: SampleColumns) -> TopicColumns:
@@ -255,15 +292,6 @@ def _build_phases(run: Run) -> TopicColumns:
     return _collect_rows(topics.PHASE, changes)
 
 
-def _build_events(events: tuple[Event, ...]) -> TopicColumns:
-    return _collect_rows(topics.EVENT, [(event.time_ns, tabulate_event(event)) for event in events])
-
-
-def _stamp(time_ns: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-    return {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
-
-
 def _or_nan(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64]:
     return np.full(rows, math.nan) if values is None else values
 
@@ -296,11 +324,15 @@ def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
     poses = run.poses
     if not _can_share(run):
         return ()
-    stamp = divmod(poses.time_ns, 1_000_000_000)
+    seconds, nanoseconds = divmod(poses.time_ns, 1_000_000_000)
     half_rad = poses.heading_rad / 2.0
     place = dict(zip("xy", poses.xy_m.T, strict=True))
     turn = {"z": np.sin(half_rad), "w": np.cos(half_rad)}
-    head = _list_head(stamp)
+    head: dict[str, NDArray[Any]] = {
+        "header.stamp.sec": seconds,
+        "header.stamp.nanosec": nanoseconds,
+        "header.frame_id": np.full(len(poses), _WORLD, dtype=object),
+    }
     child = np.full(len(poses), _ROBOT, dtype=object)
     rates = zip(("twist.twist.linear.x", "twist.twist.angular.z"), _read_rates(run), strict=True)
     odometry = {
@@ -324,14 +356,6 @@ def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
         _collect(topics.TRANSFORMS, poses.time_ns, _prefix("transforms.0.", transform)),
         _collect(topics.PATH, poses.time_ns[-1:], path),
     )
-
-
-def _list_head(stamp: tuple[NDArray[np.int64], NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
-    return {
-        "header.stamp.sec": stamp[0],
-        "header.stamp.nanosec": stamp[1],
-        "header.frame_id": np.full(len(stamp[0]), _WORLD, dtype=object),
-    }
 
 
 def _prefix(prefix: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -377,16 +401,9 @@ def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     unknown = np.full(len(poses), np.nan)
     speed, turn_rate = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
     if speed is None and poses.speed_m_s is not None and not run.commands.lateral_speed_m_s.any():
-        speed = poses.speed_m_s * _find_signs(poses)
+        step_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
+        ahead = np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])
+        speed = poses.speed_m_s * np.where((step_m * ahead).sum(axis=1) < 0.0, -1.0, 1.0)
     if turn_rate is None:
         turn_rate = poses.turn_rate_rad_s
     return (unknown if speed is None else speed), (unknown if turn_rate is None else turn_rate)
-
-
-def _find_signs(poses: PoseColumns) -> NDArray[np.float64]:
-    """Return -1 for poses that the robot reached backward, and 1 for other poses."""
-    step_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
-    along_m = (
-        step_m * np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])
-    ).sum(axis=1)
-    return np.where(along_m < 0.0, -1.0, 1.0)

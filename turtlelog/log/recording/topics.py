@@ -1,17 +1,36 @@
-"""Topics of a recording: their types with text and hash, and the records that describe them."""
+"""Topics of a recording: types with text and hash, and the contents of a file, complete or not."""
 
 import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import chain
 from types import MappingProxyType
-from typing import Final
+from typing import Any, BinaryIO, Final
 
-from mcap.records import Channel, Schema
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.channels import find_definition
+from turtlelog.log.engine.blocks import walk_blocks
+from turtlelog.log.engine.channels import Catalogue, TopicPlan, find_definition
+from turtlelog.log.engine.decode import (
+    LOG_TIME,
+    PUBLISH_TIME,
+    SEQUENCE,
+    Rows,
+    Selection,
+    make_empty_rows,
+    read_piece,
+)
+from turtlelog.log.engine.limits import Allowance, measure_stored
+from turtlelog.log.engine.message_types import read_type
+from turtlelog.log.engine.source import Source, salvage_summary
+from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
+from turtlelog.log.engine.walk import Loss
+from turtlelog.log.file_access import DamageError
+from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW
 
@@ -272,3 +291,170 @@ def describe_topics(
         )
         pairs.append((schemas[kind], channel))
     return pairs
+
+
+_MOST_PLANS: Final = 64
+"""Number of cached topic layouts: those of every recording, and of the states of some laws."""
+
+_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True, is_counted=True)
+_USED: Final = replace(
+    _OWN,
+    kept={name: frozenset((LOG_TIME, SEQUENCE, *fields)) for name, fields in USED_FIELDS.items()},
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contents:
+    """Contents of a recording.
+
+    Attributes:
+        head: Metadata of the recording.
+        attachments: Attached bytes by name.
+        topics: Columns of every expected topic by name, empty without messages. Declaration and
+            effects determine the topics. In a complete file, fields that no run needs are omitted,
+            and log times replace publish times.
+        damages: Segments that could not be read; empty if the file is complete.
+        recovered: Note on earlier losses, if the file was recovered.
+    """
+
+    head: Head
+    attachments: Mapping[str, bytes]
+    topics: dict[str, TopicColumns]
+    damages: tuple[Loss, ...] = ()
+    recovered: Mapping[str, str] = field(default_factory=dict)
+
+
+class ForeignFileError(LogError):
+    """A third-party file."""
+
+
+class PartialRecordingWarning(UserWarning):
+    """Warning that only a part of a recording could be read, as allowed by the caller."""
+
+
+def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
+    """Return the contents of a recording, after checking all available checksums.
+
+    Args:
+        stream: The file.
+        may_be_foreign: Whether the file may be a third-party file, so that damage is not suspected.
+
+    Raises:
+        LogError: If the file is not MCAP, or a topic of turtlelog has another type.
+        ForeignFileError: If the file is a third-party file.
+        DamageError: If the file is unfinished or damaged.
+    """
+    source = Source(stream)
+    try:
+        contents = _read_source(source)
+    except DamageError:
+        raise
+    except LogError as err:
+        if may_be_foreign and isinstance(err, ForeignFileError):
+            raise
+        source.check_data()  # a wrong byte is the actual reason
+        raise
+    if source.is_indexed:  # last, because its error names no place
+        source.check_data()
+    return contents
+
+
+def _read_source(source: Source) -> Contents:
+    found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
+    head: Head | None = None
+    if source.is_indexed:
+        # First: messages of other programs or a newer turtlelog may have other types.
+        head = _find_head(found)
+    parts = collect_parts(source, _USED, lambda piece: found.extend(_keep_notes(piece.rest)))
+    for rows in (rows for of_topic in parts.values() for rows in of_topic):
+        rows[PUBLISH_TIME] = rows[LOG_TIME]
+    return build_contents(found, source.catalogue, parts, (), head)
+
+
+def _keep_notes(records: Iterable[Any]) -> list[Any]:
+    return [found for found in records if isinstance(found, Metadata | Attachment)]
+
+
+def salvage_contents(stream: BinaryIO) -> Contents:
+    """Return the readable contents of a damaged or unfinished recording."""
+    catalogue, damages = Catalogue(Allowance(measure_stored(stream))), list[Loss]()
+    parts: dict[str, list[Rows]] = {}
+    found: list[Any] = []
+    summary = salvage_summary(stream)
+    if summary is not None:
+        catalogue.add((*summary.schemas, *summary.channels), 0)
+    for block in walk_blocks(stream, catalogue, damages=damages):
+        found += _keep_notes(block.rest)
+        known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
+        try:
+            piece = read_piece(catalogue, _OWN, block, known)
+        except LogError as err:
+            end = block.byte + len(block.data)
+            damages.append(Loss(start=block.byte, end=end, reason=str(err)))
+            continue
+        for number in block.offsets.keys() - known.keys():
+            reason = f"channel {number}: expected its record, found messages only"
+            damages.append(Loss(start=block.byte, end=block.byte, reason=reason))
+        for topic, rows in piece.rows.items():
+            parts.setdefault(topic, []).append(rows)
+    return build_contents(found, catalogue, parts, damages)
+
+
+def build_contents(
+    records: Collection[Any],
+    catalogue: Catalogue,
+    parts: Mapping[str, list[Rows]],
+    damages: Collection[Loss],
+    head: Head | None = None,
+) -> Contents:
+    """Return the contents from records outside chunks and the rows of topics in parts."""
+    head, tables = head or _find_head(records), dict[str, TopicColumns]()
+    states = () if head.declaration is None else head.declaration.states
+    # For an unfinished recording, its topics show its effects.
+    for topic in list_topics(head.declaration, more={*head.more_topics, *parts}):
+        own = states if topic.name == LAW_STATE else ()
+        if topic.name in catalogue.topics:
+            _check_type(_plan(topic, own), catalogue.find_plan(topic.name))
+        rows = parts.get(topic.name) or [dict(_make_empty_rows(topic, own))]
+        tables |= build_columns({topic.name: rows}, {topic.name: topic.schema})
+    return Contents(
+        head=head,
+        attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
+        topics=tables,
+        damages=tuple(damages),
+        recovered=describe_recovery(records),
+    )
+
+
+def _find_head(records: Collection[Any]) -> Head:
+    """Return the last metadata record: a live recording adds one with its stop reason."""
+    heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
+    if not heads:
+        raise ForeignFileError(f"not a recording of turtlelog: it has no metadata record {HEAD}")
+    return parse_head(heads[-1].metadata)
+
+
+def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
+    is_state = expected.topic == LAW_STATE
+    # The type of the states may have any name; only the declared fields matter.
+    if found.type != expected.type and not is_state:
+        kind = found.type or "no type"
+        raise LogError(f"topic {expected.topic}: expected {expected.type}, found {kind}")
+    if found.reason:
+        raise LogError(found.describe_reason())
+    if found.fields != expected.fields:
+        wanted = f"{expected.type} as ROS 2 defines it"
+        wanted = "the declared states, each a float64" if is_state else wanted
+        raise LogError(f"topic {expected.topic}: expected {wanted}, found other fields")
+
+
+@lru_cache(maxsize=_MOST_PLANS)
+def _plan(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
+    definition = define_states(states) if states else SCHEMAS[topic.schema]
+    kind = read_type(topic.schema, definition)
+    return TopicPlan(topic=topic.name, type=topic.schema, fields=kind.fields, layout=kind.layout)
+
+
+@lru_cache(maxsize=_MOST_PLANS)
+def _make_empty_rows(topic: Topic, states: tuple[str, ...]) -> Rows:
+    return make_empty_rows(_plan(topic, states))

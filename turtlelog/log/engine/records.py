@@ -25,8 +25,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.framing import RECORD, MessageWalk
-from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
+from turtlelog.log.engine.limits import LARGEST_CHUNK, LONGEST_DESCRIBED, MOST_DESCRIBED
 from turtlelog.log.file_access import DamageError
 
 Rare = TypeVar("Rare")
@@ -50,6 +49,14 @@ _RARE: Final[dict[int, Any]] = {
     Opcode.METADATA_INDEX: MetadataIndex,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
 }
+
+MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
+"""Magic bytes at the start and end of a file. The constant is defined here, because mcap.writer
+takes 20 ms to load."""
+
+RECORD: Final = struct.Struct("<BQ")
+"""Opcode, and length of the body [bytes]."""
+
 
 HEADING_FIELDS: Final = (
     *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
@@ -75,6 +82,10 @@ _ROWS: Final = 2**16  # messages processed together
 _BYTES: Final = 2**24  # bytes from the first to the last of these messages
 
 Places = NDArray[np.int64]
+
+
+LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
+"""Largest length of a record's body that is accepted [bytes]."""
 
 
 class Place(NamedTuple):
@@ -146,7 +157,15 @@ def parse_record(place: Place, body: bytes, byte: int) -> Any:
         raise DamageError(f"byte {byte}: {err}") from err
     if kind is Attachment:
         # Some writers leave bytes after the checksum, so it is not always the last four bytes.
-        _check_attachment(body[:size], byte)
+        expected, found = (
+            int.from_bytes(body[size - 4 : size], "little"),
+            zlib.crc32(body[: size - 4]),
+        )
+        if expected not in {0, found}:
+            raise DamageError(
+                f"byte {byte}: expected an attachment of checksum {expected:#010x}, found"
+                f" {found:#010x}"
+            )
     return record
 
 
@@ -240,12 +259,74 @@ def read_record(stream: BinaryIO, place: Place) -> Any:
     return parse_record(place, stream.read(place.length), place.start - RECORD.size)
 
 
-def _check_attachment(body: bytes, byte: int) -> None:
-    expected = int.from_bytes(body[-4:], "little")
-    if expected and expected != (found := zlib.crc32(body[:-4])):
-        raise DamageError(
-            f"byte {byte}: expected an attachment of checksum {expected:#010x}, found {found:#010x}"
-        )
+_HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8")])
+
+_LONGEST_TURN: Final = 64  # messages; robots have some 20 topics with different rates
+_FIRST: Final = 16  # steps before a period is searched; a chunk has some thousand messages
+_RAREST: Final = 2**12  # steps between failed searches: a search takes the time of 100 steps
+_WORTH: Final = 128  # messages to predict: a search that predicts fewer costs more than it saves
+_MOST: Final = 2**14  # messages predicted at a time
+
+
+class MessageWalk:
+    """Predicts where messages start, from the lengths of earlier messages.
+
+    Attributes:
+        is_due: Whether a prediction should be tried now.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self.is_due = False
+        self._size = len(data)
+        count = max(self._size - RECORD.size + 1, 0)
+        self._heads = np.ndarray((count,), f"V{RECORD.size}", buffer=data, strides=(1,))
+        self._steps: list[int] = []
+        self._wait, self._turn, self._reach = _FIRST, 0, 2 * _WORTH
+
+    def add(self, step: int) -> None:
+        """Add the distance from one message to the next [bytes]."""
+        self._steps.append(step)
+        self.is_due = len(self._steps) >= self._wait
+
+    def go_on(self, place: int, most: int) -> tuple[NDArray[np.uint32], int]:
+        """Return the starts of complete messages from `place` on, and the next place."""
+        length = self._turn or _find_turn(self._steps)
+        turn = np.array(self._steps[len(self._steps) - length :], np.int64)
+        found = [np.array([place], np.int64)]
+        count = 0
+        while len(turn) and count < most:
+            reach = min(self._reach - self._reach % len(turn), most - count)  # whole periods
+            places = self._foretell(int(found[-1][-1]), turn, reach)
+            found.append(places[1:])
+            count += len(places) - 1
+            if len(places) <= reach:
+                break
+            self._reach = min(2 * self._reach, _MOST)
+        self._plan(count, len(turn))
+        places = np.concatenate(found)
+        return places[:-1].astype(np.uint32), int(places[-1])
+
+    def _foretell(self, place: int, turn: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+        ends = np.cumsum(turn)
+        firsts = place + ends[-1] * np.arange(-(-most // len(turn)))
+        places = np.empty(most + 1, np.int64)
+        places[0], places[1:] = place, (firsts[:, None] + ends).ravel()[:most]
+        places = places[: places.searchsorted(self._size, side="right")]
+        heads = self._heads[places[:-1]].view(_HEAD)
+        lengths = np.diff(places) - RECORD.size
+        fits = (heads["length"] == lengths.view(np.uint64)) & (heads["opcode"] == _MESSAGE)
+        return places if fits.all() else places[: int(fits.argmin()) + 1]
+
+    def _plan(self, count: int, turn: int) -> None:
+        """Set the time of the next try."""
+        if count >= _WORTH:
+            # The step that was not predicted comes before those of the next period.
+            self._turn, self._wait = turn, turn + 1
+            self._reach = min(max(count + 2 * turn, 2 * _WORTH), _MOST)
+        else:
+            self._turn, self._wait = 0, min(2 * max(self._wait, _FIRST), _RAREST)
+        self._steps.clear()
+        self.is_due = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -349,3 +430,65 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
 def gather_heads(data: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
     """Return the `HEADING` fields of the messages that start at given places."""
     return gather_bytes(data, starts, MESSAGE_HEAD).view(HEADING)
+
+
+SQLITE_MAGIC: Final = b"SQLite format 3\0"
+_RERUN: Final = b"RRF2"
+_BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
+_BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
+_LETTERS: Final = frozenset((*b"\t\n\r", *range(0x20, 0x7F)))
+START_SIZE: Final = len(SQLITE_MAGIC)
+"""Number of bytes at the start of a file that determine its kind."""
+
+
+def check_start(stream: BinaryIO) -> None:
+    """Check the magic bytes at the start."""
+    stream.seek(0)
+    reason = find_wrong_start(stream.read(START_SIZE))
+    if reason is not None:
+        raise LogError(f"byte 0: {reason}")
+
+
+def find_wrong_start(start: bytes) -> str | None:
+    """Return why a file does not start like MCAP, with advice; None if it does start so."""
+    if start.startswith(MCAP0_MAGIC):
+        return None
+    found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
+    if start.startswith(SQLITE_MAGIC):
+        found = "it is a bag in SQLite"
+    elif start.startswith(_RERUN):
+        found = "it is a Rerun recording, which turtlelog view shows"
+    elif start.startswith(_BAG_DESCRIPTION):
+        found = "it is the metadata.yaml of a bag: name the folder that it is in"
+    elif start and set(start.removeprefix(_BYTE_ORDER_MARK)) <= _LETTERS:
+        found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
+    return f"not an MCAP file: {found}"
+
+
+def _find_turn(steps: list[int]) -> int:
+    """Return the latest period of the steps; 0 if the steps did not repeat."""
+    for turn in range(1, min(len(steps) // 2, _LONGEST_TURN) + 1):
+        if steps[-turn:] == steps[-2 * turn : -turn]:
+            return turn
+    return 0
+
+
+def skip_followed(data: bytes) -> int:
+    """Return the start of the last message in the unbroken series from the first byte on.
+
+    The last message may be truncated. The result is 0 without any message.
+    """
+    place, last, walk = 0, 0, MessageWalk(data)
+    end, unpack, message = len(data) - RECORD.size, RECORD.unpack_from, int(Opcode.MESSAGE)
+    while place <= end:
+        opcode, length = unpack(data, place)
+        if opcode != message or not COUNTED_HEAD <= length <= LARGEST_RECORD:
+            break
+        last = place
+        place += RECORD.size + length
+        walk.add(RECORD.size + length)
+        if walk.is_due:
+            starts, place = walk.go_on(place, end)
+            if len(starts):
+                last = int(starts[-1])
+    return last

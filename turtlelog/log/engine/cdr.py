@@ -1,21 +1,32 @@
-"""Decoding of messages that differ in size: field by field for many messages, one by one for few.
+"""CDR messages that differ in size: decoded by fields or one by one, and encoded.
 
 A typical recording has one goal and three events. For so few messages, about a hundred numpy calls
 take longer than reading them one by one.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Offsets
-from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
-from turtlelog.log.engine.parsing import gather_bytes
+from turtlelog.log.engine.message_types import (
+    LITTLE_ENDIAN,
+    MESSAGE,
+    TEXT,
+    AlikeLayout,
+    Column,
+    Field,
+    Layout,
+    name_parts,
+)
+from turtlelog.log.engine.records import RECORD, gather_bytes
 
 Order = Literal["<", ">"]
 
@@ -41,7 +52,7 @@ def decode_messages(
         LogError: If a message is longer or shorter than its type, or a text is not UTF-8.
     """
     if order == "<" and len(starts) <= FEW_MESSAGES:
-        few = decode_few(fields, data, starts, ends, PADDING)
+        few = decode_few(fields, data, starts, ends)
         if few is not None:
             return few
     cursor = _Cursor(data, starts, ends, order)
@@ -97,21 +108,17 @@ class _Cursor:
             # Each value takes at least a byte: values that cannot exist are not read.
             self._require(lengths)
         elif field.length is None:
-            return self._take_texts() if field.kind == TEXT else self._take_one(field)
+            if field.kind == TEXT:
+                return self._take_texts()
+            return self._take_numbers(str(field.kind), 1)[:, 0]
         else:
             lengths = np.full(len(self.places), field.length)
             self._require(lengths)
             if field.kind != TEXT:
-                return self._finish(self._take_numbers(str(field.kind), field.length), field)
+                return self._take_numbers(str(field.kind), field.length)
         if isinstance(field.kind, str) and field.kind != TEXT:
             return self._take_arrays(field.kind, lengths)
         return self._take_lists(field.kind, lengths)
-
-    def _take_one(self, field: Field) -> Column:
-        return self._finish(self._take_numbers(str(field.kind), 1)[:, 0], field)
-
-    def _finish(self, values: Column, field: Field) -> Column:
-        return values != 0 if field.kind == "?" else np.ascontiguousarray(values)
 
     def _require(self, sizes: Offsets) -> None:
         short = self.places + sizes > self._ends
@@ -120,18 +127,16 @@ class _Cursor:
             size = self._ends[row] - self._starts[row] + 4
             raise LogError(f"message {self._numbers[row]}: expected more than {size} bytes")
 
-    def _align(self, size: int) -> None:
-        self.places += (self._starts - self.places) % size
-
     def _take_numbers(self, kind: str, count: int) -> Column:
         """Read `count` numbers from every message, shape (n, count)."""
         code = np.dtype(kind.replace("?", "u1"))
-        self._align(code.itemsize)
+        self.places += (self._starts - self.places) % code.itemsize
         size = code.itemsize * count
         self._require(np.full(len(self.places), size))
         values = gather_bytes(self._data, self.places, size).view(code.newbyteorder(self._order))
         self.places += size
-        return values.reshape(-1, count).astype(code)
+        values = values.reshape(-1, count)
+        return values != 0 if kind == "?" else values.astype(code)
 
     def _take_texts(self) -> Column:
         lengths = self._take_numbers("u4", 1)[:, 0].astype(np.int64)
@@ -184,10 +189,15 @@ class _Cursor:
         is_tried = False
         for number in range(int(lengths.max(initial=0))):
             rows = np.flatnonzero(lengths > number)
-            if len(rows) <= FEW_MESSAGES and not is_tried:
-                if self._take_rest(kind, lists, rows, lengths[rows] - number):
-                    break
+            if len(rows) <= FEW_MESSAGES and self._order == "<" and not is_tried:
                 is_tried = True
+                within = self._starts[rows], self.places[rows], self._ends[rows]
+                found = take_few_lists(kind, self._data, *within, lengths[rows] - number)
+                if found is not None:
+                    for row, values in zip(rows.tolist(), found[0], strict=True):
+                        lists[row] += values
+                    self.places[rows] = found[1]
+                    break
             if number >= _MOST_STEPS:
                 raise LogError(
                     f"message {self._numbers[rows[0]]}: expected up to {_MOST_STEPS:,} values, each"
@@ -195,30 +205,11 @@ class _Cursor:
                 )
             inner = _Cursor(self._data, self._starts[rows], self._ends[rows], self._order)
             inner.places, inner._numbers = self.places[rows], self._numbers[rows]
-            for row, value in zip(rows, inner.take_values(kind), strict=True):
+            for row, value in zip(rows.tolist(), inner.take_values(kind), strict=True):
                 lists[row].append(value)
             self.places[rows] = inner.places
             self.overestimates[rows] += inner.overestimates
         return lists
-
-    def _take_rest(
-        self,
-        kind: str | tuple[Field, ...],
-        lists: NDArray[np.object_],
-        rows: Offsets,
-        lengths: Offsets,
-    ) -> bool:
-        """Read all remaining values of some messages; return whether this was possible."""
-        if self._order != "<":
-            return False
-        within = self._starts[rows], self.places[rows], self._ends[rows], lengths
-        found = take_few_lists(kind, self._data, *within)
-        if found is None:
-            return False
-        for row, values in zip(rows.tolist(), found[0], strict=True):
-            lists[row] += values
-        self.places[rows] = found[1]
-        return True
 
     def take_values(self, kind: str | tuple[Field, ...]) -> list[object]:
         """Read one text, or one message as a dictionary, from every message."""
@@ -246,6 +237,11 @@ CODES: Final = MappingProxyType(
 )
 """`struct` codes of numbers by their type codes."""
 
+_PACKERS: Final = MappingProxyType(
+    {kind: struct.Struct(f"<{code}") for kind, code in CODES.items()}
+)
+
+
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
 """Name, size [bytes] and reader of a number. For a text: no reader, and the size of its length."""
 
@@ -253,51 +249,34 @@ _LENGTH: Final = 4  # bytes of the length before a text
 
 
 def decode_few(
-    fields: tuple[Field, ...],
-    data: bytes,
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    padding: int,
+    fields: tuple[Field, ...], data: bytes, starts: Offsets, ends: Offsets
 ) -> dict[str, Column] | None:
     """Return the fields of little-endian messages, by dotted name.
 
     The result is None if the type has arrays or sequences, or if a message is invalid. Then
-    `decode_messages` gives the reason. `padding` bytes after the fields make a message too long.
+    `decode_messages` gives the reason.
     """
-    try:
-        numbers = list(_list_numbers(fields, ""))
-    except _OtherKindError:
+    lengths = np.ones_like(starts)
+    found = take_few_lists(fields, data, starts, starts, ends, lengths)
+    if found is None or ends.max(initial=0) > len(data):
         return None
-    values: list[list[bytes]] = [[] for _ in numbers]
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        place = start
-        for (_, kind, size), column in zip(numbers, values, strict=True):
-            place += (start - place) % size
-            first, place = place, place + size
-            if kind == TEXT and place <= end:
-                first = place
-                place += int.from_bytes(data[place - _LENGTH : place], "little")
-            if place > end:
-                return None
-            column.append(data[first:place])
-        if end - place >= padding or end > len(data):
-            return None
-    try:
-        return {
-            name: _join_texts(column) if kind == TEXT else _join_numbers(column, kind)
-            for (name, kind, _), column in zip(numbers, values, strict=True)
-        }
-    except UnicodeDecodeError:
+    if (ends - np.array(found[1], np.int64) >= PADDING).any():
         return None
+    rows: list[Any] = [row for (row,) in found[0]]
+    columns: dict[str, Column] = {}
+    for name, kind, _ in _list_numbers(fields, ""):
+        dtype = object if kind == TEXT else np.dtype(kind)
+        columns[name] = np.array([row[name] for row in rows], dtype)
+    return columns
 
 
 def take_few_lists(
     kind: str | tuple[Field, ...],
     data: bytes,
-    starts: NDArray[np.int64],
-    places: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    lengths: NDArray[np.int64],
+    starts: Offsets,
+    places: Offsets,
+    ends: Offsets,
+    lengths: Offsets,
 ) -> tuple[list[list[object]], list[int]] | None:
     """Return the texts or messages nested in little-endian messages, and their ends.
 
@@ -307,7 +286,8 @@ def take_few_lists(
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")
         numbers = [
-            (name, size, None if code == TEXT else _read_number(code)) for name, code, size in parts
+            (name, size, None if code == TEXT else _PACKERS[code].unpack_from)
+            for name, code, size in parts
         ]
         rows = zip(*(values.tolist() for values in (starts, places, ends, lengths)), strict=True)
         found = [_take_list(numbers, data, *row) for row in rows]
@@ -318,10 +298,6 @@ def take_few_lists(
 
 class _OtherKindError(Exception):
     """A type that contains more than numbers and texts."""
-
-
-def _read_number(kind: str) -> Callable[[bytes, int], tuple[object, ...]]:
-    return struct.Struct("<" + CODES[kind]).unpack_from
 
 
 def _take_list(
@@ -341,18 +317,15 @@ def _take_list(
             first = place
             place += int.from_bytes(data[place - _LENGTH : place], "little")
             text = data[first:place]
-            value[name] = known.get(text) or _keep_text(known, text)
+            if text not in known:
+                if len(known) == _MOST_KNOWN:
+                    known.clear()
+                known[text] = text.removesuffix(b"\x00").decode()
+            value[name] = known[text]
         if place > end:
             raise _OtherKindError
         values.append(value[""] if is_text else value)
     return values, place
-
-
-def _keep_text(known: dict[bytes, str], text: bytes) -> str:
-    found = text.removesuffix(b"\x00").decode()
-    if len(known) < _MOST_KNOWN:
-        known[text] = found
-    return found
 
 
 def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str, str, int]]:
@@ -369,13 +342,158 @@ def _list_numbers(fields: tuple[Field, ...], prefix: str) -> Iterator[tuple[str,
         raise _OtherKindError
 
 
-def _join_texts(column: list[bytes]) -> Column:
-    texts = np.empty(len(column), dtype=object)
-    texts[:] = [text.removesuffix(b"\x00").decode() for text in column]
-    return texts
+FRONT: Final = struct.Struct("<BQHIQQ4s")
+"""Front of a record: opcode, length, channel, sequence, log and publish time, encapsulation."""
+
+ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+"""Encapsulation of plain CDR, little-endian."""
 
 
-def _join_numbers(column: list[bytes], kind: str) -> Column:
-    code = np.dtype(kind.replace("?", "u1"))
-    values = np.frombuffer(b"".join(column), code.newbyteorder("<"))
-    return values != 0 if kind == "?" else values.astype(code)
+@dataclass(frozen=True, slots=True)
+class PackedItems:
+    """Items of a sequence, encoded one after another from a multiple of 8 bytes on."""
+
+    count: int
+    data: bytes
+
+
+def encode_fixed(
+    layout: Layout, columns: Mapping[str, Column], stamps: Mapping[str, Column], channel: int
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """Return the records of messages of one size, and the size of each record [bytes]."""
+    rows = len(stamps["log_time"])
+    records = np.zeros(rows, dtype=layout.little)
+    _fill_front(records, records.itemsize, stamps, channel)
+    for name, values in columns.items():
+        column = layout.little[name]
+        if values.shape[1:] != column.shape:
+            shape = (rows, *column.shape)
+            raise LogError(f"{name}: expected shape {shape}, found {values.shape}")
+        records[name] = fit_numbers(name, values, column.base.str)
+    return records.view(np.uint8), np.full(rows, records.itemsize)
+
+
+def encode_alike(
+    layout: AlikeLayout, columns: Mapping[str, Column], stamps: Mapping[str, Column], channel: int
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """Return the records of messages that differ only in numbers, and their sizes [bytes]."""
+    rows = len(stamps["log_time"])
+    numbers = {
+        name: fit_numbers(name, columns[name], f"<{kind.replace('?', 'u1')}")
+        for name, kind, *_ in layout.numbers
+        if name in columns
+    }
+    fronts = np.zeros(rows, dtype=MESSAGE)
+    _fill_front(fronts, MESSAGE.itemsize + layout.size, stamps, channel)
+    parts = fronts.view(np.uint8).reshape(rows, -1), layout.fill(rows, numbers)
+    found = np.concatenate(parts, axis=1)
+    return found.reshape(-1), np.full(rows, found.shape[1], dtype=np.int64)
+
+
+def _fill_front(
+    records: NDArray[np.void], size: int, stamps: Mapping[str, Column], channel: int
+) -> None:
+    records["#opcode"], records["#length"] = Opcode.MESSAGE, size - RECORD.size
+    records["#channel"], records["#encapsulation"] = channel, LITTLE_ENDIAN
+    for name, values in stamps.items():
+        records[f"#{name}"] = values
+
+
+def encode_varied(
+    fields: tuple[Field, ...],
+    columns: Mapping[str, Column],
+    stamps: Mapping[str, Column],
+    channel: int,
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """Return the records of messages one by one, because messages with texts are rarely many."""
+    data, sizes = bytearray(), []
+    times = zip(*(values.tolist() for values in stamps.values()), strict=True)
+    for row, (log_time, publish_time, sequence) in enumerate(times):
+        values = {name: column[row] for name, column in columns.items()}
+        try:
+            record = encode_message(fields, values, channel, (sequence, log_time, publish_time))
+        except UnicodeEncodeError:
+            raise
+        except (struct.error, TypeError, ValueError, AttributeError) as err:
+            raise LogError(f"row {row}: expected values of the type's kinds, found: {err}") from err
+        data += record
+        sizes.append(len(record))
+    return np.frombuffer(data, np.uint8), np.array(sizes, dtype=np.int64)
+
+
+def fit_numbers(name: str, values: Column, kind: str) -> Column:
+    """Return numbers of a kind. Integers must fit; floats beyond 32 bits become inf."""
+    target, is_whole = np.dtype(kind), values.dtype.kind in "iub"
+    if not is_whole and (values.dtype.kind != "f" or target.kind != "f"):
+        expected = "numbers" if target.kind == "f" else "whole numbers"
+        raise LogError(f"{name}: expected {expected}, found {values.dtype}")
+    if target.kind != "f" and values.size:
+        limits = np.iinfo(target)
+        for value in (int(values.min()), int(values.max())):
+            if not limits.min <= value <= limits.max:
+                raise LogError(
+                    f"{name}: expected values from {limits.min} to {limits.max}, found {value}"
+                )
+    with np.errstate(over="ignore"):
+        return values.astype(target, copy=False)
+
+
+def encode_message(
+    fields: tuple[Field, ...], values: Mapping[str, Any], channel: int, stamp: tuple[int, int, int]
+) -> bytes:
+    """Return the record of one message; `stamp` is its sequence, log and publish time [ns].
+
+    Values have dotted names, like a row of `TopicColumns`. Missing values are 0 or empty.
+
+    Raises:
+        struct.error, TypeError, ValueError: If a value does not have the kind of its field.
+    """
+    body = bytearray()
+    _append_fields(body, fields, values, "")
+    length = FRONT.size - RECORD.size + len(body)
+    return FRONT.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
+
+
+def _append_fields(
+    body: bytearray, fields: tuple[Field, ...], values: Mapping[str, Any], prefix: str
+) -> None:
+    for field in fields:
+        if not isinstance(field.kind, str) and not field.is_sequence:
+            for part in name_parts(field):
+                _append_fields(body, field.kind, values, f"{prefix}{part}.")
+            continue
+        value = values.get(prefix + field.name)
+        if field.is_sequence or field.length is not None:
+            _append_items(body, field, value)
+        else:
+            _append_item(body, field.kind, value)
+    if not fields:  # ROS gives a type without fields one byte
+        body.append(0)
+
+
+def _append_items(body: bytearray, field: Field, items: Any) -> None:
+    if isinstance(items, PackedItems):
+        _append_item(body, "u4", items.count)
+        body += bytes(-len(body) % 8) + items.data
+        return
+    if items is None:
+        items = [None] * (field.length or 0)
+    if field.is_sequence:
+        _append_item(body, "u4", len(items))
+    elif len(items) != field.length:
+        raise ValueError(f"{field.name}: {len(items)} values instead of {field.length}")
+    for item in items:
+        _append_item(body, field.kind, item)
+
+
+def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> None:
+    if not isinstance(kind, str):
+        _append_fields(body, kind, value, "")
+    elif kind == TEXT:
+        text = ("" if value is None else value).encode() + b"\x00"
+        _append_item(body, "u4", len(text))
+        body += text
+    else:
+        packer = _PACKERS[kind]
+        body += bytes(-len(body) % packer.size)
+        body += packer.pack(0 if value is None else value)
