@@ -27,8 +27,7 @@ REPEATS = 3
 SWEEP = """
 import contextlib, io, os, resource
 from turtlelog.cli.app import main
-from turtlelog.sweep import sweep_rows
-from turtlelog.sweep.table.kept_parts import KeptParts
+from turtlelog.sweep.table.stored_rows import KeptParts
 close = KeptParts.close
 def tell(kept, **options):
     said["partial"] = kept.path.stat().st_size / 1e6
@@ -54,12 +53,13 @@ said["table"] = os.path.getsize(arguments[1]) / 1e6
 
 PLAN = """
 from turtlelog.scenario import load_scenario
-from turtlelog.sweep import build_plan, prepare_sweep, sweep_rows
+from turtlelog.sweep import build_plan, prepare_sweep
+from turtlelog.sweep.sweep_scenario import _cut_chunks
 axes = [f"law.kp_{name}=1:{side}" for name, side in (("linear", 10_000), ("angular", 10_000))]
 prepare_sweep(load_scenario("paper"), build_plan(["seed=0:9"]))
 before = read_peak()
 sweep = prepare_sweep(load_scenario("paper"), build_plan(axes))
-chunks = sweep_rows._Chunks(sweep.cut_chunk, [(0, sweep.plan.row_count)], 1024)
+chunks = _cut_chunks(sweep.cut_chunk, [(0, sweep.plan.row_count)], 1024)
 assert chunks[len(chunks) - 1].values[-1] == (10_000.0, 10_000.0)
 assert sweep.plan.row_count == 10**8
 said["peak"] = read_peak() - before

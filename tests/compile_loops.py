@@ -18,8 +18,7 @@ from turtlelog.laws import LAWS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate.many import find_loop
-from turtlelog.sweep.batch.batch_columns import compile_goals, compile_paths
-from turtlelog.sweep.batch.batch_settings import is_batched
+from turtlelog.sweep.batch.batch_arrays import compile_goals, compile_paths, is_batched
 from turtlelog.sweep.batch.measured_rows import find_batch
 
 EVERYDAY: Final = {

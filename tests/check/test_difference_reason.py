@@ -10,7 +10,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.check import CheckResult, Tolerances, match_run
-from turtlelog.check.difference_reason import explain_failures
+from turtlelog.check.failure_report import explain_failures
 from turtlelog.check.reference import MetricsFile, format_metrics, read_metrics_file
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError

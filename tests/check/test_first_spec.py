@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 
 import turtlelog as tl
 from tests.check.recordings import simulate
-from turtlelog.check.first_spec import choose_bound, format_first_spec
+from turtlelog.check.spec_templates import choose_bound, format_first_spec
 from turtlelog.measure import METRICS
 
 

@@ -115,10 +115,8 @@ def test_the_larger_of_both_limits_of_a_metric_holds() -> None:
 def test_a_metric_of_another_direction_is_judged_by_that(
     better: str | None, judged: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from turtlelog.check import judge_run
-
     kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
-    monkeypatch.setattr(judge_run, "find_metric_kind", lambda _: kind)
+    monkeypatch.setattr("turtlelog.measure.find_metric_kind", lambda _: kind)
     pairs = [(KP4, KP1), (KP1, KP4)]
     assert [judge_metric(*pair, "run.duration", abs=1.0).verdict for pair in pairs] == judged
 

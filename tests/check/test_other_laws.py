@@ -15,10 +15,9 @@ from tests.check.recordings import simulate
 from tests.strange_law import StrangeLaw, StrangeParameters, simulate_strange
 from turtlelog.check import CheckResult, Recording, check_runs, parse_spec
 from turtlelog.check.failure_report import describe_failure
-from turtlelog.check.first_spec import format_first_spec
 from turtlelog.check.formula_trace import find_window
 from turtlelog.check.judge_formula import find_metric_violation
-from turtlelog.check.spec import build_schema
+from turtlelog.check.spec_templates import build_schema, format_first_spec
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.laws.sequential_pid import SequentialPID, SequentialPIDParameters
 from turtlelog.scenario import LawChoice, get_preset

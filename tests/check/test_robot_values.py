@@ -3,7 +3,7 @@
 import pytest
 
 import turtlelog as tl
-from turtlelog.check.vocabulary import ROBOT_VALUES, measure_robot
+from turtlelog.check.spec import ROBOT_VALUES, measure_robot
 from turtlelog.cli.check import build_spec
 
 

@@ -36,7 +36,7 @@ SHARERS = {
         ["metrics", *ALL, *BRIEF, "-o", "metrics.parquet"],
         ["check", "spec.toml", *ALL, "-o", "verdicts.parquet"],
     ],
-    "turtlelog.sweep.sweep_rows": [
+    "turtlelog.sweep.sweep_scenario": [
         ["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]
     ],
     "turtlelog.sweep.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],

@@ -5,8 +5,7 @@ import pytest
 from tests.effects_cases import build_case
 from turtlelog.explain.game import Outcome, ScenarioGame
 from turtlelog.scenario import resolve_scenario
-from turtlelog.simulate.compiled.compiled_code import CompiledCode
-from turtlelog.simulate.many import find_loop
+from turtlelog.simulate.many import CompiledCode, find_loop
 
 SCENARIO: Final = build_case("noise", "loss", preset="paper", max_duration_s=4.0)
 

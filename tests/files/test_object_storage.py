@@ -12,7 +12,7 @@ import turtlelog as tl
 from turtlelog.cli.app import main
 from turtlelog.errors import LogError
 from turtlelog.files import RemotePath
-from turtlelog.sweep import simulate_rows, sweep_rows
+from turtlelog.sweep import run_sweep, sweep_rows
 
 
 @pytest.fixture(scope="module")
@@ -158,9 +158,9 @@ def test_a_sweep_into_a_bucket_goes_on_where_it_was(
 ) -> None:
     place = f"{bucket}/tables/again.parquet"
     rows: list[int] = []
-    simulate = simulate_rows.simulate_rows
+    simulate = sweep_rows.simulate_rows
 
-    def stop_after_two(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+    def stop_after_two(chunk: sweep_rows.RowChunk) -> sweep_rows.RowResults:
         if len(rows) == 2:
             raise KeyboardInterrupt
         rows.append(chunk.first)
@@ -168,13 +168,13 @@ def test_a_sweep_into_a_bucket_goes_on_where_it_was(
 
     with monkeypatch.context() as patched:
         patched.setattr(sweep_rows, "simulate_rows", stop_after_two)
-        patched.setattr(sweep_rows, "_MOST_IN_CHUNK", 1)
+        patched.setitem(run_sweep.__globals__, "_MOST_IN_CHUNK", 1)
         assert _run(*SWEEP, "-o", place, "--jobs", "1") == 130
     assert "2 of 6 rows are done; the same command goes on" in capsys.readouterr().err
     (kept,) = here.glob("*.partial")
     assert re.fullmatch(r"again\.parquet\.[0-9a-f]{8}\.partial", kept.name)
 
-    def count(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+    def count(chunk: sweep_rows.RowChunk) -> sweep_rows.RowResults:
         rows.extend(range(chunk.first, chunk.first + len(chunk.values)))
         return simulate(chunk)
 

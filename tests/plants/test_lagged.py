@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from turtlelog.plants import lagged
 from turtlelog.plants.lagged import PART, LaggedKeys
-from turtlelog.simulate.settings import mirror
+from turtlelog.simulate.loop_parts import mirror
 
 Command = tuple[int, float, float]
 Values = NDArray[np.float64]

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.simulate.compiled.compiled_code import CompiledCode, is_kept, remove_others
+from turtlelog.simulate.compiled.twins import is_kept, remove_others
+from turtlelog.simulate.many import CompiledCode
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
 COMPILED = """
@@ -207,7 +208,9 @@ def test_loops_are_found_where_numba_keeps_them(
 PARTS = """
 from importlib import import_module
 
-from turtlelog.simulate.compiled.compiled_code import COMPILING, CompiledCode, call_beside, is_kept
+from turtlelog.simulate.compiled import COMPILING
+from turtlelog.simulate.compiled.twins import is_kept
+from turtlelog.simulate.many import CompiledCode, call_beside
 
 PARTS = "first_part", "second_part"
 BESIDE = f"{PARTS[1]}:get"

@@ -29,11 +29,10 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
-from turtlelog.simulate.compiled.compiled_code import CompiledCode
 from turtlelog.simulate.compiled.compiled_loop import CompiledRunner
 from turtlelog.simulate.compiled.twins import Twins, build_dtype
-from turtlelog.simulate.many import COST_S, find_loop, find_saving
-from turtlelog.simulate.settings import build_settings
+from turtlelog.simulate.loop_parts import build_settings
+from turtlelog.simulate.many import COST_S, CompiledCode, find_loop, find_saving
 
 PRESETS: Final = ("paper", "textbook")
 

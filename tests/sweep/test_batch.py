@@ -16,14 +16,12 @@ from turtlelog.measure import measure_run
 from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
-from turtlelog.simulate.compiled.compiled_code import CompiledCode
-from turtlelog.simulate.many import COST_S
+from turtlelog.simulate.many import COST_S, CompiledCode
 from turtlelog.sweep.batch import measured_rows
-from turtlelog.sweep.batch.batch_columns import COURSES, CURVES, STATUSES
-from turtlelog.sweep.batch.batch_settings import FREE_KEYS, prepare_rows
+from turtlelog.sweep.batch.batch_arrays import COURSES, CURVES, FREE_KEYS, STATUSES, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.simulate_rows import list_row_metrics
+from turtlelog.sweep.sweep_rows import list_row_metrics
 
 LOOPS: Final = ("rotate", "translate", "reorient")
 METRICS: Final = (*(f"{loop}.{name}" for loop in LOOPS for name in CURVES), *COURSES)

@@ -19,11 +19,10 @@ from turtlelog.sweep import (
     prepare_sweep,
     read_result_table,
     run_sweep,
-    simulate_rows,
     sweep_rows,
 )
 from turtlelog.sweep.table import result_table
-from turtlelog.sweep.table.kept_parts import KeptParts, name_partial
+from turtlelog.sweep.table.stored_rows import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
 SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metric", "final.*")
@@ -60,9 +59,11 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return the list of all rows that are simulated from here on, in this process."""
     rows: list[int] = []
 
-    def count_rows(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+    simulate_rows = sweep_rows.simulate_rows
+
+    def count_rows(chunk: sweep_rows.RowChunk) -> sweep_rows.RowResults:
         rows.extend(range(chunk.first, chunk.first + len(chunk.values)))
-        return simulate_rows.simulate_rows(chunk)
+        return simulate_rows(chunk)
 
     monkeypatch.setattr(sweep_rows, "simulate_rows", count_rows)
     return rows
@@ -256,7 +257,7 @@ class Own:
 def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
     output = tmp_path / "t.parquet"
     sweep = prepare("law.kp_linear=1:2")
-    partial = KeptParts(output, sweep.list_facts(), simulate_rows.RowResults)
+    partial = KeptParts(output, sweep.list_facts(), sweep_rows.RowResults)
     try:
         with pytest.raises(tl.errors.SweepError, match="another command is writing it"):
             run_sweep(sweep, output)

@@ -217,7 +217,7 @@ def test_a_table_of_many_groups_is_that_of_one(
 ) -> None:
     before = read_columns(tabulate(folder).output)
     monkeypatch.setattr("turtlelog.sweep.table.result_table._CELLS_GROUPED", cells)
-    monkeypatch.setattr("turtlelog.sweep.table.stored_rows._COLUMNS_LOOKED", 1)
+    monkeypatch.setattr("turtlelog.sweep.table.recording_table._COLUMNS_LOOKED", 1)
     assert tabulate(folder).read == 0
     assert read_columns(folder / "table.parquet") == before
     shutil.copy(runs[0], folder / "deep" / "3.mcap")

@@ -18,8 +18,7 @@ from turtlelog.sweep import (
     run_sweep,
 )
 from turtlelog.sweep.batch import measured_rows
-from turtlelog.sweep.simulate_rows import is_batch
-from turtlelog.sweep.sweep_rows import find_key_unit
+from turtlelog.sweep.sweep_rows import find_key_unit, is_batch
 
 NOISY = {"sensing.noise_position_m": 0.01, "loop.loss_probability": 0.05, "seed": 3}
 

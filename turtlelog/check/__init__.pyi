@@ -12,11 +12,13 @@ from .formula_trace import (
 )
 from .judge_run import (
     check_runs as check_runs,
-    judge_replay as judge_replay,
-    match_run as match_run,
 )
 from .recording_fixture import (
     Recording as Recording,
+)
+from .reference import (
+    judge_replay as judge_replay,
+    match_run as match_run,
 )
 from .result import (
     CheckResult as CheckResult,

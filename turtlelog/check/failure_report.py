@@ -1,7 +1,8 @@
-"""Report of a failed check: text, Rerun view, picture, and the segment of the recording."""
+"""Report of a failed check: text, reason, Rerun view, picture, and the segment of the recording."""
 
 import math
 import re
+import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -10,25 +11,31 @@ from hashlib import sha256
 from itertools import zip_longest
 from pathlib import Path
 from textwrap import shorten
+from time import perf_counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from turtlelog.check.result import CheckResult
-from turtlelog.display import format_number, show_angle
-from turtlelog.errors import CheckError, LibraryError, ShowError
+from turtlelog import errors, explain
+from turtlelog.check.reference import MetricsFile
+from turtlelog.check.result import CheckResult, JudgedMetric
+from turtlelog.check.spec import Check
+from turtlelog.display import describe_count, format_number, format_pair, show_angle
 from turtlelog.escapes import escape_controls
+from turtlelog.files.text_files import parse_known_toml
 from turtlelog.files.urls import make_path
+from turtlelog.laws import LAWS
 from turtlelog.log import write_recording
-from turtlelog.measure import find_signal, list_signals
-from turtlelog.run import Run, slice_run
+from turtlelog.measure import Metric, Signal, find_signal, list_metrics, list_signals, measure_run
+from turtlelog.run import Run, describe_changes, list_software_changes, slice_run
+from turtlelog.scenario import build_scenario
+from turtlelog.simulate import simulate_run
 
 if TYPE_CHECKING:
     from turtlelog.draw.rerun.snapshot import Camera
 
-
-_WIDTH = 92
-_MOST = 3
+_WIDTH: Final = 92
+_MOST: Final = 3
 
 
 def describe_failure(run: Run, *results: CheckResult) -> list[str]:
@@ -42,7 +49,12 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
 
 def describe_results(run: Run, *results: CheckResult) -> list[str]:
     """Return the lines of `describe_failure` without recording, gains and scenario."""
-    ordered = sorted(results, key=_read_first)
+
+    def read_first(result: CheckResult) -> tuple[bool, float]:  # the explained result comes first
+        first_s = result.first_violation_s
+        return not result.why, math.inf if first_s is None else first_s
+
+    ordered = sorted(results, key=read_first)
     lines: list[str] = []
     for result in ordered[:_MOST]:
         lines += [*_list_figures(result), *_list_violation(run, result)]
@@ -50,12 +62,6 @@ def describe_results(run: Run, *results: CheckResult) -> list[str]:
         others = ", ".join(result.check for result in ordered[_MOST:])
         lines += textwrap.wrap(f"and {len(ordered) - _MOST} more: {others}", _WIDTH)
     return [escape_controls(line) for line in lines]
-
-
-def _read_first(result: CheckResult) -> tuple[bool, float]:
-    """Return a sort key that places the explained result first, then the first violated."""
-    first_s = result.first_violation_s
-    return not result.why, math.inf if first_s is None else first_s
 
 
 def _list_figures(result: CheckResult) -> Iterator[str]:
@@ -72,11 +78,13 @@ def _list_figures(result: CheckResult) -> Iterator[str]:
         yield f"  margin          {format_number(result.margin, result.unit)}"
     if result.reason:
         yield f"  reason          {result.reason}"
-    for head, text in zip(["why", *([""] * len(result.why))], result.why, strict=False):
-        lines = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
-        yield from (
-            f"  {name:<16}{line}" for name, line in zip_longest([head], lines, fillvalue="")
-        )
+    for number, text in enumerate(result.why):
+        yield from _wrap("" if number else "why", text)
+
+
+def _wrap(head: str, text: str) -> Iterator[str]:
+    lines = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
+    yield from (f"  {name:<16}{line}" for name, line in zip_longest([head], lines, fillvalue=""))
 
 
 def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
@@ -104,9 +112,7 @@ def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
         yield f"  source          {run.source}"
         return
     text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"
-    wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
-    yield f"  scenario        {wrapped[0]}"
-    yield from (f"                  {line}" for line in wrapped[1:])
+    yield from _wrap("scenario", text)
 
 
 _ROWS: Final = 2
@@ -129,16 +135,21 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
     row = max(int(np.searchsorted(time_ns, at_ns, side="right")) - 1, 0)
     times_ns = time_ns[max(row - _ROWS, 0) : row + _ROWS + 1].tolist()
     kinds = list_signals(run.declaration)
-    held = _choose_held(run, [name for name in names if name in kinds])
+    known = [name for name in names if name in kinds]
+    signals = {name: one for name in known if (one := find_signal(run, name)) is not None}
+    if not signals or len(signals) < len(known):  # one of them is missing
+        places = {name: find_signal(run, name) for name in ("x", "y")}
+        signals = {name: one for name, one in {**places, **signals}.items() if one is not None}
     marked_ns = int(time_ns[row])
-    if at_ns != marked_ns and any(_is_published(run, name, at_ns) for name in held):
+    commanded = [one.time_ns for one in signals.values() if one.kind.source == "command"]
+    if at_ns != marked_ns and any(at_ns in published_ns for published_ns in commanded):
         times_ns, marked_ns = sorted({*times_ns, at_ns}), at_ns
     columns = [["", *(">" if found == marked_ns else "" for found in times_ns)]]
     columns.append(["t [s]", *(f"{(found - run.start_ns) / 1e9:.3f}" for found in times_ns)])
-    for name in held:
+    for name, signal in signals.items():
         unit = kinds[name].unit
         title = name if unit == "1" else f"{name} [{show_angle(0.0, unit)[1]}]"
-        cells = [_read_value(run, name, found) for found in times_ns]
+        cells = [_read_value(run, signal, found) for found in times_ns]
         if set(cells) != {"-"}:
             columns.append([title, *cells])
     widths = [max(map(len, column)) for column in columns]
@@ -148,22 +159,7 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
     ]
 
 
-def _is_published(run: Run, name: str, time_ns: int) -> bool:
-    """Return whether a signal belongs to commands, and a command was published exactly then."""
-    signal = find_signal(run, name)
-    return signal is not None and signal.kind.source == "command" and time_ns in signal.time_ns
-
-
-def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
-    """Return the named signals that a run contains; if one is missing, also x and y."""
-    held = [name for name in names if find_signal(run, name) is not None]
-    return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
-
-
-def _read_value(run: Run, name: str, time_ns: int) -> str:
-    signal = find_signal(run, name)
-    if signal is None:
-        return "-"
+def _read_value(run: Run, signal: Signal, time_ns: int) -> str:
     row = int(np.searchsorted(signal.time_ns, time_ns, side="right")) - 1
     if row < 0:
         return "-"
@@ -174,6 +170,7 @@ def _read_value(run: Run, name: str, time_ns: int) -> str:
 
 
 _AROUND_S: Final = 1.0
+"""Length of the written recording before and after the violation [s]."""
 _LONGEST: Final = 60
 _SIZE: Final = (1400, 900)
 
@@ -236,33 +233,38 @@ class ArtifactWriter:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as err:
             found = f"found: {err.strerror}"
-            raise CheckError(f"{self._folder}: expected a folder to write to, {found}") from err
+            raise errors.CheckError(
+                f"{self._folder}: expected a folder to write to, {found}"
+            ) from err
         base = self._folder / name_files(result, prefix)
         rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
         at_s = result.first_violation_s
         shown_s = (run.end_ns - run.start_ns) / 1e9 if at_s is None else at_s
-        write_recording(_cut(run, at_s), mcap)
+        part = run
+        if at_s is not None:
+            start_ns = run.start_ns + round((at_s - _AROUND_S) * 1e9)
+            end_ns = start_ns + round(2 * _AROUND_S * 1e9)
+            part = slice_run(run, start_ns=start_ns, end_ns=end_ns)
+            part = replace(part, scenario_is_complete=False, stop_reason=None)
+        write_recording(part, mcap)
         try:
             _write_view(run, result, rrd, at_s=shown_s)
-        except LibraryError as err:
+        except errors.LibraryError as err:
             return Artifacts(files=(mcap,), notes=(f"{rrd}: no view: {err}",))
         if self._lack:
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {self._lack}",))
+        from turtlelog.draw.rerun.snapshot import open_camera
+
         try:
-            self._open_camera().take(rrd, png, at_s=shown_s)
-        except ShowError as err:
+            if self._camera is None:
+                self._camera = self._viewer.enter_context(open_camera(size=_SIZE))
+            self._camera.take(rrd, png, at_s=shown_s)
+        except errors.ShowError as err:
             self._lack = "" if self._has_seen else str(err)  # the same for the next failure
             self.close()
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
         self._has_seen = True
         return Artifacts(files=(rrd, png, mcap))
-
-    def _open_camera(self) -> "Camera":
-        from turtlelog.draw.rerun.snapshot import open_camera
-
-        if self._camera is None:
-            self._camera = self._viewer.enter_context(open_camera(size=_SIZE))
-        return self._camera
 
 
 def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> None:
@@ -279,15 +281,6 @@ def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> Non
     write_violation_rrd(run, rrd, at_s=at_s, title=title, message=message, violated=found.signal)
 
 
-def _cut(run: Run, at_s: float | None) -> Run:
-    """Return the segment from one second before to one second after the violation."""
-    if at_s is None:
-        return run
-    start_ns = run.start_ns + round((at_s - _AROUND_S) * 1e9)
-    cut = slice_run(run, start_ns=start_ns, end_ns=start_ns + round(2 * _AROUND_S * 1e9))
-    return replace(cut, scenario_is_complete=False, stop_reason=None)
-
-
 def name_files(result: CheckResult, prefix: str) -> str:
     """Return a valid name for every file system, unique for every file and check."""
     stem, test = Path(result.file).stem, prefix.rpartition("::")[2]
@@ -295,3 +288,167 @@ def name_files(result: CheckResult, prefix: str) -> str:
     plain = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(filter(None, words))).strip("-.")
     key = sha256("\0".join([prefix, result.file, result.check]).encode()).hexdigest()[:6]
     return f"{plain[:_LONGEST]}-{key}"
+
+
+LIMIT_S: Final = 10.0
+"""Longest time that a failed check waits for the reason of its failure [s]."""
+
+_LONGEST_S: Final = 600.0
+"""Longest run that is simulated again for this reason [s]; longer simulations take more than a
+second each."""
+
+_SAME: Final = (1e-9, 1e-6)
+"""Difference of a metric between two platforms, absolute and relative, which counts as 0."""
+
+
+def explain_failures(
+    run: Run,
+    reference: Run | MetricsFile,
+    results: Sequence[CheckResult],
+    *,
+    place: str = "REFERENCE",
+    trust_law: bool = False,
+    limit_s: float = LIMIT_S,
+) -> list[CheckResult]:
+    """Return results; one failed result gets the reason why the run differs from its reference.
+
+    This is the result of the most important metric, or else the first result that names a metric.
+    The reference may also be a run that is known to be good; the scenario in a file of metrics is
+    simulated again. `place` is the name of the reference in the command that replaces the reason
+    after the time limit. `trust_law`: whether the code of recorded laws may run.
+    """
+    failed = [one for one in results if one.verdict == "FAIL"]
+    if not failed:
+        return [*results]
+    if isinstance(reference, MetricsFile):
+        of_reference, main = {*reference.metrics}, explain.choose_common_metric(run, run)
+        place = "GOOD.mcap"
+    else:
+        of_reference = {*list_metrics(reference.declaration)}
+        main = explain.choose_common_metric(reference, run)
+    known = of_reference & list_metrics(run.declaration).keys()
+    named = [(one, name) for one in failed for name in _list_names(one) if name in known]
+    chosen, metric = min(named or [(failed[0], main)], key=lambda pair: pair[1] != main)
+    words = ["turtlelog", "compare", place, chosen.file, "--why", metric]
+    more = shlex.join([*words, *(["--trust-law"] if trust_law else [])])
+    if isinstance(reference, MetricsFile):
+        why = _explain_metrics(run, reference, metric, limit_s, more, trust_law=trust_law)
+    else:
+        why = (*_explain(run, reference, metric, limit_s, trust_law=trust_law), f"More: {more}")
+    return [replace(one, why=why) if one is chosen else one for one in results]
+
+
+def _list_names(result: CheckResult) -> list[str]:
+    """Return what a check may name: a metric as the table, a metric, or names in a formula."""
+    names = [result.check.removeprefix("metrics.")]
+    if isinstance(result.judged, JudgedMetric):
+        names.append(result.judged.metric.id)
+    if isinstance(result.judged, Check):
+        names += result.judged.formula.names
+    return names
+
+
+def _explain(
+    run: Run,
+    reference: Run,
+    metric: str,
+    limit_s: float,
+    *,
+    trust_law: bool,
+    are_recorded: bool = True,
+) -> tuple[str, ...]:
+    lengths_s = [float(one.end_ns - one.poses.time_ns[0]) / 1e9 for one in (reference, run)]
+    if max(lengths_s) > _LONGEST_S:
+        return (f"Not explained here: a run of {max(lengths_s):.0f} s takes longer.",)
+    began_s = perf_counter()
+
+    def require_time(done: int, total: int) -> None:
+        if perf_counter() - began_s > limit_s:
+            raise errors.ExplainError(f"{done} of {total} simulations took {limit_s:g} s")
+
+    try:
+        found = explain.explain_difference(
+            replace(reference, name="the reference"),
+            replace(run, name="this run"),
+            metric=metric,
+            trust_law=trust_law,
+            depth=explain.Depth(
+                most_exact=6, identifies=False, shows_effects=False, shows_starts=False
+            ),
+            work=explain.Work(report=require_time),
+        )
+    except errors.TurtlelogError as err:
+        return (f"Not explained: {err}.",)
+    from turtlelog.explain.difference_report import write_difference_sentences
+
+    return write_difference_sentences(found, are_recorded=are_recorded)[:2]
+
+
+def _explain_metrics(
+    run: Run, reference: MetricsFile, metric: str, limit_s: float, more: str, *, trust_law: bool
+) -> tuple[str, ...]:
+    """Return why a run differs from the run of a metrics file, if the file's scenario shows it."""
+    file = Path(reference.file).name
+    if not reference.scenario:
+        return (
+            f"Not explained: {file} has no scenario. Accept a good recording anew"
+            f" (--turtlelog-accept stores it), or with a good recording: {more}",
+        )
+    try:
+        again = _simulate_again(reference, trust_law=trust_law)
+    except errors.TurtlelogError as err:
+        return (f"Not explained: {err}.",)
+    metrics = measure_run(again, only=[*reference.metrics.keys() & list_metrics(again.declaration)])
+    apart = [name for name, one in metrics.items() if not _is_same(one, reference.metrics[name])]
+    if apart:
+        name = metric if metric in apart else apart[0]
+        return _describe_apart(run, again, reference, metrics[name])
+    again = replace(again, simulated_by=reference.simulated_by)
+    # A file of metrics has no samples that its scenario could reproduce.
+    why = _explain(run, again, metric, limit_s, trust_law=trust_law, are_recorded=False)
+    count = describe_count(len(metrics), "metric")
+    basis = f"The scenario in {file}, simulated again, has the {count} of that file."
+    return *why, basis
+
+
+def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
+    """Return the run of the scenario in a file of metrics, if its length and its law allow this."""
+    place = f"{reference.file}: scenario"
+    try:
+        tables = parse_known_toml(reference.scenario)
+    except ValueError as err:
+        raise errors.ScenarioError(f"{place}: not TOML: {err}") from err
+    scenario = build_scenario(tables, source=place, trust_law=trust_law)
+    if scenario.law.kind not in LAWS and not trust_law:
+        raise errors.ScenarioError(
+            f"{scenario.law.kind}, the law in {reference.file}, runs only if its code is trusted"
+            " (trust_law=True in pytest)"
+        )
+    if scenario.max_duration_s > _LONGEST_S:
+        raise errors.ScenarioError(
+            f"a scenario of up to {scenario.max_duration_s:g} s takes too long here"
+        )
+    return simulate_run(scenario)
+
+
+def _is_same(found: Metric, expected: Metric) -> bool:
+    if found.value is None or expected.value is None:
+        return found.status == expected.status
+    least, part = _SAME
+    return abs(found.value - expected.value) <= max(least, part * abs(expected.value))
+
+
+def _describe_apart(run: Run, again: Run, reference: MetricsFile, found: Metric) -> tuple[str, ...]:
+    """Return that the present software does not reproduce a file's values, with the differences."""
+    name, file, expected = found.id, Path(reference.file).name, reference.metrics[found.id]
+    values = [one.status.value if one.value is None else one.value for one in (expected, found)]
+    was, now = format_pair(values[0], values[1], expected.unit)
+    lines = [
+        f"Not explained: {name} is {was} in {file}, and {now} if its scenario is simulated again."
+    ]
+    if dict(again.parameters) == dict(run.parameters):
+        lines.append("No setting differs between that scenario and this run.")
+    changes = list_software_changes(reference.simulated_by, again.simulated_by)
+    if changes:
+        lines.append(f"The software differs: {describe_changes(changes)}.")
+    return tuple(lines)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from turtlelog import expressions
 from turtlelog.check.formula_trace import (
     FormulaTrace,
     RunEnding,
@@ -13,27 +14,14 @@ from turtlelog.check.formula_trace import (
     check_names,
     find_ending,
     find_span,
+    list_names,
     read_signals,
 )
 from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
-from turtlelog.check.vocabulary import OTHER_VALUES, find_kind, find_other_unit
+from turtlelog.check.spec import OTHER_UNITS, find_kind
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls
-from turtlelog.expressions import (
-    Call,
-    Comparison,
-    Expression,
-    Kind,
-    Name,
-    Node,
-    Temporal,
-    Until,
-    evaluate_node,
-    format_expression,
-    iterate_nodes,
-    parse_expression,
-)
 from turtlelog.measure import explain_no_signal, find_metric_kind, list_metrics, list_signals
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
@@ -109,7 +97,7 @@ class FormulaResult:
 
 def check_formula(
     signals: Run | Signals,
-    expression: Expression | str,
+    expression: expressions.Expression | str,
     *,
     window_ns: tuple[int, int] | None = None,
     ending: RunEnding = RunEnding.SETTLED,
@@ -141,6 +129,8 @@ def check_formula(
     if holds is False:  # a violation is certain only with unknown parts at their best
         failed_ns = find_violation(walk_formula(expression, trace, exact=True, unknown=math.inf))
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
+    is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
+    reach_s = _measure_reach(expression.root, is_cut=is_cut)
     unknown = FormulaResult(
         formula=expression.text,
         holds=None,
@@ -148,7 +138,7 @@ def check_formula(
         margin_s=None,
         first_violation_s=None if failed_ns is None else (failed_ns - trace.start_ns) / 1e9,
         values=values,
-        is_covered=_is_covered(expression, trace),
+        is_covered=trace.start_ns + reach_s * 1e9 <= trace.end_ns,
     )
     if critical is None:
         return replace(unknown, reason=_explain_unknown(expression, trace))
@@ -160,22 +150,22 @@ def check_formula(
         margin=margin + 0.0,
         margin_s=(critical.time_ns - trace.start_ns) / 1e9,
         values=decisive if failed_ns is None else values,
-        decided_by=format_expression(critical.node),
+        decided_by=expressions.format_expression(critical.node),
         reason="" if holds or failed_ns is not None else _BEYOND,
         **sides,
     )
 
 
-def _parse(expression: Expression | str) -> Expression:
+def _parse(expression: expressions.Expression | str) -> expressions.Expression:
     if isinstance(expression, str):
-        return parse_expression(expression)
-    if not isinstance(expression, Expression):
+        return expressions.parse_expression(expression)
+    if not isinstance(expression, expressions.Expression):
         raise ExpressionError(f"expression: expected a formula, found {expression!r:.60}")
     return expression
 
 
 def check_run(
-    run: Run, expression: Expression | str, *, window_ns: tuple[int, int] | None = None
+    run: Run, expression: expressions.Expression | str, *, window_ns: tuple[int, int] | None = None
 ) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
@@ -217,7 +207,7 @@ _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
 """Whether a formula holds, its margin, and the origin of the margin."""
 
 
-def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
+def _decide(expression: expressions.Expression, trace: FormulaTrace) -> _Decision:
     """Return the verdict, with only one walk over a long trace in memory.
 
     If a part is unknown, two margins may decide: with the unknown part at its worst, and at its
@@ -237,55 +227,48 @@ def _decide(expression: Expression, trace: FormulaTrace) -> _Decision:
     return None, margin, None
 
 
-def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
+def _explain_unknown(expression: expressions.Expression, trace: FormulaTrace) -> str:
     if trace.ending is not RunEnding.SETTLED:
         settled = replace(trace, ending=RunEnding.SETTLED)
         if _decide(expression, settled)[0] is not None:
-            return f"{_TOO_SHORT}, and {trace.ending.value}{_advise(expression, trace)}"
+            recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
+            nodes = expressions.iterate_nodes(expression.root)
+            is_open = any(
+                isinstance(n, expressions.Temporal | expressions.Until) and math.isinf(n.end_s)
+                for n in nodes
+            )
+            window = f"such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
+            advice = f"; a window with an end, {window}" if is_open and recorded_ms else ""
+            return f"{_TOO_SHORT}, and {trace.ending.value}{advice}"
     missing = [name for name, value in trace.constants.items() if value is None]
     return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
 
 
-def _advise(expression: Expression, trace: FormulaTrace) -> str:
-    """Return the window to use for a truncated trace instead of a window without an end."""
-    recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
-    nodes = iterate_nodes(expression.root)
-    is_open = any(isinstance(node, Temporal | Until) and math.isinf(node.end_s) for node in nodes)
-    if not is_open or not recorded_ms:
-        return ""
-    return f"; a window with an end, such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
-
-
-def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
-    is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
-    reach_s = _measure_reach(expression.root, is_cut=is_cut)
-    return trace.start_ns + reach_s * 1e9 <= trace.end_ns
-
-
-def _measure_reach(node: Node, *, is_cut: bool) -> float:
+def _measure_reach(node: expressions.Node, *, is_cut: bool) -> float:
     """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
     children = node.list_children()
     below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
-    if not isinstance(node, Temporal | Until):
+    if not isinstance(node, expressions.Temporal | expressions.Until):
         return below
     return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)
 
 
 def _read_sides(
-    expression: Expression, node: Node, values: Mapping[str, Any], declaration: Declaration
+    expression: expressions.Expression,
+    node: expressions.Node,
+    values: Mapping[str, Any],
+    declaration: Declaration,
 ) -> dict[str, Any]:
     """Return value, limit and unit of a comparison of numbers; nothing for any other node."""
-    if not isinstance(node, Comparison):
+    if not isinstance(node, expressions.Comparison):
         return {}
-    names = {part.name for part in iterate_nodes(node) if isinstance(part, Name)}
-    units = {
-        name: unit for name in names if (unit := find_formula_unit(name, declaration)) is not None
-    }
+    found = {name: find_formula_unit(name, declaration) for name in list_names(node)}
+    units = {name: unit for name, unit in found.items() if unit is not None}
     measured, limit = node.operands
-    if _is_measured(limit, units) and not _is_measured(measured, units):
+    if units.keys().isdisjoint(list_names(measured)) and units:  # the limit names all of them
         measured, limit = limit, measured
-    sides = [evaluate_node(expression, side, values) for side in (measured, limit)]
-    if any(side.kind is not Kind.NUMBER for side in sides):
+    sides = [expressions.evaluate_node(expression, side, values) for side in (measured, limit)]
+    if any(side.kind is not expressions.Kind.NUMBER for side in sides):
         return {}
     value, limit_value = (float(side.data) for side in sides)
     return {"value": value, "limit": limit_value, "unit": _find_unit(measured, units)}
@@ -293,25 +276,18 @@ def _read_sides(
 
 def find_formula_unit(name: str, declaration: Declaration) -> str | None:
     """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
-    if name in list_signals(declaration):
-        return list_signals(declaration)[name].unit
-    if name in list_metrics(declaration):
-        return list_metrics(declaration)[name].unit
+    own = list_signals(declaration).get(name) or list_metrics(declaration).get(name)
+    if own is not None or name in OTHER_UNITS:
+        return OTHER_UNITS[name] if own is None else own.unit
     kind = find_metric_kind(name)
-    if name in OTHER_VALUES or kind is None:
-        return find_other_unit(name)
-    return "" if " or " in kind.unit else kind.unit
+    return None if kind is None else "" if " or " in kind.unit else kind.unit
 
 
-def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
-    return any(isinstance(part, Name) and part.name in units for part in iterate_nodes(node))
-
-
-def _find_unit(node: Node, units: Mapping[str, str]) -> str:
+def _find_unit(node: expressions.Node, units: Mapping[str, str]) -> str:
     """Return the unit of the measured value; empty if the unit is not simple."""
-    if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
+    if isinstance(node, expressions.Call) and node.function in {"abs", "min", "max"}:
         found = {_find_unit(argument, units) for argument in node.arguments}
         return found.pop() if len(found) == 1 else ""
-    if isinstance(node, Call) and node.function == "deg":
+    if isinstance(node, expressions.Call) and node.function == "deg":
         return "deg"
-    return units.get(node.name, "") if isinstance(node, Name) else ""
+    return units.get(node.name, "") if isinstance(node, expressions.Name) else ""

@@ -19,9 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.vocabulary import find_kind
+from turtlelog.check.spec import find_kind
 from turtlelog.errors import CheckError
-from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
+from turtlelog.expressions import (
+    Expression,
+    Name,
+    Node,
+    describe_unknown_name,
+    fail_at,
+    iterate_nodes,
+)
 from turtlelog.log.recording.head import LOSS_NOTES, NO_LOSS
 from turtlelog.measure import COMMANDED, find_signal, list_signals, measure_run
 from turtlelog.run import Run
@@ -93,8 +100,6 @@ def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
 
 
 Column = tuple[NDArray[np.int64], NDArray[Any]]
-
-
 Signals = Mapping[str, Column | float | bool | str | None]
 """Signals and constants by name: times [ns] and values of a signal, or a constant; None for no
 value."""
@@ -132,7 +137,10 @@ class FormulaTrace:
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
         for name, column in columns.items():
             _check_column(name, column)
-        start_ns, end_ns = window_ns or _find_window(columns)
+        times = [time_ns for time_ns, _ in columns.values()]
+        first_ns = max((int(time_ns[0]) for time_ns in times), default=0)
+        last_ns = max((int(time_ns[-1]) for time_ns in times), default=0)
+        start_ns, end_ns = window_ns or (first_ns, max(first_ns, last_ns))
         if start_ns > end_ns:
             raise CheckError(f"trace: expected an end after its start, found {start_ns}, {end_ns}")
         for name, (time_ns, _) in columns.items():
@@ -153,14 +161,16 @@ class FormulaTrace:
 
     def read_values(self, time_ns: int) -> dict[str, Any]:
         """Return the value of every name at a time: float, bool, str or None."""
-        return {name: self._read_value(name, time_ns) for name in self.names}
+        found = {**dict.fromkeys(self.names), **self.constants}
+        for name, steps in self.signals.items():
+            value = steps.values[steps.find_piece(time_ns)].item()
+            found[name] = None if isinstance(value, float) and math.isnan(value) else value
+        return found
 
-    def _read_value(self, name: str, time_ns: int) -> Any:
-        if name in self.constants:
-            return self.constants[name]
-        steps = self.signals[name]
-        value = steps.values[steps.find_piece(time_ns)].item()
-        return None if isinstance(value, float) and math.isnan(value) else value
+
+def list_names(node: Node) -> list[str]:
+    """Return the names below a node, as often as they occur."""
+    return [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
 
 
 def check_names(expression: Expression, known: Mapping[str, object]) -> None:
@@ -199,13 +209,6 @@ def _read_column(run: Run, name: str) -> Column | None:
         return signal.time_ns, signal.values
     labels = np.array(run.phase_names)
     return signal.time_ns, labels[signal.values.astype(np.int64)]
-
-
-def _find_window(columns: Mapping[str, Column]) -> tuple[int, int]:
-    if not columns:
-        return 0, 0
-    start_ns = max(int(time_ns[0]) for time_ns, _ in columns.values())
-    return start_ns, max(start_ns, *(int(time_ns[-1]) for time_ns, _ in columns.values()))
 
 
 def _check_column(name: str, column: Column) -> None:
@@ -312,7 +315,10 @@ def slide_minimum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
 
 def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
     """Return at each time t the maximum on [t + first_ns, t + last_ns]; None: without end."""
-    function = _drop_repeats(function)
+    changes = function.values[1:] != function.values[:-1]
+    if 2 * np.count_nonzero(changes) <= len(changes):  # many steps change nothing
+        kept = np.concatenate(([True], changes))
+        function = Steps(time_ns=function.time_ns[kept], values=function.values[kept])
     span_ns = int(function.time_ns[-1] - function.time_ns[0])
     first_ns = min(first_ns, span_ns)  # beyond it only the last value follows
     if last_ns is None or last_ns >= span_ns:
@@ -323,9 +329,7 @@ def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
     return _slide_window(function, first_ns, last_ns)
 
 
-def compute_until(
-    left: Steps, right: Steps, first_ns: int = 0, last_ns: int | None = None
-) -> Steps:
+def compute_until(left: Steps, right: Steps, first_ns: int, last_ns: int | None) -> Steps:
     """Return the maximum over t' in [t + first, t + last] of min(right(t'), left on [t, t']).
 
     By the identity of Donzé et al., two conditions must hold: right becomes true within the window;
@@ -338,15 +342,6 @@ def compute_until(
     if last_ns is None:
         return unbounded
     return combine_steps(np.minimum, [slide_maximum(right, first_ns, last_ns), unbounded])
-
-
-def _drop_repeats(function: Steps) -> Steps:
-    """Leave out steps that change nothing, if there are many."""
-    changes = function.values[1:] != function.values[:-1]
-    if 2 * np.count_nonzero(changes) > len(changes):
-        return function
-    kept = np.concatenate(([True], changes))
-    return Steps(time_ns=function.time_ns[kept], values=function.values[kept])
 
 
 def _shift(function: Steps, earlier_ns: int) -> Steps:

@@ -8,20 +8,10 @@ from typing import Any, NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 
+from turtlelog.check import spec
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, JudgedMetric, Verdict
-from turtlelog.check.spec import Check, list_formula_names
-from turtlelog.check.vocabulary import (
-    ROBOT_VALUES,
-    TRAJECTORY_VALUES,
-    TrajectoryJudge,
-    choose_signals,
-    describe_missing_phase,
-    find_kind,
-    measure_robot,
-    require_known_names,
-)
 from turtlelog.display import format_number
 from turtlelog.errors import CheckError, MissingValueError
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
@@ -45,7 +35,7 @@ them."""
 
 
 def judge_check(
-    check: Check,
+    check: spec.Check,
     run: Run,
     *,
     file: str,
@@ -62,27 +52,27 @@ def judge_check(
 
 
 def measure_named(
-    checks: Sequence[Check],
+    checks: Sequence[spec.Check],
     run: Run,
     *,
-    trajectories: TrajectoryJudge | None = None,
+    trajectories: spec.TrajectoryJudge | None = None,
     file: str = "",
 ) -> Mapping[str, Metric]:
     """Return the metrics of a run that checks name; `trajectories` measures errors of positions."""
-    names = list_formula_names(checks)
-    ids = sorted(name for name in names if find_kind(run, name) is not None)
-    of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
-    errors = sorted(names & TRAJECTORY_VALUES.keys())
+    names = spec.list_formula_names(checks)
+    ids = sorted(name for name in names if spec.find_kind(run, name) is not None)
+    of_robot = spec.measure_robot(run, sorted(names & spec.ROBOT_VALUES.keys()))
+    errors = sorted(names & spec.TRAJECTORY_VALUES.keys())
     beside = trajectories.measure(run, errors, file) if trajectories and errors else {}
     return {**(measure_run(run, only=ids) if ids else {}), **of_robot, **beside}
 
 
 class _Judge:
     def __init__(
-        self, check: Check, run: Run, file: str, metrics: Mapping[str, Metric], grown: Grown
+        self, check: spec.Check, run: Run, file: str, metrics: Mapping[str, Metric], grown: Grown
     ) -> None:
-        self._check, self._run, self._file, self._metrics = check, run, file, metrics
-        self._grown = grown
+        self._check, self._run, self._file = check, run, file
+        self._metrics, self._grown = metrics, grown
 
     def __call__(self) -> CheckResult:
         check, formula = self._check, self._check.formula
@@ -90,21 +80,30 @@ class _Judge:
             skipped = self._judge_condition(check.when)
             if skipped is not None:
                 return skipped
-        require_known_names(formula, over_time=check.kind == "holds", run=self._run)
+        spec.require_known_names(formula, over_time=check.kind == "holds", run=self._run)
         lacking = self._find_lacking(formula)
         if lacking:
             return self._leave_open(lacking)
-        return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
+        if check.kind == "holds":
+            return self._judge_over_time()
+        found = self._check_values(formula)
+        failed_s = None if found.holds else self._find_moment(found.limit)
+        return replace(self._describe(found), first_violation_s=failed_s)
+
+    def _check_values(self, formula: Expression) -> FormulaResult:
+        values: dict[str, Any] = {
+            name: self._metrics[name].value if name in self._metrics else self._run.parameters[name]
+            for name in formula.names
+        }
+        return check_formula(values, formula, declaration=self._run.declaration)
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
         """Return the reason why a check is skipped or undecided; None if it applies."""
-        require_known_names(condition, over_time=False, run=self._run)
+        spec.require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
         if lacking:
             return self._leave_open(f"when: {lacking}")
-        found = check_formula(
-            self._read_values(condition), condition, declaration=self._run.declaration
-        )
+        found = self._check_values(condition)
         if found.holds is None:
             return self._leave_open(f"when: {found.reason}")
         if found.holds:
@@ -113,20 +112,12 @@ class _Judge:
         reason = f"only when {condition.text}; here {values}"
         return self._build(Verdict.SKIPPED, reason=reason)
 
-    def _judge_metrics(self) -> CheckResult:
-        formula = self._check.formula
-        found = check_formula(
-            self._read_values(formula), formula, declaration=self._run.declaration
-        )
-        failed_s = None if found.holds else self._find_moment(found.limit)
-        return replace(self._describe(found), first_violation_s=failed_s)
-
     def _judge_over_time(self) -> CheckResult:
         check, run = self._check, self._run
         names = check.formula.names
-        window_ns = find_span(run, names) if not check.phase else find_window(run, check.phase)
+        window_ns = find_window(run, check.phase) if check.phase else find_span(run, names)
         if window_ns is None:
-            return self._leave_open(describe_missing_phase(run, check.phase or ""))
+            return self._leave_open(spec.describe_missing_phase(run, check.phase or ""))
         found = check_run(run, check.formula, window_ns=window_ns)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (
@@ -145,13 +136,15 @@ class _Judge:
 
     def _describe(self, found: FormulaResult) -> CheckResult:
         is_finite = found.margin is not None and math.isfinite(found.margin)
+        nodes = iterate_nodes(self._check.formula.root)
+        comparisons = sum(len(n.operators) for n in nodes if isinstance(n, Comparison))
         return replace(
             self._build(Verdict.PASS if found.holds else Verdict.FAIL, reason=found.reason),
             value=found.value,
             limit=found.limit,
             margin=found.margin if is_finite else None,
             unit=found.unit,
-            decided_by=found.decided_by if _has_several(self._check.formula) else "",
+            decided_by=found.decided_by if comparisons > 1 else "",
             is_decided=found.holds is not None,
         )
 
@@ -165,7 +158,7 @@ class _Judge:
             verdict=verdict,
             expected=self._check.describe(),
             reason=reason,
-            names=choose_signals(self._check.formula.names, self._run.declaration),
+            names=spec.choose_signals(self._check.formula.names, self._run.declaration),
             judged=self._check,
         )
 
@@ -186,12 +179,6 @@ class _Judge:
                 lacking.append(f"{name}: {metric.lack}")
         return "; ".join(lacking)
 
-    def _read_values(self, formula: Expression) -> dict[str, Any]:
-        return {
-            name: self._metrics[name].value if name in self._metrics else self._run.parameters[name]
-            for name in formula.names
-        }
-
     def _find_moment(self, limit: float | None) -> float | None:
         """Return when a bound on one metric is first violated; None if the check names several."""
         formula = self._check.formula
@@ -205,12 +192,6 @@ class _Judge:
                 operator = root.operators[0]
                 return find_metric_violation(self._run, metric, operator, limit, grown=self._grown)
         return metric.at_s
-
-
-def _has_several(formula: Expression) -> bool:
-    """Return whether a formula contains more than one comparison."""
-    links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
-    return sum(map(len, links)) > 1
 
 
 def find_metric_violation(
@@ -235,8 +216,11 @@ def find_metric_violation(
         if kind.grows:
             grown = {} if grown is None else grown
             return _find_growth(run, metric.id, operator, limit, settings, grown)
-        if kind.is_awaited:
-            return _find_start_s(run, part) + max(limit, 0.0)
+        if kind.is_awaited:  # from the time at which its loop first acts
+            loop = run.declaration.find_loop(part)
+            stretch = find_first_stretch(run, loop) if loop else []
+            start_s = (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
+            return start_s + max(limit, 0.0)
     if metric.at_s is None and part == "final":
         return (run.end_ns - run.start_ns) / 1e9
     return metric.at_s
@@ -259,20 +243,6 @@ def _find_growth(
         else:
             first = middle + 1
     return float(run.poses.time_ns[last] - run.start_ns) / 1e9
-
-
-def _find_start_s(run: Run, part: str) -> float:
-    """Return when a loop first acts, from the first sample [s]; 0 for any other metric."""
-    loop = run.declaration.find_loop(part)
-    stretch = find_first_stretch(run, loop) if loop else []
-    return (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
-
-
-def measure_margin(value: float, operator: str, limit: float) -> float:
-    """Return the distance of the value from the opposite verdict; positive for a pass."""
-    if operator in {"==", "!="}:
-        return abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
-    return limit - value if operator in {"<", "<="} else value - limit
 
 
 Note = Callable[[CheckResult], None]
@@ -351,10 +321,8 @@ class RecordedMetric:
         result = self.judge(metric, operator, other)
         if result.verdict is Verdict.FAIL and result.limit is not None:
             operator, limit = self._undo_sign(operator, result.limit)
-            violated_s = find_metric_violation(
-                self.run, self.measured, operator, limit, self.settings
-            )
-            result = replace(result, first_violation_s=violated_s)
+            at_s = find_metric_violation(self.run, self.measured, operator, limit, self.settings)
+            result = replace(result, first_violation_s=at_s)
         self.note(result)
         return result.verdict is Verdict.PASS
 
@@ -375,7 +343,9 @@ class RecordedMetric:
         else:
             limit = self._read_limit(metric, operator, other)
             expected = format_number(limit, metric.unit)
-            margin = measure_margin(value, operator, limit)
+            margin = limit - value if operator in {"<", "<="} else value - limit
+            if operator in {"==", "!="}:
+                margin = abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
             holds = OPERATORS[operator](value, limit)
         judged, border = self._undo_sign(operator, limit)
         return CheckResult(
@@ -388,7 +358,7 @@ class RecordedMetric:
             margin=margin,
             unit=metric.unit,
             value_s=metric.at_s,
-            names=choose_signals([metric.id], self.run.declaration),
+            names=spec.choose_signals([metric.id], self.run.declaration),
             judged=JudgedMetric(metric=self.measured, operator=judged, limit=border),
         )
 
@@ -425,7 +395,7 @@ class RecordedMetric:
                 verdict=Verdict.FAIL,
                 expected=wanted,
                 reason=metric.lack,
-                names=choose_signals([metric.id], self.run.declaration),
+                names=spec.choose_signals([metric.id], self.run.declaration),
                 is_decided=False,
             )
         )

@@ -1,42 +1,37 @@
-"""Results of a run: against a specification, a reference, or its replay."""
+"""Results of recordings against a specification: of runs, of files, in tables, as JUnit XML."""
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Final, TypeAlias
+from sys import intern
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Final
 
+from turtlelog import sweep
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_formula import Grown, judge_check, measure_named
-from turtlelog.check.reference import (
-    MetricsFile,
-    ReferenceFile,
-    load_reference,
-    read_reference_run,
-    read_reference_trajectory,
-)
-from turtlelog.check.result import CheckResult, JudgedSignal, Verdict
-from turtlelog.check.spec import Check, Spec, Tolerances
-from turtlelog.check.spec_file import count_parts, load_tolerances
-from turtlelog.check.vocabulary import TrajectoryJudge, choose_signals
-from turtlelog.compare import Tolerance
-from turtlelog.compare.common_clock import find_zero_ns
-from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
-from turtlelog.display import format_number, format_pair
-from turtlelog.errors import CheckError, CompareError, ExpressionError
-from turtlelog.files.urls import make_path
-from turtlelog.measure import (
-    SIGNALS,
-    Metric,
-    find_metric_kind,
-    find_signal,
-    list_metrics,
-    list_signal_units,
-    list_signals,
-    measure_run,
-)
-from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
+from turtlelog.check.reference import MetricsFile, match_run, read_metrics_file
+from turtlelog.check.result import CheckResult, Verdict, describe_result, fail_recording
+from turtlelog.check.spec import TRAJECTORY_VALUES, Spec, TrajectoryJudge, list_formula_names
+from turtlelog.check.spec_file import count_parts, require_reference
+from turtlelog.errors import CheckError, CompareError, ExpressionError, LibraryError, LogError
+from turtlelog.escapes import escape_controls
+from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
+from turtlelog.log.parquet_file import list_cells
+from turtlelog.log.planar_poses import JOINTS, TRANSFORMS
+from turtlelog.log.recording.head import LOSS_NOTES
+from turtlelog.log.ros2.bag_rows import open_bag
+from turtlelog.measure import SIGNALS, Metric, find_metric_kind, measure_run
 from turtlelog.run import Run
+from turtlelog.sweep.table.result_table import open_result_table
+from turtlelog.sweep.table.stored_rows import ERROR, FILE, Cell, Key, Row
+
+if TYPE_CHECKING:
+    from turtlelog.sweep import RecordingTable
 
 _MOST_PART_ROWS: Final = 150_000_000
 """Largest product of formula parts and samples. A window takes about 10 ns for each of its four
@@ -95,13 +90,21 @@ def judge_run(
         try:
             yield judge_check(check, run, file=file, metrics=metrics, grown=grown)
         except ExpressionError as err:
-            if not _names_parameters(check):
+            names = list_formula_names([check]) - SIGNALS.keys()
+            if all(find_metric_kind(name) is not None for name in names):
                 raise
-            # The keys and states of a law differ between recordings: other checks are judged
-            # nevertheless.
+            # It names keys or states of a law, which differ between recordings: other checks are
+            # judged nevertheless.
             yield replace(fail_recording(file, str(err)), check=check.name)
-    if reference is not None:
-        yield from _judge_tolerances(spec, reference, run, file)
+    if reference is None:
+        return
+    limits = spec.tolerances
+    try:
+        yield from match_run(run, reference, limits, file=file, alignment=spec.alignment)
+    except CompareError as err:
+        checks = [f"signals.{name}" for name in limits.signals]
+        for name in (*checks, *(f"metrics.{name}" for name in limits.metrics)):
+            yield replace(fail_recording(file, str(err)), check=name)
 
 
 def _require_few_parts(spec: Spec, run: Run, file: str) -> None:
@@ -117,303 +120,357 @@ def _require_few_parts(spec: Spec, run: Run, file: str) -> None:
         )
 
 
-def _names_parameters(check: Check) -> bool:
-    """Return whether a check names parameters or states, which depend on the law."""
-    formulas = filter(None, (check.formula, check.when))
-    names = (name for formula in formulas for name in formula.names)
-    return any(name not in SIGNALS and find_metric_kind(name) is None for name in names)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedFile:
+    """The results of one recording.
 
-
-def fail_recording(file: str, reason: str) -> CheckResult:
-    """Return the result for a recording on which no check could be judged."""
-    return CheckResult(
-        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
-    )
-
-
-def _judge_tolerances(
-    spec: Spec, reference: Run | MetricsFile, run: Run, file: str
-) -> list[CheckResult]:
-    try:
-        return match_run(run, reference, spec.tolerances, file=file, alignment=spec.alignment)
-    except CompareError as err:
-        names = [f"signals.{name}" for name in spec.tolerances.signals]
-        names += [f"metrics.{name}" for name in spec.tolerances.metrics]
-        return [replace(fail_recording(file, str(err)), check=name) for name in names]
-
-
-AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
-AnyReference: TypeAlias = Run | ReferenceFile | MetricsFile | Mapping[str, Metric] | str | Path
-
-_SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
-_METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
-
-
-def match_run(
-    run: Run,
-    reference: AnyReference,
-    tolerance: AnyTolerance = None,
-    *,
-    file: str = "",
-    alignment: str = "first_sample",
-) -> list[CheckResult]:
-    """Return the results of comparing a run with a reference.
-
-    Args:
-        run: Run that is judged.
-        reference: A run, its file, or metrics. If the reference is metrics, a value that is missing
-            there must also be missing in the run.
-        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them select the
-            signals and metrics to judge. None: signals may differ by 1e-6, and metrics may be worse
-            by a millionth.
-        file: Name of the run in results; empty: the run's own name.
-        alignment: Alignment, as in `compare_runs`.
-
-    Raises:
-        CheckError: If the reference cannot be read, or the tolerance does not fit it.
-        CompareError: If there is no such alignment, or the runs do not overlap.
+    Attributes:
+        metrics: Metrics by id; empty if the recording could not be measured.
+        details: Text for failures, by name of the check.
+        started: Start time of the checks; None: the report has no time of day.
+        took_s: Time for reading, measuring and checking [s].
+        each_s: Time for each check [s], in the order of the results.
     """
-    if isinstance(reference, ReferenceFile):
-        reference = reference.load()
-    if isinstance(reference, str | Path):
-        reference = load_reference(make_path(reference))
-    if isinstance(tolerance, str | Path):
-        tolerance = load_tolerances(tolerance)
-    if isinstance(tolerance, Tolerances) and not tolerance:
-        raise CheckError("tolerance: names no signal or metric")
-    if isinstance(reference, MetricsFile):
-        results = _match_metrics(run, reference.metrics, tolerance)
-    elif not isinstance(reference, Run):
-        results = _match_metrics(run, reference, tolerance)
-    elif isinstance(tolerance, Tolerances):
-        results = [*_judge_run(run, reference, tolerance, alignment)]
-    else:
-        tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)
-        length = _judge_length(run, reference, 0.0 if tolerance is None else tolerance.time_s)
-        results = [*_judge_run(run, reference, tolerances, alignment), length]
-    shown = reference if isinstance(reference, Run | MetricsFile) else None
-    return [replace(one, file=file or run.name, reference=shown) for one in results]
+
+    file: str
+    results: tuple[CheckResult, ...]
+    metrics: Mapping[str, Metric] = field(default_factory=dict)
+    details: Mapping[str, str] = field(default_factory=dict)
+    started: datetime | None = None
+    took_s: float = 0.0
+    each_s: tuple[float, ...] = ()
 
 
-def judge_replay(
-    run: Run, found: LawReplay | LoopReplay | PlantReplay, *, file: str
-) -> list[CheckResult]:
-    """Return whether a replay equals the recording: every signal, numbers of rows, and the end."""
-    mode = {LawReplay: "law", LoopReplay: "loop", PlantReplay: "plant"}[type(found)]
-    verb = "the law answers" if mode == "law" else "replayed"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedFile:
+    """The results of one file, notes on its reading, and its run if the run is kept."""
 
-    def describe(difference: Difference) -> str:
-        unit = units.get(difference.signal, "")
-        recorded, replayed = format_pair(difference.recorded, difference.replayed, unit)
-        return f"recorded {recorded}, {verb} {replayed}"
+    checked: CheckedFile
+    notes: Mapping[str, str]
+    run: Run | None = None
 
-    units = {signal.signal: signal.unit for signal in found.signals}
-    known = list_signals(run.declaration)
-    signals = [
-        replace(
-            _judge_signal(signal, f"{mode}.{signal.signal}", run.start_ns, describe),
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileJudge:
+    """A judge of files against a specification, in this process or another."""
+
+    spec: Spec
+    reference: Run | MetricsFile | None
+    trajectories: TrajectoryJudge | None
+    choice: ReadChoice
+    allow_partial: bool
+    is_described: bool
+    keeps_runs: bool
+
+    def read_reference(self) -> Run | MetricsFile | None:
+        """Return the reference, even if no check uses it."""
+        if self.reference is not None or self.spec.reference is None:
+            return self.reference
+        metrics = read_metrics_file(self.spec.reference)
+        return metrics or read_as_chosen(self.spec.reference, self.choice)
+
+    def look_closer(self, path: Path, file: JudgedFile) -> JudgedFile:
+        """Return the results of a file with its run, if a check fails."""
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
+
+    def build_explainer(self) -> "FailureExplainer | None":
+        """Return the explainer of failed recordings; None without a reference."""
+        # A true trajectory contains the robot's positions, but no settings.
+        is_truth = self.trajectories is not None and not self.spec.tolerances
+        if self.spec.reference is None or is_truth:
+            return None
+        return FailureExplainer(judge=self, place=str(self.spec.reference))
+
+    def judge_file(self, path: str) -> tuple[CheckResult, ...]:
+        """Return the results of a file."""
+        return self(Path(path)).checked.results
+
+    def __call__(self, path: Path) -> JudgedFile:
+        """Return the results of a file, with its run if runs are kept."""
+        file, started, began_s = str(path), datetime.now(UTC), perf_counter()
+        try:
+            run, notes = read_to_judge(path, self.choice)
+        except LogError as err:
+            lost = (fail_recording(file, str(err).removeprefix(f"{path}: ")),)
+            took_s = perf_counter() - began_s
+            checked = CheckedFile(file=file, results=lost, started=started, took_s=took_s)
+            return JudgedFile(checked=checked, notes={})
+        found = judge_run(
+            self.spec,
+            self.reference,
+            run,
             file=file,
-            expected="as recorded",
-            names=(signal.signal,) if signal.signal in known else ("speed", "turn_rate"),
+            allow_partial=self.allow_partial,
+            trajectories=self.trajectories,
         )
-        for signal in found.signals
-    ]
-    others = [
-        CheckResult(
+        timed = [(result, perf_counter()) for result in found]
+        results = tuple(result for result, _ in timed)
+        # The time of the first check includes the time to read.
+        ends_s = [began_s, *(end_s for _, end_s in timed)]
+        more: dict[str, Any] = {}
+        if self.is_described:
+            from turtlelog.check.failure_report import describe_failure
+
+            failed = [result for result in results if result.verdict == "FAIL"]
+            details = {one.check: "\n".join(describe_failure(run, one)) for one in failed}
+            more = {"metrics": measure_run(run), "details": details}
+        took_s = perf_counter() - began_s
+        if not self.keeps_runs:
+            # `judged` may contain the reference, which is only needed together with the run.
+            results = tuple(replace(one, judged=None, reference=None) for one in results)
+        checked = CheckedFile(
             file=file,
-            check=f"{mode}.{other.signal}",
-            verdict=Verdict.FAIL,
-            expected="as recorded",
-            first_violation_s=(other.time_ns - run.start_ns) / 1e9,
-            reason=describe(other),
-            names=("distance", "speed", "turn_rate"),
+            results=results,
+            started=started,
+            took_s=took_s,
+            each_s=tuple(end_s - start_s for start_s, end_s in pairwise(ends_s)),
+            **more,
         )
-        for other in found.others
-    ]
-    return [*signals, *others]
+        return JudgedFile(checked=checked, notes=notes, run=run if self.keeps_runs else None)
 
 
-def _judge_run(
-    run: Run, reference: Run, tolerances: Tolerances, alignment: str
-) -> Iterator[CheckResult]:
-    differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
-    start_ns = run.start_ns - find_zero_ns(run, alignment)  # zero of the times in results
-
-    def describe(difference: Difference) -> str:
-        sides = (difference.replayed, difference.recorded)
-        at_s = (difference.time_ns - start_ns) / 1e9
-        return f"{_tell_sides(sides, units[difference.signal])} at {at_s:.3f} s"
-
-    units = list_signal_units([reference.declaration, run.declaration])
-    for name, tolerance in tolerances.signals.items():
-        check, names = f"signals.{name}", choose_signals([name], run.declaration)
-        if name not in differences:
-            reason = explain_lack(name, reference, run)
-            yield _leave_open(check, units.get(name, ""), reason, names)
-            continue
-        found = differences[name]
-        yield replace(
-            _judge_signal(found, check, start_ns, describe),
-            expected=_describe_tube(found, tolerance, alignment),
-            names=names,
-            judged=JudgedSignal(
-                name=name, reference=reference, tolerance=tolerance, alignment=alignment
-            ),
-        )
-    known = list_metrics(reference.declaration, run.declaration)
-    for pair in compare_metrics(reference, run, list(tolerances.metrics)):
-        metric, names = pair.metric, choose_signals([pair.metric.id], run.declaration)
-        if metric.id in known:
-            tolerance = tolerances.metrics[metric.id]
-            yield _judge_metric(metric, pair.reference, tolerance, names, is_strict=True)
-        else:
-            yield _leave_open(f"metrics.{metric.id}", metric.unit, metric.lack, names)
+_MOST_EXPLAINED: Final = 3
+"""Largest number of explained recordings per command, because a series usually fails for one
+reason."""
 
 
-def _judge_signal(
-    found: SignalDifference, check: str, start_ns: int, describe: Callable[[Difference], str]
-) -> CheckResult:
-    """Return the verdict on a signal. A value that is missing on one side has no distance."""
-    first, furthest = found.first_difference, found.largest_difference
-    margin = found.limit - found.largest
-    has_distance = math.isfinite(margin) and (first is None or margin < 0)
-    told = furthest if has_distance and furthest is not None else first
-    return CheckResult(
-        file="",
-        check=check,
-        verdict=Verdict.PASS if first is None else Verdict.FAIL,
-        value=found.largest if has_distance else None,
-        limit=found.limit,
-        margin=margin if has_distance else None,
-        unit=found.unit,
-        value_s=(furthest.time_ns - start_ns) / 1e9 if has_distance and furthest else None,
-        first_violation_s=None if first is None else (first.time_ns - start_ns) / 1e9,
-        reason="" if first is None or told is None else describe(told),
-    )
+@dataclass(slots=True, kw_only=True)
+class FailureExplainer:
+    """An explainer of the differences between the first failed recordings and the reference."""
 
+    judge: FileJudge
+    place: str
+    explained: int = 0
 
-def _judge_metric(
-    metric: Metric,
-    reference: Metric,
-    tolerance: Tolerance,
-    names: tuple[str, ...],
-    *,
-    is_strict: bool,
-) -> CheckResult:
-    """Return the verdict on a metric, which fails in its bad direction or with another status.
+    def __call__(self, path: Path, file: JudgedFile) -> JudgedFile:
+        """Return the results of a file; if one fails, with the reason, for the first files."""
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        if not has_failed or self.explained == _MOST_EXPLAINED:
+            return file
+        from turtlelog.check.failure_report import explain_failures
 
-    If neither has a value, the metric passes unless `is_strict`.
-    """
-    check, unit = f"metrics.{metric.id}", metric.unit
-    if metric.value is None or reference.value is None:
-        is_same = metric.status == reference.status
-        reason = f"same status as the reference: {_tell_status(metric)}"
-        if not is_same:
-            reason = f"{_tell_status(metric)}, where the reference has {_tell_status(reference)}"
-        found = _leave_open(check, unit, reason, names)
-        if is_strict or not is_same:
-            return found
-        return replace(found, verdict=Verdict.PASS, is_decided=True)
-    kind = find_metric_kind(metric.id)
-    if kind is None or metric.unit != reference.unit:
-        reason = f"in {metric.unit}, where the reference has {reference.unit}: not compared"
-        return _leave_open(check, unit, reason, names)
-    off = kind.compute_loss(metric.value, reference.value)
-    limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
-    sides = metric.value, reference.value
-    return CheckResult(
-        file="",
-        check=check,
-        verdict=Verdict.PASS if off <= limit else Verdict.FAIL,
-        expected=f"within {format_number(limit, unit)} of the reference",
-        value=off,
-        limit=limit,
-        margin=limit - off,
-        unit=unit,
-        reason="" if off <= limit else _tell_sides(sides, unit),
-        names=names,
-    )
-
-
-def _leave_open(check: str, unit: str, reason: str, names: tuple[str, ...]) -> CheckResult:
-    """Return that a metric or signal cannot be judged, which does not count as a pass."""
-    return replace(fail_recording("", reason), check=check, unit=unit, names=names)
-
-
-def _describe_tube(found: SignalDifference, tolerance: Tolerance, alignment: str) -> str:
-    text = f"within {format_number(found.limit, found.unit)} of the reference"
-    if not tolerance.time_s:
-        return text
-    if alignment == "sample":
-        return f"{text}, sample by sample: no tolerance in time applies"
-    return f"{text} within {tolerance.time_s:g} s"
-
-
-def _tell_sides(sides: tuple[float | str | None, ...], unit: str) -> str:
-    texts = [side if isinstance(side, str) else format_number(side, unit) for side in sides]
-    return f"{texts[0]} where the reference has {texts[1]}"
-
-
-def _tell_status(metric: Metric) -> str:
-    return metric.lack if metric.reason else metric.status.value
-
-
-def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
-    """Return one tolerance for every signal that either run contains."""
-    label = replace(tolerance, abs=0.0, rel=0.0)
-    held = {
-        name: kind
-        for found in (run, reference)
-        for name, kind in list_signals(found.declaration).items()
-        if find_signal(found, name) is not None
-    }
-    names = list_signal_units([run.declaration, reference.declaration])
-    return Tolerances(
-        signals={
-            name: label if held[name].compared_as == "label" else tolerance
-            for name in names
-            if name in held
+        # Failed files that another process has judged are read once more here.
+        closer = self.judge.look_closer(path, file) if file.run is None else file
+        reference = self.judge.read_reference()
+        if closer.run is None or reference is None:
+            return file
+        self.explained += 1
+        found = explain_failures(closer.run, reference, closer.checked.results, place=self.place)
+        whys = {one.check: one.why for one in found if one.why}
+        results = tuple(replace(one, why=whys.get(one.check, ())) for one in file.checked.results)
+        details = {
+            name: "\n".join([text, *whys.get(name, ())])
+            for name, text in file.checked.details.items()
         }
-    )
+        return replace(file, checked=replace(file.checked, results=results, details=details))
 
 
-def _judge_length(run: Run, reference: Run, window_s: float) -> CheckResult:
-    """Return whether both runs have the same length; signals are compared on the overlap."""
-    lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
-    off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
-    return CheckResult(
-        file="",
-        check="length",
-        verdict=Verdict.PASS if off_s <= limit_s else Verdict.FAIL,
-        expected="as long as the reference",
-        value=off_s,
-        limit=limit_s,
-        margin=limit_s - off_s,
-        unit="s",
-        first_violation_s=None if off_s <= limit_s else min(lengths_s),
-        reason="" if off_s <= limit_s else f"{lengths_s[0]:g} s long, not {lengths_s[1]:g} s",
-        names=("distance", "speed", "turn_rate"),
-    )
+def read_to_judge(path: Path, choice: ReadChoice) -> tuple[Run, dict[str, str]]:
+    """Return a run, complete or not, and the notes on its reading."""
+    # An incomplete recording fails its check, which gives the reason.
+    run = read_as_chosen(path, replace(choice, allow_partial=True, allow_no_poses=True))
+    told = {name: text for name, text in run.notes.items() if name not in LOSS_NOTES}
+    return run, told
 
 
-def _match_metrics(
-    run: Run, reference: Mapping[str, Metric], tolerance: Tolerance | Tolerances | None
-) -> list[CheckResult]:
-    if isinstance(tolerance, Tolerances):
-        if tolerance.signals:
-            name = next(iter(tolerance.signals))
-            raise CheckError(f"tolerance: expected metrics alone, as the reference's: {name}")
-        wanted = dict(tolerance.metrics)
-    else:
-        wanted = dict.fromkeys(reference, tolerance or _METRICS_APART)
-    missing = sorted(wanted.keys() - reference.keys())
-    if missing:
-        raise CheckError(f"reference: has no metric {missing[0]}")
-    measured = measure_run(run, only=list(wanted))
-    results = []
-    for name, found in wanted.items():
-        names = choose_signals([name], run.declaration)
-        results.append(
-            _judge_metric(measured[name], reference[name], found, names, is_strict=False)
+_NO_XML: Final = {0xFFFE: r"\ufffe", 0xFFFF: r"\uffff"}
+
+
+def format_junit(files: Sequence[CheckedFile]) -> str:
+    """Return results as JUnit XML, with the times of the files."""
+    from xml.etree import ElementTree as Xml  # few checks need it
+
+    took_s = sum(found.took_s for found in files)
+    counts = _count([result for found in files for result in found.results])
+    root = Xml.Element("testsuites", {**counts, "time": f"{took_s:.3f}"})
+    root.set("name", "turtlelog check")
+    for found in files:
+        facts = {"name": _clean(found.file), **_count(found.results), "time": f"{found.took_s:.3f}"}
+        suite = Xml.SubElement(root, "testsuite", facts)
+        if found.started is not None:
+            suite.set("timestamp", found.started.isoformat(timespec="seconds"))
+        if found.metrics:
+            properties = Xml.SubElement(suite, "properties")
+            for metric in found.metrics.values():
+                value = metric.status.value if metric.value is None else repr(metric.value)
+                name = metric.id if metric.unit == "1" else f"{metric.id} [{metric.unit}]"
+                Xml.SubElement(properties, "property", {"name": name, "value": value})
+        each_s = found.each_s or (0.0,) * len(found.results)
+        for result, case_s in zip(found.results, each_s, strict=True):
+            names = {"name": _clean(result.check), "classname": _clean(result.file)}
+            case = Xml.SubElement(suite, "testcase", {**names, "time": f"{case_s:.3f}"})
+            if result.verdict is Verdict.SKIPPED:
+                Xml.SubElement(case, "skipped", {"message": _clean(result.reason)})
+            if result.verdict is Verdict.FAIL:
+                message = _clean(describe_result(result))
+                failure = Xml.SubElement(case, "failure", {"message": message, "type": "check"})
+                failure.text = _clean(found.details.get(result.check, "")) or message
+    Xml.indent(root)
+    text = Xml.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'
+
+
+def _count(results: Sequence[CheckResult]) -> dict[str, str]:
+    verdicts = [result.verdict for result in results]
+    return {
+        "tests": str(len(verdicts)),
+        "failures": str(verdicts.count(Verdict.FAIL)),
+        "skipped": str(verdicts.count(Verdict.SKIPPED)),
+        "errors": "0",
+    }
+
+
+def _clean(text: str) -> str:
+    """Return text with escapes for characters that XML cannot contain or that are invisible."""
+    return escape_controls(text, keep="\n").translate(_NO_XML)
+
+
+def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
+    """Return the run or metrics to which tolerances refer; None if no reference is needed.
+
+    `topics` are those of the runs, in addition to the specification's. A topic that the reference
+    does not have gets the default. The reference must always be complete.
+    """
+    require_reference(spec)
+    if not spec.tolerances or spec.reference is None:
+        return None
+    if (metrics := read_metrics_file(spec.reference)) is not None:
+        for name in spec.tolerances.signals:
+            raise CheckError(
+                f"{spec.source}: [signals.{name}] needs a recording as its reference, and"
+                f" {metrics.file} has metrics alone"
+            )
+        for name in spec.tolerances.metrics:
+            if name not in metrics.metrics:
+                raise CheckError(f"{spec.source}: [metrics]: {metrics.file} has no metric {name}")
+        return metrics
+    choice = _restrict(spec.read.override(topics or ReadChoice()), spec.reference)
+    return read_as_chosen(spec.reference, choice)
+
+
+def read_reference_trajectory(
+    spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
+) -> TrajectoryJudge | None:
+    """Return the judge of errors relative to the reference trajectory; None without a reference.
+
+    `topics` are as in `read_reference_run`. With `reads_files`, runs are named by their files, from
+    which poses in space are read.
+    """
+    names = sorted(list_formula_names(spec.checks) & TRAJECTORY_VALUES.keys())
+    if not names:
+        return None
+    if spec.reference is None:
+        raise CheckError(
+            f"{spec.source}: {names[0]} needs a trajectory that is true: reference = FILE in the"
+            " file, or --reference FILE"
         )
-    return results
+    choice = spec.read.override(topics or ReadChoice())
+    if split_topic(spec.reference)[0].exists():
+        return TrajectoryJudge(
+            reference=read_trajectory(spec.reference, _restrict(choice, spec.reference)),
+            settings=spec.trajectory,
+            choice=choice,
+            reads_files=reads_files,
+        )
+    raise CheckError(f"{spec.source}: reference: {spec.reference}: no such file")
+
+
+def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
+    """Return the choice without the topics that a file does not have."""
+    try:
+        bag = open_bag(split_topic(path)[0])
+    except LogError:
+        held, is_own = set[tuple[str, str]](), False  # a log, or nothing that can be read
+    else:
+        held = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
+        is_own = any(info.format_version is not None for info in bag.infos.values())
+    names = {name for name, _ in held}
+    changes: dict[str, Any] = {
+        key: name if name in names else None
+        for key in ("pose_topic", "command_topic", "path_topic")
+        if (name := getattr(choice, key)) is not None
+    }
+    has_frames = TRANSFORMS in {kind for _, kind in held}
+    changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
+    if JOINTS not in {kind for _, kind in held}:
+        changes |= {"wheel_joints": None, "wheels": None}
+    # A turtlelog recording contains its own goal.
+    changes |= {"goal": None} if is_own else {}
+    return replace(choice, allow_partial=False, **changes)
+
+
+_KEYS: Final = (
+    *(Key(name) for name in ("check", "verdict", "expected")),
+    *(Key(name, "real") for name in ("value", "limit", "margin")),
+    Key("unit"),
+    Key("value_s", "real", "s"),
+    Key("decided_by"),
+    Key("first_violation_s", "real", "s"),
+    Key("reason"),
+)
+_DECIDED: Final = Key("decided", "whole")
+"""Column with 1 if the verdict is decided, otherwise 0."""
+
+_AT_ONCE: Final = 4096
+"""Number of rows of a table that are converted to Python values at once."""
+
+_RECORDING: Final = "recording"
+"""Name of the check that fails if a recording cannot be read, or is incomplete."""
+
+Judge = Callable[[str], Sequence[CheckResult]]
+
+
+def _judge_file(path: str, *, judge: Judge) -> list[Row]:
+    try:
+        return [_build_row(result) for result in judge(path)]
+    except LibraryError as err:
+        raise CheckError(f"{path}: {err}") from err
+
+
+def _build_row(result: CheckResult) -> Row:
+    row: dict[Key, Cell] = {key: getattr(result, key.name, None) for key in _KEYS}
+    row |= {key: str(cell) or None for key, cell in row.items() if key.type == "text"}
+    is_lost = result.check == _RECORDING and not result.is_decided
+    return {**row, _DECIDED: int(result.is_decided), ERROR: result.reason if is_lost else None}
+
+
+def plan_verdict_table(
+    spec: Spec, judge: Judge, choice: ReadChoice, *, is_partial: bool
+) -> "RecordingTable":
+    """Return the plan of `tabulate_recordings` for a table with one row per file and check.
+
+    The judge of files must be picklable. `is_partial`: whether an incomplete recording may pass.
+    """
+    held = hashlib.sha256(sweep.describe_values(spec).encode()).hexdigest()
+    facts = {"specification": held, "reading": sweep.describe_values(choice)}
+    facts["partial"] = str(is_partial)
+    if spec.reference is not None:
+        facts["reference"] = sweep.hash_recording(spec.reference)
+    return sweep.RecordingTable(
+        kind="verdicts",
+        facts=facts,
+        work=partial(_judge_file, judge=judge),
+        order=lambda _keys, _used: (*_KEYS, _DECIDED),
+    )
+
+
+def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]:
+    """Yield the results in a table; `files` are their files' names, by label in the table."""
+    keys = (FILE, *_KEYS, _DECIDED)
+    names, texts = [key.name for key in keys], [key for key in _KEYS if key.type == "text"]
+    table = open_result_table(path, kind="verdicts")
+    for group, count in enumerate(table.group_rows):
+        columns = table.read(names, group)
+        for first in range(0, count, _AT_ONCE):
+            part = {one.name: list_cells(one.cells[first : first + _AT_ONCE]) for one in columns}
+            rows: Iterator[Any] = zip(*(part[name] for name in names), strict=True)
+            for row in rows:
+                cells = dict(zip(names, row, strict=True))
+                if cells["verdict"] is None:
+                    continue
+                # Texts repeat from file to file, and are stored once in memory.
+                cells |= {one.name: intern(cells[one.name] or "") for one in texts}
+                cells["is_decided"] = bool(cells.pop("decided"))
+                cells |= {"file": files[cells["file"]], "verdict": Verdict(cells["verdict"])}
+                yield CheckResult(**cells)

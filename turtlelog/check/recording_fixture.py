@@ -7,25 +7,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, Unpack
 
+from turtlelog.check import spec
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_formula import judge_check, watch_metric
-from turtlelog.check.judge_run import (
+from turtlelog.check.reference import (
     AnyReference,
     AnyTolerance,
-    fail_recording,
+    ReferenceFile,
     judge_replay,
     match_run,
 )
-from turtlelog.check.reference import ReferenceFile
-from turtlelog.check.result import CheckOutcome, CheckResult
-from turtlelog.check.spec import Check
-from turtlelog.check.vocabulary import (
-    describe_nearest,
-    names_metrics_alone,
-    require_known_names,
-    require_phase,
-)
+from turtlelog.check.result import CheckOutcome, CheckResult, fail_recording
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError, MissingValueError, PartialLogError
 from turtlelog.expressions import parse_expression
@@ -122,7 +115,7 @@ class Recording:
         """
         if find_metric_kind(name) is None:
             known = dict.fromkeys([*list_metrics(self.run.declaration), *list_ids_like(name)])
-            raise CheckError(f"metric: {describe_nearest(name, tuple(known))}")
+            raise CheckError(f"metric: {spec.describe_nearest(name, tuple(known))}")
         return watch_metric(self.run, self.file, name, self._note, settings)
 
     def phase(self, name: str) -> "PhaseMetrics":
@@ -134,7 +127,7 @@ class Recording:
         ids = list_metrics(self.run.declaration)
         parts = tuple(dict.fromkeys(known.rpartition(".")[0] for known in ids))
         if name not in parts:
-            raise CheckError(f"phase: {describe_nearest(name, parts)}")
+            raise CheckError(f"phase: {spec.describe_nearest(name, parts)}")
         return PhaseMetrics(self, name)
 
     def robot(self) -> "RobotValues":
@@ -155,11 +148,11 @@ class Recording:
         """
         parsed = parse_expression(formula, source="holds")
         if phase is not None:
-            require_phase(phase, self.run)
-        require_known_names(parsed, over_time=True, run=self.run)
-        is_measured = phase is None and names_metrics_alone(parsed)
+            spec.require_phase(phase, self.run)
+        spec.require_known_names(parsed, over_time=True, run=self.run)
+        is_measured = phase is None and spec.names_metrics_alone(parsed)
         kind: Literal["expect", "holds"] = "expect" if is_measured else "holds"
-        check = Check(name="", kind=kind, formula=parsed, phase=phase)
+        check = spec.Check(name="", kind=kind, formula=parsed, phase=phase)
         result = judge_check(check, self.run, file=self.file)
         return self._conclude([replace(result, check=result.expected)])
 
@@ -214,7 +207,7 @@ class Recording:
         reference = next((one.reference for one in results if one.reference is not None), None)
         if reference is None:
             return results
-        from turtlelog.check.difference_reason import explain_failures
+        from turtlelog.check.failure_report import explain_failures
 
         return explain_failures(self.run, reference, results, trust_law=self._trust_law)
 
@@ -249,7 +242,7 @@ class PhaseMetrics:
             return self._recording.metric(f"{self._name}.{name}")
         prefix = f"{self._name}."
         known = tuple(found.removeprefix(prefix) for found in ids if found.startswith(prefix))
-        raise UnknownMetricError(f"metric of {self._name}: {describe_nearest(name, known)}")
+        raise UnknownMetricError(f"metric of {self._name}: {spec.describe_nearest(name, known)}")
 
 
 class RobotValues:

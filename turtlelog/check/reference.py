@@ -1,35 +1,32 @@
-"""References: recordings, trajectories, or metrics as `turtlelog metrics --json` prints them."""
+"""References of a run, and the results of comparing a run with one: a recording or metrics."""
 
 import json
+import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
-from typing import Any
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from turtlelog.check.spec import Spec, list_formula_names
-from turtlelog.check.spec_file import require_reference
-from turtlelog.check.vocabulary import TRAJECTORY_VALUES, TrajectoryJudge
-from turtlelog.errors import CheckError, LogError
+from turtlelog import measure
+from turtlelog.check.result import CheckResult, JudgedSignal, Verdict, fail_recording
+from turtlelog.check.spec import Tolerances, choose_signals
+from turtlelog.check.spec_file import load_tolerances
+from turtlelog.compare import Tolerance
+from turtlelog.compare.common_clock import find_zero_ns
+from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
+from turtlelog.display import format_number, format_pair
+from turtlelog.errors import CheckError
 from turtlelog.files.text_files import format_toml
-from turtlelog.log import (
-    ReadChoice,
-    read_as_chosen,
-    read_run,
-    read_trajectory,
-    replace_when_complete,
-    split_topic,
-    write_recording,
-)
+from turtlelog.files.urls import make_path
+from turtlelog.log import read_run, replace_when_complete, write_recording
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.planar_poses import JOINTS, TRANSFORMS
-from turtlelog.log.ros2.bag_rows import open_bag
-from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
+from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
 from turtlelog.run import Run
 from turtlelog.scenario import nest_parameters
 
@@ -46,7 +43,7 @@ class MetricsFile:
     """
 
     file: str
-    metrics: Mapping[str, Metric]
+    metrics: Mapping[str, measure.Metric]
     scenario: str = ""
     simulated_by: Mapping[str, str] = field(default_factory=dict)
 
@@ -120,7 +117,7 @@ def load_reference(path: Path) -> Run | MetricsFile:
 
 def format_metrics(run: Run, file: str) -> str:
     """Return the metrics of a run as `turtlelog metrics --json` prints them, with their origin."""
-    metrics = [metric.to_dict() for metric in measure_run(run).values()]
+    metrics = [metric.to_dict() for metric in measure.measure_run(run).values()]
     entry: dict[str, Any] = {"file": file, "name": run.name, "metrics": metrics}
     if run.scenario_is_complete:
         entry["scenario"] = format_toml(nest_parameters(run.parameters))
@@ -145,9 +142,8 @@ def read_metrics_file(path: Path) -> MetricsFile | None:
         found = found[0]
     if not _has_metrics(found):
         return None
-    metrics = [
-        _parse_metric(entry, f"{path}: metrics[{i}]") for i, entry in enumerate(found["metrics"])
-    ]
+    entries = enumerate(found["metrics"])
+    metrics = [_parse_metric(entry, f"{path}: metrics[{number}]") for number, entry in entries]
     if not metrics:
         raise CheckError(f"{path}: metrics: must not be empty")
     return MetricsFile(
@@ -170,104 +166,287 @@ def _has_metrics(found: Any) -> bool:
     return isinstance(found, dict) and isinstance(found.get("metrics"), list)
 
 
-def _parse_metric(entry: Any, place: str) -> Metric:
+def _parse_metric(entry: Any, place: str) -> measure.Metric:
     found = entry.get("id") if isinstance(entry, dict) else entry
-    kind = find_metric_kind(found) if isinstance(found, str) else None
+    kind = measure.find_metric_kind(found) if isinstance(found, str) else None
     if not isinstance(entry, dict) or kind is None:
         raise CheckError(f"{place}.id: expected the id of a metric, found {found!r}")
-    unit, value, status = entry.get("unit"), entry.get("value"), entry.get("status")
+    unit, status = entry.get("unit"), entry.get("status")
+    value: Any = entry.get("value")
     # For any loop the unit is `deg or m` if it depends on the controlled signal.
     if unit not in (kind.unit, *kind.unit.split(" or ")):
         raise CheckError(f"{place}.unit: expected {kind.unit}, found {unit!r}")
-    if status not in list(Status):
+    if status not in list(measure.Status):
         raise CheckError(f"{place}.status: expected one of a metric, found {status!r}")
-    if (status == Status.OK) != _is_finite(value):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    is_finite = is_number and abs(value) <= sys.float_info.max
+    if (status == measure.Status.OK) != is_finite:
         raise CheckError(f"{place}.value: expected one that goes with {status}, found {value!r}")
     reason = entry.get("reason") or ""
-    return Metric(id=entry["id"], value=value, unit=unit, status=Status(status), reason=str(reason))
+    return measure.Metric(
+        id=entry["id"], value=value, unit=unit, status=measure.Status(status), reason=str(reason)
+    )
 
 
-def _is_finite(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= sys.float_info.max
+AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
+AnyReference: TypeAlias = (
+    Run | ReferenceFile | MetricsFile | Mapping[str, measure.Metric] | str | Path
+)
+
+_SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
+_METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
 
 
-def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | MetricsFile | None:
-    """Return the run or metrics to which tolerances refer; None if no reference is needed.
+def match_run(
+    run: Run,
+    reference: AnyReference,
+    tolerance: AnyTolerance = None,
+    *,
+    file: str = "",
+    alignment: str = "first_sample",
+) -> list[CheckResult]:
+    """Return the results of comparing a run with a reference.
 
-    `topics` are those of the runs, in addition to the specification's. A topic that the reference
-    does not have gets the default. The reference must always be complete.
+    Args:
+        run: Run that is judged.
+        reference: A run, its file, or metrics. If the reference is metrics, a value that is missing
+            there must also be missing in the run.
+        tolerance: Tolerance of every signal or metric; `Tolerances` or a file of them select the
+            signals and metrics to judge. None: signals may differ by 1e-6, and metrics may be worse
+            by a millionth.
+        file: Name of the run in results; empty: the run's own name.
+        alignment: Alignment, as in `compare_runs`.
+
+    Raises:
+        CheckError: If the reference cannot be read, or the tolerance does not fit it.
+        CompareError: If there is no such alignment, or the runs do not overlap.
     """
-    require_reference(spec)
-    if not spec.tolerances or spec.reference is None:
-        return None
-    if (metrics := read_metrics_file(spec.reference)) is not None:
-        _require_metrics(spec, metrics)
-        return metrics
-    choice = _restrict(spec.read.override(topics or ReadChoice()), spec.reference)
-    return read_as_chosen(spec.reference, choice)
-
-
-def _require_metrics(spec: Spec, reference: MetricsFile) -> None:
-    """Raise an error for tolerances to which a file of metrics cannot be compared."""
-    if spec.tolerances.signals:
-        name = next(iter(spec.tolerances.signals))
-        raise CheckError(
-            f"{spec.source}: [signals.{name}] needs a recording as its reference, and"
-            f" {reference.file} has metrics alone"
-        )
-    missing = next((one for one in spec.tolerances.metrics if one not in reference.metrics), None)
-    if missing is not None:
-        raise CheckError(f"{spec.source}: [metrics]: {reference.file} has no metric {missing}")
-
-
-def read_reference_trajectory(
-    spec: Spec, topics: ReadChoice | None = None, *, reads_files: bool = False
-) -> TrajectoryJudge | None:
-    """Return the judge of errors relative to the reference trajectory; None without a reference.
-
-    `topics` are as in `read_reference_run`. With `reads_files`, runs are named by their files, from
-    which poses in space are read.
-    """
-    names = sorted(list_formula_names(spec.checks) & TRAJECTORY_VALUES.keys())
-    if not names:
-        return None
-    if spec.reference is None:
-        raise CheckError(
-            f"{spec.source}: {names[0]} needs a trajectory that is true: reference = FILE in the"
-            " file, or --reference FILE"
-        )
-    choice = spec.read.override(topics or ReadChoice())
-    if split_topic(spec.reference)[0].exists():
-        return TrajectoryJudge(
-            reference=read_trajectory(spec.reference, _restrict(choice, spec.reference)),
-            settings=spec.trajectory,
-            choice=choice,
-            reads_files=reads_files,
-        )
-    raise CheckError(f"{spec.source}: reference: {spec.reference}: no such file")
-
-
-def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
-    """Return the choice without the topics that a file does not have."""
-    try:
-        bag = open_bag(split_topic(path)[0])
-    except LogError:
-        held, is_own = set[tuple[str, str]](), False  # a log, or nothing that can be read
+    if isinstance(reference, ReferenceFile):
+        reference = reference.load()
+    if isinstance(reference, str | Path):
+        reference = load_reference(make_path(reference))
+    if isinstance(tolerance, str | Path):
+        tolerance = load_tolerances(tolerance)
+    if isinstance(tolerance, Tolerances) and not tolerance:
+        raise CheckError("tolerance: names no signal or metric")
+    if isinstance(reference, MetricsFile):
+        results = _match_metrics(run, reference.metrics, tolerance)
+    elif not isinstance(reference, Run):
+        results = _match_metrics(run, reference, tolerance)
+    elif isinstance(tolerance, Tolerances):
+        results = [*_judge_run(run, reference, tolerance, alignment)]
     else:
-        held = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
-        is_own = any(info.format_version is not None for info in bag.infos.values())
-    names = {name for name, _ in held}
-    changes: dict[str, Any] = {
-        key: name if name in names else None
-        for key in ("pose_topic", "command_topic", "path_topic")
-        if (name := getattr(choice, key)) is not None
-    }
-    has_frames = TRANSFORMS in {kind for _, kind in held}
-    changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
-    if JOINTS not in {kind for _, kind in held}:
-        changes |= {"wheel_joints": None, "wheels": None}
-    # A turtlelog recording contains its own goal.
-    changes |= {"goal": None} if is_own else {}
-    return replace(choice, allow_partial=False, **changes)
+        tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)
+        length = _judge_length(run, reference, 0.0 if tolerance is None else tolerance.time_s)
+        results = [*_judge_run(run, reference, tolerances, alignment), length]
+    shown = reference if isinstance(reference, Run | MetricsFile) else None
+    return [replace(one, file=file or run.name, reference=shown) for one in results]
+
+
+def judge_replay(
+    run: Run, found: LawReplay | LoopReplay | PlantReplay, *, file: str
+) -> list[CheckResult]:
+    """Return whether a replay equals the recording: every signal, numbers of rows, and the end."""
+    mode = {LawReplay: "law", LoopReplay: "loop", PlantReplay: "plant"}[type(found)]
+    verb = "the law answers" if mode == "law" else "replayed"
+
+    def describe(difference: Difference) -> str:
+        unit = units.get(difference.signal, "")
+        recorded, replayed = format_pair(difference.recorded, difference.replayed, unit)
+        return f"recorded {recorded}, {verb} {replayed}"
+
+    units = {signal.signal: signal.unit for signal in found.signals}
+    known = measure.list_signals(run.declaration)
+    signals = [
+        replace(
+            _judge_signal(signal, f"{mode}.{signal.signal}", run.start_ns, describe),
+            file=file,
+            expected="as recorded",
+            names=(signal.signal,) if signal.signal in known else ("speed", "turn_rate"),
+        )
+        for signal in found.signals
+    ]
+    others = [
+        CheckResult(
+            file=file,
+            check=f"{mode}.{other.signal}",
+            verdict=Verdict.FAIL,
+            expected="as recorded",
+            first_violation_s=(other.time_ns - run.start_ns) / 1e9,
+            reason=describe(other),
+            names=("distance", "speed", "turn_rate"),
+        )
+        for other in found.others
+    ]
+    return [*signals, *others]
+
+
+def _judge_run(
+    run: Run, reference: Run, tolerances: Tolerances, alignment: str
+) -> Iterator[CheckResult]:
+    differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
+    start_ns = run.start_ns - find_zero_ns(run, alignment)  # zero of the times in results
+
+    def describe(difference: Difference) -> str:
+        sides = (difference.replayed, difference.recorded)
+        at_s = (difference.time_ns - start_ns) / 1e9
+        return f"{_tell_sides(sides, units[difference.signal])} at {at_s:.3f} s"
+
+    units = measure.list_signal_units([reference.declaration, run.declaration])
+    for name, tolerance in tolerances.signals.items():
+        check, names = f"signals.{name}", choose_signals([name], run.declaration)
+        if name not in differences:
+            reason = explain_lack(name, reference, run)
+            yield _leave_open(check, units.get(name, ""), reason, names)
+            continue
+        found = differences[name]
+        expected = f"within {format_number(found.limit, found.unit)} of the reference"
+        if tolerance.time_s and alignment == "sample":
+            expected = f"{expected}, sample by sample: no tolerance in time applies"
+        elif tolerance.time_s:
+            expected = f"{expected} within {tolerance.time_s:g} s"
+        judged = JudgedSignal(
+            name=name, reference=reference, tolerance=tolerance, alignment=alignment
+        )
+        result = _judge_signal(found, check, start_ns, describe)
+        yield replace(result, expected=expected, names=names, judged=judged)
+    known = measure.list_metrics(reference.declaration, run.declaration)
+    for pair in compare_metrics(reference, run, list(tolerances.metrics)):
+        metric, names = pair.metric, choose_signals([pair.metric.id], run.declaration)
+        if metric.id in known:
+            tolerance = tolerances.metrics[metric.id]
+            yield _judge_metric(metric, pair.reference, tolerance, names, is_strict=True)
+        else:
+            yield _leave_open(f"metrics.{metric.id}", metric.unit, metric.lack, names)
+
+
+def _judge_signal(
+    found: SignalDifference, check: str, start_ns: int, describe: Callable[[Difference], str]
+) -> CheckResult:
+    """Return the verdict on a signal. A value that is missing on one side has no distance."""
+    first, furthest = found.first_difference, found.largest_difference
+    margin = found.limit - found.largest
+    has_distance = math.isfinite(margin) and (first is None or margin < 0)
+    told = furthest if has_distance and furthest is not None else first
+    return CheckResult(
+        file="",
+        check=check,
+        verdict=Verdict.PASS if first is None else Verdict.FAIL,
+        value=found.largest if has_distance else None,
+        limit=found.limit,
+        margin=margin if has_distance else None,
+        unit=found.unit,
+        value_s=(furthest.time_ns - start_ns) / 1e9 if has_distance and furthest else None,
+        first_violation_s=None if first is None else (first.time_ns - start_ns) / 1e9,
+        reason="" if first is None or told is None else describe(told),
+    )
+
+
+def _judge_metric(
+    metric: measure.Metric,
+    reference: measure.Metric,
+    tolerance: Tolerance,
+    names: tuple[str, ...],
+    *,
+    is_strict: bool,
+) -> CheckResult:
+    """Return the verdict on a metric, which fails in its bad direction or with another status.
+
+    If neither has a value, the metric passes unless `is_strict`.
+    """
+    check, unit = f"metrics.{metric.id}", metric.unit
+    if metric.value is None or reference.value is None:
+        is_same = metric.status == reference.status
+        reason = f"same status as the reference: {_tell_status(metric)}"
+        if not is_same:
+            reason = f"{_tell_status(metric)}, where the reference has {_tell_status(reference)}"
+        found = _leave_open(check, unit, reason, names)
+        if is_strict or not is_same:
+            return found
+        return replace(found, verdict=Verdict.PASS, is_decided=True)
+    kind = measure.find_metric_kind(metric.id)
+    if kind is None or metric.unit != reference.unit:
+        reason = f"in {metric.unit}, where the reference has {reference.unit}: not compared"
+        return _leave_open(check, unit, reason, names)
+    off = kind.compute_loss(metric.value, reference.value)
+    limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
+    sides = metric.value, reference.value
+    return CheckResult(
+        file="",
+        check=check,
+        verdict=Verdict.PASS if off <= limit else Verdict.FAIL,
+        expected=f"within {format_number(limit, unit)} of the reference",
+        value=off,
+        limit=limit,
+        margin=limit - off,
+        unit=unit,
+        reason="" if off <= limit else _tell_sides(sides, unit),
+        names=names,
+    )
+
+
+def _leave_open(check: str, unit: str, reason: str, names: tuple[str, ...]) -> CheckResult:
+    """Return that a metric or signal cannot be judged, which does not count as a pass."""
+    return replace(fail_recording("", reason), check=check, unit=unit, names=names)
+
+
+def _tell_sides(sides: tuple[float | str | None, ...], unit: str) -> str:
+    texts = [side if isinstance(side, str) else format_number(side, unit) for side in sides]
+    return f"{texts[0]} where the reference has {texts[1]}"
+
+
+def _tell_status(metric: measure.Metric) -> str:
+    return metric.lack if metric.reason else metric.status.value
+
+
+def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
+    """Return one tolerance for every signal that either run contains."""
+    label = replace(tolerance, abs=0.0, rel=0.0)
+    kinds = {**measure.list_signals(run.declaration), **measure.list_signals(reference.declaration)}
+    return Tolerances(
+        signals={
+            name: label if kinds[name].compared_as == "label" else tolerance
+            for name in measure.list_signal_units([run.declaration, reference.declaration])
+            if any(measure.find_signal(found, name) is not None for found in (run, reference))
+        }
+    )
+
+
+def _judge_length(run: Run, reference: Run, window_s: float) -> CheckResult:
+    """Return whether both runs have the same length; signals are compared on the overlap."""
+    lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
+    off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
+    return CheckResult(
+        file="",
+        check="length",
+        verdict=Verdict.PASS if off_s <= limit_s else Verdict.FAIL,
+        expected="as long as the reference",
+        value=off_s,
+        limit=limit_s,
+        margin=limit_s - off_s,
+        unit="s",
+        first_violation_s=None if off_s <= limit_s else min(lengths_s),
+        reason="" if off_s <= limit_s else f"{lengths_s[0]:g} s long, not {lengths_s[1]:g} s",
+        names=("distance", "speed", "turn_rate"),
+    )
+
+
+def _match_metrics(
+    run: Run, reference: Mapping[str, measure.Metric], tolerance: Tolerance | Tolerances | None
+) -> list[CheckResult]:
+    if isinstance(tolerance, Tolerances):
+        if tolerance.signals:
+            name = next(iter(tolerance.signals))
+            raise CheckError(f"tolerance: expected metrics alone, as the reference's: {name}")
+        wanted = dict(tolerance.metrics)
+    else:
+        wanted = dict.fromkeys(reference, tolerance or _METRICS_APART)
+    missing = sorted(wanted.keys() - reference.keys())
+    if missing:
+        raise CheckError(f"reference: has no metric {missing[0]}")
+    measured = measure.measure_run(run, only=list(wanted))
+    results = []
+    for name, limit in wanted.items():
+        names = choose_signals([name], run.declaration)
+        results += [_judge_metric(measured[name], reference[name], limit, names, is_strict=False)]
+    return results

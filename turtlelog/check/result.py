@@ -171,21 +171,20 @@ def decide_verdict(found: Container[Verdict]) -> Verdict:
 
 def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
     """Return for each unit the result with the smallest margin; failures have priority."""
+
+    def passes(result: CheckResult) -> bool:
+        return result.verdict is not Verdict.FAIL
+
+    def rank(result: CheckResult) -> tuple[bool, float]:
+        # With a margin of 0, a failed strict bound is worse than a passed bound.
+        return passes(result), result.margin or 0.0
+
     worst: dict[str, CheckResult] = {}
     for result in results:
         before = worst.get(result.unit, result)
-        if result.margin is not None and (before is result or _rank(result) < _rank(before)):
+        if result.margin is not None and (before is result or rank(result) < rank(before)):
             worst[result.unit] = result
-    return sorted(worst.values(), key=_passes)
-
-
-def _rank(result: CheckResult) -> tuple[bool, float]:
-    # With a margin of 0, a failed strict bound is worse than a passed bound.
-    return _passes(result), result.margin or 0.0
-
-
-def _passes(result: CheckResult) -> bool:
-    return result.verdict is not Verdict.FAIL
+    return sorted(worst.values(), key=passes)
 
 
 def describe_result(result: CheckResult) -> str:
@@ -205,11 +204,15 @@ def describe_result(result: CheckResult) -> str:
 
 def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
     heads = ("file", "check", "verdict", "value", "margin", "expected", "reason")
-    rows = [
-        (
-            *(one.file, one.check, one.verdict.value, format_number(one.value, one.unit)),
-            *(format_number(one.margin, one.unit), one.expected, one.reason),
-        )
-        for one in results
-    ]
+    rows = []
+    for one in results:
+        numbers = [format_number(number, one.unit) for number in (one.value, one.margin)]
+        rows.append((one.file, one.check, one.verdict.value, *numbers, one.expected, one.reason))
     return format_html(rows, heads=heads, title=title)
+
+
+def fail_recording(file: str, reason: str) -> CheckResult:
+    """Return the result for a recording on which no check could be judged."""
+    return CheckResult(
+        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+    )

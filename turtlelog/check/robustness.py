@@ -8,10 +8,10 @@ after any other end, they are unknown.
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from textwrap import shorten
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from turtlelog.check.formula_trace import (
     align_steps,
     combine_steps,
     compute_until,
+    list_names,
     negate_steps,
     slide_maximum,
     slide_minimum,
@@ -34,7 +35,6 @@ from turtlelog.expressions import (
     Expression,
     Kind,
     Logic,
-    Name,
     Node,
     Operand,
     Prefix,
@@ -194,9 +194,17 @@ class PartReader:
         for part in iterate_nodes(node):
             if isinstance(part, Temporal | Until):
                 fail_at(self._expression, part, "expected no temporal operator in a comparison")
-        time_ns, values = self._read(node)
+        names = self.trace.signals.keys() & list_names(node)
+        signals = {name: self.trace.signals[name] for name in names}
+        values, time_ns = self.trace.constants, np.array([self.trace.start_ns])
+        if signals:
+            time_ns, columns = align_steps([*signals.values()])
+            values = {**values, **dict(zip(signals, columns, strict=True))}
         if isinstance(node, Comparison):
-            margins = self._compare(node, values)
+            operands = [evaluate_node(self._expression, part, values) for part in node.operands]
+            check_comparison(self._expression, node, operands)
+            pairs = zip(operands, node.operators, operands[1:], strict=False)
+            margins = functools.reduce(np.minimum, [self._measure(*pair) for pair in pairs])
         else:
             found = evaluate_node(self._expression, node, values)
             require_kind(self._expression, node, found, Kind.TRUTH)
@@ -204,28 +212,9 @@ class PartReader:
         if not math.isnan(self._unknown):
             margins = np.where(np.isnan(margins), sign * self._unknown, margins)
         steps = Steps(time_ns=time_ns, values=np.broadcast_to(margins, time_ns.shape))
-        if self.trace.ending is RunEnding.SETTLED or not self._name_signals(node):
+        if self.trace.ending is RunEnding.SETTLED or not signals:
             return steps
         return steps.end_with(sign * self._unknown, from_ns=self.trace.end_ns + 1)
-
-    def _name_signals(self, node: Node) -> list[str]:
-        names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
-        return [name for name in names if name in self.trace.signals]
-
-    def _read(self, node: Node) -> tuple[NDArray[np.int64], Mapping[str, Any]]:
-        """Return the common steps of the signals below a node, and the values by name."""
-        signals = {name: self.trace.signals[name] for name in self._name_signals(node)}
-        if not signals:
-            return np.array([self.trace.start_ns]), self.trace.constants
-        time_ns, columns = align_steps(list(signals.values()))
-        return time_ns, {**self.trace.constants, **dict(zip(signals, columns, strict=True))}
-
-    def _compare(self, node: Comparison, values: Mapping[str, Any]) -> Values:
-        operands = [evaluate_node(self._expression, part, values) for part in node.operands]
-        check_comparison(self._expression, node, operands)
-        pairs = zip(operands, node.operators, operands[1:], strict=False)
-        margins = [self._measure(*pair) for pair in pairs]
-        return functools.reduce(np.minimum, margins)
 
     def _measure(self, left: Operand, operator: str, right: Operand) -> Values:
         if self._exact or not {left.kind, right.kind} <= {Kind.NUMBER, Kind.UNKNOWN}:
@@ -255,9 +244,7 @@ class _Leaf:
         node = self._node
         if not isinstance(node, Comparison) or len(node.operators) == 1:
             return CriticalPart(node=node, time_ns=time_ns)
-        pairs = zip(node.operators, node.operands, node.operands[1:], strict=False)
-        links = [Comparison(operators=(op,), operands=(a, b)) for op, a, b in pairs]
-        found = [_Leaf(self._reader, link, self._sign) for link in links]
+        found = [_Leaf(self._reader, link, self._sign) for link in split_comparison(node)]
         return min(found, key=lambda link: _read(link, time_ns)).find_critical(time_ns)
 
     def find_violation(self) -> int | None:
@@ -368,6 +355,12 @@ def read_margin(whole: Part) -> float:
 
 def _read(part: Part, time_ns: int) -> float:
     return float(part.margins.values[part.margins.find_piece(time_ns)])
+
+
+def split_comparison(node: Comparison) -> Iterator[Comparison]:
+    """Yield the two-sided comparisons of a chain, as results name them."""
+    for operator, *sides in zip(node.operators, node.operands, node.operands[1:], strict=False):
+        yield Comparison(operators=(operator,), operands=tuple(sides))
 
 
 def _find_failure(part: Part, start_ns: int, end_ns: int) -> int | None:

@@ -1,30 +1,38 @@
-"""Specifications: the requirements on recordings, as values and as JSON Schema."""
+"""Specifications as values, the names that they may use, and values in a run other than metrics."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal
 
-from turtlelog.compare import ALIGNMENTS, Delta, Tolerance, TrajectorySettings
-from turtlelog.compare.trajectory_comparison import ALIGN_IN
+from turtlelog import expressions
+from turtlelog.compare import Delta, Tolerance, TrajectorySettings, compare_trajectories
 from turtlelog.display import describe_count
-from turtlelog.errors import CompareError
+from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.escapes import escape_controls
-from turtlelog.expressions import Expression
-from turtlelog.log import ReadChoice
-from turtlelog.log.read_choice import TimeSource
+from turtlelog.log import ReadChoice, read_trajectory
 from turtlelog.measure import (
-    ANY_LOOP,
     METRICS,
     SIGNALS,
+    Metric,
+    MetricKind,
     could_be_signal,
     find_metric_kind,
     list_ids_like,
+    list_metrics,
+    list_signals,
 )
+from turtlelog.measure.metric import NO_POSES, Status
+from turtlelog.run import Run, Trajectory, build_planar_trajectory
 from turtlelog.run.columns import Rebuilding, rebuild_value
-from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
-from turtlelog.scenario import describe_unknown_key
+from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
+from turtlelog.scenario import Scenario, describe_unknown_key, flatten_scenario
 from turtlelog.scenario.file_tables import name_key
 
 FORMAT: Final = 1
@@ -49,9 +57,9 @@ class Check:
 
     name: str
     kind: Literal["expect", "holds"]
-    formula: Expression
+    formula: expressions.Expression
     phase: str | None = None
-    when: Expression | None = None
+    when: expressions.Expression | None = None
     reason: str = ""
     is_observed: bool = False
 
@@ -89,7 +97,15 @@ class Tolerances:
                 if not is_known(kind, name):
                     known = list_nearby(kind, name)
                     raise CompareError(f"{place}: {describe_unknown_key(name, known)}")
-                _require_fitting(kind, name, tolerance, place)
+                keys: tuple[str, ...] = ("time_s",) if kind == "metrics" else ()
+                if kind == "signals" and is_label_signal(name):
+                    keys = ("abs", "rel")
+                for key in keys:
+                    if value := getattr(tolerance, key):
+                        what = "metric" if kind == "metrics" else "label"
+                        raise CompareError(
+                            f"{place}.{key}: expected none for a {what}, found {value}"
+                        )
             object.__setattr__(self, kind, MappingProxyType(dict(found)))
 
     def __bool__(self) -> bool:
@@ -126,11 +142,10 @@ class Spec:
     source: str = "specification"
 
     def __repr__(self) -> str:
-        held = len(self.tolerances.signals) + len(self.tolerances.metrics)
         checks = describe_count(len(self.checks), "check")
-        return escape_controls(
-            f"<Spec {self.source}: {checks}, {describe_count(held, 'tolerance')}>"
-        )
+        count = len(self.tolerances.signals) + len(self.tolerances.metrics)
+        held = describe_count(count, "tolerance")
+        return escape_controls(f"<Spec {self.source}: {checks}, {held}>")
 
 
 def is_known(kind: str, name: str) -> bool:
@@ -143,138 +158,13 @@ def list_nearby(kind: str, name: str) -> list[str]:
     return list(SIGNALS) if kind == "signals" else [*METRICS, *list_ids_like(name)]
 
 
-def _require_fitting(kind: str, name: str, tolerance: Tolerance, place: str) -> None:
-    if kind == "metrics" and tolerance.time_s:
-        raise CompareError(f"{place}.time_s: expected none for a metric, found {tolerance.time_s}")
-    is_label = kind == "signals" and is_label_signal(name)
-    if is_label and (tolerance.abs or tolerance.rel):
-        key, found = ("abs", tolerance.abs) if tolerance.abs else ("rel", tolerance.rel)
-        raise CompareError(f"{place}.{key}: expected none for a label, found {found}")
-
-
 def is_label_signal(name: str) -> bool:
     """Return whether a signal is a label, which is either equal or not."""
     return name in SIGNALS and SIGNALS[name].compared_as == "label"
 
 
-_TEXT: Final = {"type": "string", "pattern": "\\S"}
-_REASON: Final = {**_TEXT, "description": "Why so much and no more."}
-_NOT_NEGATIVE: Final = {"type": "number", "minimum": 0}
-
-_LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
-"""Pattern of loop names. The run's law determines the loops and phases."""
-
-
-def build_schema() -> dict[str, Any]:
-    """Return the schema, draft 2020-12. Formulas are texts that `turtlelog check` parses."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "turtlelog specification and tolerance file",
-        "type": "object",
-        "required": ["format"],
-        "anyOf": [{"required": [key]} for key in ("checks", "signals", "metrics")],
-        "additionalProperties": False,
-        "properties": {
-            "format": {"const": FORMAT, "description": "Of this file."},
-            "reference": {
-                **_TEXT,
-                "description": "Recording that tolerances are taken from, relative to this file.",
-            },
-            "alignment": {
-                "type": "string",
-                "pattern": f"^(?:{'|'.join(ALIGNMENTS).replace('NAME', NAME_PATTERN)})$",
-                "description": "How runs and reference are brought together in time.",
-            },
-            "trajectory": _build_trajectory(),
-            "read": _build_read(),
-            "checks": {
-                "type": "object",
-                "additionalProperties": _build_check(),
-                "description": "What is to hold, by a name of your own.",
-            },
-            "signals": _build_signals(),
-            "metrics": _build_metrics(),
-        },
-        "$defs": {
-            "signal": _build_tolerance(has_time=True),
-            "metric": _build_tolerance(has_time=False),
-        },
-    }
-
-
-def _build_table(
-    properties: Mapping[str, Any], *, description: str = "", **more: Any
-) -> dict[str, Any]:
-    """Return the schema of a table with these keys and no others."""
-    told = {"description": description} if description else {}
-    head = {"type": "object", "additionalProperties": False, **told}
-    return {**head, "properties": properties, **more}
-
-
-def _build_trajectory() -> dict[str, Any]:
-    return _build_table(
-        {
-            "align": {"enum": [*ALIGN_IN], "description": "Transformation that is fitted."},
-            "associate": {
-                "enum": [*ASSOCIATIONS],
-                "description": "Poses of one moment: nearest in time, or linearly interpolated.",
-            },
-            "max_difference_s": {
-                **_NOT_NEGATIVE,
-                "description": "Largest difference in time between poses that belong together [s].",
-            },
-            "time_offset_s": {
-                "anyOf": [{"type": "number"}, {"const": "start"}],
-                "description": "Added to times of a recording [s]; start: first poses together.",
-            },
-            "rpe": {**_TEXT, "description": "Length of relative motions, as in 1m or 30deg."},
-            "all_pairs": {
-                "type": "boolean",
-                "description": "A relative motion begins at every pose.",
-            },
-        },
-        description="How ate.* and rpe.* are measured beside the reference.",
-    )
-
-
 ASSOCIATIONS: Final = ("nearest", "linear")
 """Methods of finding poses at equal times."""
-
-
-def _build_read() -> dict[str, Any]:
-    positive = {"type": "number", "exclusiveMinimum": 0}
-    return _build_table(
-        {
-            **{name: {**_TEXT, "description": text} for name, text in READ_TEXTS.items()},
-            "goal": {
-                **_build_list({"type": "number"}, 2, 3),
-                "description": "x, y [m] and perhaps the heading [rad].",
-            },
-            "wheels": {
-                **_build_list(positive, 2, 2),
-                "description": "Radius of the wheels, and the distance between them [m].",
-            },
-            "wheelbase": {
-                **positive,
-                "description": "Distance of the axles [m], for Ackermann commands.",
-            },
-            "time": {
-                "enum": [*get_args(TimeSource)],
-                "description": "What times poses: the recorder, their stamps, or as is best.",
-            },
-            "columns": {
-                "type": "object",
-                "additionalProperties": _TEXT,
-                "description": "Of a plain table: the column of t, x, y, heading ...",
-            },
-        },
-        description="What is read of third-party files, also of the reference.",
-    )
-
-
-def _build_list(items: Mapping[str, Any], fewest: int, most: int) -> dict[str, Any]:
-    return {"type": "array", "items": items, "minItems": fewest, "maxItems": most}
-
 
 READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -289,65 +179,221 @@ READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Keys of `[read]` with text values, and their meanings."""
 
+_ROBOT_FIELDS: Final = {
+    "gain": ("gain", "1"),
+    "dead_time": ("dead_time_s", "s"),
+    "time_constant": ("lag_s", "s"),
+    "total_delay": ("total_delay_s", "s"),
+}
+_INTERVAL_ENDS: Final = {"": "value", ".low": "low", ".high": "high"}
+_ROBOT_NAMES: Final = [*product(("speed", "turn_rate"), _ROBOT_FIELDS, _INTERVAL_ENDS)]
 
-def _build_check() -> dict[str, Any]:
-    return _build_table(
-        {
-            "expect": {**_TEXT, "description": "Formula over metrics and parameters."},
-            "holds": {**_TEXT, "description": "Formula over signals and time."},
-            "phase": {
-                "type": "string",
-                "pattern": f"^(?!{DONE}$){NAME_PATTERN}$",
-                "description": "Stretch that holds looks at: a phase of the law, or pause.",
-            },
-            "when": {**_TEXT, "description": "Otherwise the check is skipped."},
-            "reason": _REASON,
-            "observed": {
-                "type": "boolean",
-                "description": "The bound was read off a good run; nobody has thought about it.",
-            },
-        },
-        oneOf=[{"required": ["expect"]}, {"required": ["holds"]}],
-        dependentRequired={"phase": ["holds"]},
-    )
-
-
-def _build_signals() -> dict[str, Any]:
-    """Return the schema of signals by name; any law may have further states."""
-    return _build_table(
-        {name: _describe("signal", found.unit, found.meaning) for name, found in SIGNALS.items()},
-        patternProperties={f"^{STATE_PATTERN}$": {"$ref": "#/$defs/signal"}},
-    )
-
-
-def _build_metrics() -> dict[str, Any]:
-    """Return the schema of metrics by id. Ids of loops are valid for any law."""
-    described = {
-        name: _describe("metric", found.unit, found.meaning) for name, found in METRICS.items()
+ROBOT_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
+    {
+        f"robot.{axis}.{name}{end}": (axis, _ROBOT_FIELDS[name][0], _INTERVAL_ENDS[end])
+        for axis, name, end in _ROBOT_NAMES
     }
-    patterns = {name: name.partition(f"{ANY_LOOP}.")[2] for name in METRICS if ANY_LOOP in name}
-    return _build_table(
-        {name: found for name, found in described.items() if name not in patterns},
-        patternProperties={
-            f"^{_LOOP}[.]{plain}$": described[name] for name, plain in patterns.items()
-        },
-    )
+)
+"""Axis, field of its model and end of the 95 % interval, by the names in checks."""
 
+_ERROR_UNITS: Final = {"position": ("m", 1.0), "rotation": ("deg", math.degrees(1))}
+_STATISTICS: Final = ("rmse", "mean", "median", "std", "min", "max")
 
-def _describe(kind: str, unit: str, meaning: str) -> dict[str, Any]:
-    return {"$ref": f"#/$defs/{kind}", "description": f"[{unit}] {meaning}"}
+TRAJECTORY_VALUES: Final[Mapping[str, tuple[str, str, str]]] = MappingProxyType(
+    {".".join(parts): parts for parts in product(("ate", "rpe"), _ERROR_UNITS, _STATISTICS)}
+)
+"""Error, quantity and statistic, by the names in checks."""
 
-
-def _build_tolerance(*, has_time: bool) -> dict[str, Any]:
-    share = {**_NOT_NEGATIVE, "maximum": 1}
-    properties = {
-        "abs": {
-            **_NOT_NEGATIVE,
-            "description": "How far from the reference, in the unit of the name.",
-        },
-        "rel": {**share, "description": "As a share of the reference."},
-        "reason": _REASON,
+OTHER_UNITS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        **{f"robot.{axis}.{name}{end}": _ROBOT_FIELDS[name][1] for axis, name, end in _ROBOT_NAMES},
+        **{name: _ERROR_UNITS[parts[1]][0] for name, parts in TRAJECTORY_VALUES.items()},
     }
-    if has_time:
-        properties["time_s"] = {**_NOT_NEGATIVE, "description": "How far in time [s]."}
-    return {"type": "object", "required": ["reason"], **_build_table(properties)}
+)
+"""Units of the values in addition to the metrics of a single run, by name."""
+
+
+@cache
+def _list_parameters() -> tuple[str, ...]:
+    return (*flatten_scenario(Scenario()), "goal.heading_rad")  # user laws have other keys
+
+
+def find_kind(run: Run, name: str) -> MetricKind | None:
+    """Return the kind of a run's metric; None if the name is not that of a metric.
+
+    The metric of an undeclared loop has no value, unless the name belongs to a parameter.
+    """
+    own = list_metrics(run.declaration).get(name)
+    return own or (None if name in run.parameters else find_metric_kind(name))
+
+
+def require_known_names(
+    formula: expressions.Expression, *, over_time: bool, run: Run | None = None
+) -> None:
+    """Raise an error for names that no run has, or that this run does not have.
+
+    Without a run, any loop may have the existing metrics, and the parameters and states of a law
+    may have any name. With `over_time`, the formula may contain signals and temporal operators.
+    """
+    signals = SIGNALS if run is None else list_signals(run.declaration)
+    own = {} if run is None else run.parameters
+    for node in expressions.iterate_nodes(formula.root):
+        if isinstance(node, expressions.Temporal | expressions.Until) and not over_time:
+            word = node.operator if isinstance(node, expressions.Temporal) else "until"
+            expressions.fail_at(
+                formula, node, f"expected metrics, found {word}: it stands in holds = ..."
+            )
+        if not isinstance(node, expressions.Name):
+            continue
+        name = node.name
+        of_law = name in own if run is not None else name.startswith("law.")
+        of_time = name in signals or (run is None and could_be_signal(name))
+        of_all = is_in_tables(name) and name not in SIGNALS
+        if of_all or of_law or (over_time and of_time):
+            continue
+        if name in signals:
+            problem = f"expected a metric, found the signal {name}: it stands in holds = ..."
+            expressions.fail_at(formula, node, problem)
+        ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
+        known = [*(signals if over_time else ()), *ids, *OTHER_UNITS, *_list_parameters(), *own]
+        problem = expressions.describe_unknown_name(name, dict.fromkeys(known))
+        if run is not None and over_time and could_be_signal(name):
+            states = ", ".join(run.declaration.states) or "no states"
+            problem = f"{problem} (the law of this run has {states})"
+        expressions.fail_at(formula, node, problem)
+
+
+def names_metrics_alone(formula: expressions.Expression) -> bool:
+    """Return whether a formula names only metrics and nothing that changes with time."""
+    names = formula.names
+    are_metrics = all(name in OTHER_UNITS or find_metric_kind(name) is not None for name in names)
+    return not formula.is_temporal and are_metrics
+
+
+def is_in_tables(name: str) -> bool:
+    """Return whether a name is a signal, a metric or a key that every run may have."""
+    tables = {*SIGNALS, *OTHER_UNITS, *_list_parameters()}
+    return name in tables or find_metric_kind(name) is not None
+
+
+def require_phase(phase: str, run: Run | None = None) -> None:
+    """Raise CheckError for an invalid phase; for a known run, also for a misspelled phase."""
+    if phase == DONE or not re.fullmatch(NAME_PATTERN, phase):
+        raise CheckError(f"phase: expected one of the run's law or pause, found {phase!r}")
+    known = [] if run is None else [name for name in run.phase_names if name != DONE]
+    if phase not in known and difflib.get_close_matches(phase, known):
+        raise CheckError(f"phase: {describe_nearest(phase, known)}")
+
+
+def describe_missing_phase(run: Run, phase: str) -> str:
+    """Return why a phase is missing: the run does not reach it, or the law has other phases."""
+    known = [name for name in run.phase_names if name != DONE]
+    if phase in known:
+        return f"no_phase (the run has no phase {phase})"
+    return f"no_phase (the law of this run has no phase {phase}; it has {', '.join(known)})"
+
+
+def describe_nearest(text: str, known: Sequence[str]) -> str:
+    """Return the end of an error line for an unknown word."""
+    return expressions.describe_unknown_name(text, dict.fromkeys(known))
+
+
+_MOST_SIGNALS: Final = 4
+
+_OF_SIGNAL: Final = {"heading": ("heading_error",), "along_track": ("along_track", "cross_track")}
+_OF_END: Final = ("distance", "heading_error")
+_OF_RUN: Final = ("distance", "speed", "turn_rate")
+_OF_NAME: Final = {
+    "cross_track": ("cross_track",),
+    "measured_speed": ("measured_speed", "speed"),
+    "measured_turn_rate": ("measured_turn_rate", "turn_rate"),
+    "speed_tracking": ("speed", "measured_speed"),
+    "speed_lag": ("speed", "measured_speed"),
+    "turn_rate_tracking": ("turn_rate", "measured_turn_rate"),
+    "turn_rate_lag": ("turn_rate", "measured_turn_rate"),
+    "speed": ("speed",),
+    "turn_rate": ("turn_rate",),
+}
+
+
+def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str, ...]:
+    """Return the signals of a law to show for signals, metrics and parameters."""
+    known = list_signals(declaration)
+    chosen: list[str] = []
+    for name in names:
+        if name in known:
+            chosen.append(name)
+        elif name in TRAJECTORY_VALUES:
+            chosen += ["x", "y"]
+        elif name in ROBOT_VALUES:
+            axis = ROBOT_VALUES[name][0]
+            chosen += [axis, f"measured_{axis}"]
+        elif find_metric_kind(name) is not None:
+            part, rest = name.split(".", 1)
+            loop = declaration.find_loop(part)
+            usual: tuple[str, ...] = _OF_END if part == "final" else _OF_RUN
+            if loop is not None:
+                usual = (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
+            named = (signals for start, signals in _OF_NAME.items() if rest.startswith(start))
+            chosen += next(named, usual)
+    return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]
+
+
+def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
+    """Return values of a run's robot, or the reason for each value that is not identified."""
+    names, found = [*names], {}
+    if not names:
+        return {}
+    from turtlelog.identify import identify_robot  # few checks need it
+
+    model = identify_robot(run) if len(run.poses) else None
+    for name in names:
+        axis, field_name, end = ROBOT_VALUES[name]
+        value, status, reason = None, NO_POSES.status, NO_POSES.reason
+        if model is not None:
+            of_axis = getattr(model, axis)
+            estimate = getattr(of_axis, field_name)
+            value = None if estimate is None else getattr(estimate, end)
+            status = Status.UNDETERMINED if value is None else Status.OK
+            lack = of_axis.reason or "the model has no such parameter"
+            reason = lack if value is None else ""
+        unit = OTHER_UNITS[name]
+        found[name] = Metric(id=name, value=value, unit=unit, status=status, reason=reason)
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectoryJudge:
+    """Measurement of the errors of recordings relative to one reference, which counts as true.
+
+    With `reads_files`, recordings are named by their files, from which poses in space are read.
+    """
+
+    reference: Trajectory
+    settings: TrajectorySettings
+    choice: ReadChoice
+    reads_files: bool
+
+    def measure(self, run: Run, names: Iterable[str], file: str) -> dict[str, Metric]:
+        """Return the named values of a recording, or the reason for each missing one."""
+        names = [*names]
+        try:
+            own = read_trajectory(file, self.choice) if self.reads_files else None
+            own = replace(own or build_planar_trajectory(run), name=file)
+            found = compare_trajectories(self.reference, own, self.settings)
+        except (CompareError, LogError) as err:
+            return {name: _build(name, None, str(err)) for name in names}
+        values = {}
+        for name in names:
+            kind, quantity, statistic = TRAJECTORY_VALUES[name]
+            statistics = found.find_error(kind, quantity)
+            assert statistics is not None  # the settings have a length for each kind
+            values[name] = _build(name, float(getattr(statistics, statistic)), "")
+        return values
+
+
+def _build(name: str, value: float | None, reason: str) -> Metric:
+    unit, factor = _ERROR_UNITS[TRAJECTORY_VALUES[name][1]]
+    status = Status.UNDETERMINED if value is None else Status.OK
+    shown = None if value is None else factor * value
+    return Metric(id=name, value=shown, unit=unit, status=status, reason=reason)

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args
@@ -15,11 +15,13 @@ from turtlelog.check.spec import (
     Check,
     Spec,
     Tolerances,
+    describe_nearest,
     is_known,
     is_label_signal,
     list_nearby,
+    require_known_names,
+    require_phase,
 )
-from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import ALIGNMENTS, Tolerance, TrajectorySettings, parse_delta
 from turtlelog.compare.common_clock import could_be_alignment
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
@@ -45,9 +47,6 @@ samples."""
 _UNTIL: Final = 20
 """Number of parts that each further `until` counts as."""
 
-_TRAJECTORY_KEYS: Final = (
-    *("align", "associate", "max_difference_s", "time_offset_s", "rpe", "all_pairs"),
-)
 _Known = TypeVar("_Known", bound=str)
 
 CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
@@ -88,10 +87,15 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
     entries = tables.get("checks", {})
     if not isinstance(entries, Mapping):
         raise CheckError(f"{source}: checks: expected tables, found {describe_value(entries)}")
+    checks = _parse_checks(entries, source)
+    tolerances = parse_tolerances(tables, source=source)
+    alignment = _read_text(tables, "alignment", source)
+    if alignment is not None and not could_be_alignment(alignment):
+        raise CheckError(f"{source}: alignment: {describe_nearest(alignment, ALIGNMENTS)}")
     spec = Spec(
-        checks=_parse_checks(entries, source),
-        tolerances=parse_tolerances(tables, source=source),
-        alignment=_read_alignment(tables, source),
+        checks=checks,
+        tolerances=tolerances,
+        alignment=alignment or "first_sample",
         trajectory=_parse_trajectory(tables.get("trajectory", {}), source),
         read=_parse_read(tables.get("read", {}), source),
         source=source,
@@ -126,7 +130,18 @@ def load_tolerances(path: str | Path) -> Tolerances:
 
 def read_tables(path: str | Path) -> dict[str, Any]:
     """Return the tables of a specification file without its format, which is checked here."""
-    return _require_known(_read_toml(path), source=str(path))
+    try:
+        tables = _parse_toml(read_text_file(path), source=str(path))
+    except UnicodeDecodeError as err:
+        raise CompareError(f"{path}: not TOML, not even text") from err
+    except FileNotFoundError as err:
+        raise CompareError(f"{path}: {describe_missing(path)}") from err
+    except OSError as err:
+        expected = "a specification or tolerance file"
+        raise CompareError(f"{path}: expected {expected}, found: {err.strerror or err}") from err
+    except ValueError as err:
+        raise CompareError(f"{path}: not TOML: {err}") from err
+    return _require_known(tables, source=str(path))
 
 
 def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
@@ -189,7 +204,10 @@ def count_parts(check: Check) -> int:
 def _parse_check(name: str, entry: Any, source: str) -> Check:
     place = f"{source}: checks.{name_key(name)}"
     _require_table(entry, place, CHECK_KEYS)
-    kind = _choose_kind(entry, place)
+    if ("expect" in entry) == ("holds" in entry):
+        both = ", not both" if "expect" in entry else ""
+        raise CheckError(f"{place}: needs expect or holds{both}")
+    kind: Literal["expect", "holds"] = "expect" if "expect" in entry else "holds"
     phase = _read_text(entry, "phase", place)
     if phase is not None and kind == "expect":
         raise CheckError(f"{place}.phase: expected holds beside it, found expect")
@@ -213,13 +231,6 @@ def _parse_check(name: str, entry: Any, source: str) -> Check:
     )
 
 
-def _choose_kind(entry: Mapping[str, Any], place: str) -> Literal["expect", "holds"]:
-    if ("expect" in entry) == ("holds" in entry):
-        both = ", not both" if "expect" in entry else ""
-        raise CheckError(f"{place}: needs expect or holds{both}")
-    return "expect" if "expect" in entry else "holds"
-
-
 def _parse_formula(entry: Mapping[str, Any], key: str, place: str) -> Expression | None:
     text = _read_text(entry, key, place)
     if text is None:
@@ -229,17 +240,10 @@ def _parse_formula(entry: Mapping[str, Any], key: str, place: str) -> Expression
     return formula
 
 
-def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
-    alignment = _read_text(tables, "alignment", source)
-    if alignment is not None and not could_be_alignment(alignment):
-        raise CheckError(f"{source}: alignment: {describe_nearest(alignment, ALIGNMENTS)}")
-    return alignment or "first_sample"
-
-
 def _parse_trajectory(table: Any, source: str) -> TrajectorySettings:
-    """Return the settings for errors of trajectories."""
     place = f"{source}: trajectory"
-    _require_table(table, place, _TRAJECTORY_KEYS)
+    keys = ("align", "associate", "max_difference_s", "time_offset_s", "rpe", "all_pairs")
+    _require_table(table, place, keys)
     align = _choose(table, "align", place, ALIGN_IN)
     associate = _choose(table, "associate", place, ASSOCIATIONS)
     overlaps = _read_truth(table, "all_pairs", place)
@@ -289,7 +293,6 @@ def _read_time(table: Mapping[str, Any], key: str, place: str, usual: float) -> 
 
 
 def _parse_read(table: Any, source: str) -> ReadChoice:
-    """Return the settings for reading third-party files."""
     place = f"{source}: read"
     _require_table(table, place, (*READ_TEXTS, "goal", "wheels", "wheelbase", "time", "columns"))
     texts: dict[str, Any] = {name: _read_text(table, name, place) for name in READ_TEXTS}
@@ -300,9 +303,7 @@ def _parse_read(table: Any, source: str) -> ReadChoice:
         )
     columns = table.get("columns", {})
     _require_table(columns, f"{place}.columns")
-    numbers: dict[str, Any] = {
-        key: _read_numbers(table, key, place, *how) for key, how in _NUMBERS.items()
-    }
+    numbers: dict[str, Any] = {key: _read_numbers(table, key, place) for key in _NUMBERS}
     return ReadChoice(
         **texts,
         **numbers,
@@ -311,43 +312,31 @@ def _parse_read(table: Any, source: str) -> ReadChoice:
     )
 
 
-def _read_numbers(
-    table: Mapping[str, Any], key: str, place: str, parse: Callable[[Any], Any], expected: str
-) -> Any:
+_NUMBERS: Final = {
+    "goal": "[x, y] in m, or [x, y, heading] with the heading in rad",
+    "wheels": "[radius, track] above 0 in m",
+    "wheelbase": "a length above 0 in m",
+}
+"""Keys of `[read]` with numbers, and what is expected."""
+
+
+def _read_numbers(table: Mapping[str, Any], key: str, place: str) -> Any:
     value = table.get(key)
     if value is None:
         return None
+    values = value if isinstance(value, list) else [value]
+    are_numbers = all(type(one) in {int, float} for one in values)
     try:
-        return parse(value)
+        if key == "wheelbase":
+            return parse_wheelbase(value if are_numbers and values is not value else 0.0)
+        given = tuple(value) if are_numbers and values is value else ()
+        if key == "wheels":
+            return parse_wheels(given)
+        parse_goal_option(given)
     except LogError as err:
-        found = describe_value(value)
+        expected, found = _NUMBERS[key], describe_value(value)
         raise CheckError(f"{place}.{key}: expected {expected}, found {found}") from err
-
-
-def _parse_goal(value: Any) -> tuple[float, ...]:
-    parse_goal_option(_list_numbers(value))
-    return tuple(map(float, value))
-
-
-def _list_numbers(value: Any) -> tuple[float, ...]:
-    """Return the numbers of a list; nothing for any other value."""
-    is_list = isinstance(value, list) and all(map(_is_number, value))
-    return tuple(value) if is_list else ()
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in {int, float}
-
-
-_NUMBERS: Final[Mapping[str, tuple[Callable[[Any], Any], str]]] = {
-    "goal": (_parse_goal, "[x, y] in m, or [x, y, heading] with the heading in rad"),
-    "wheels": (lambda value: parse_wheels(_list_numbers(value)), "[radius, track] above 0 in m"),
-    "wheelbase": (
-        lambda value: parse_wheelbase(value if _is_number(value) else 0.0),
-        "a length above 0 in m",
-    ),
-}
-"""Keys of `[read]` with numbers, the parsers of their values, and what is expected."""
+    return tuple(map(float, given))
 
 
 def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
@@ -383,13 +372,9 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
     """
     tables = entry.items() if isinstance(entry, Mapping) else ()
     inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]
-    meant = [
-        found
-        for key in inner
-        for found in difflib.get_close_matches(key, list_nearby(kind, key), n=1)
-    ]
-    if meant:
-        return f'needs quotes around the id: {kind}."{meant[0]}"'
+    for key in inner:
+        if meant := difflib.get_close_matches(key, list_nearby(kind, key), n=1):
+            return f'needs quotes around the id: {kind}."{meant[0]}"'
     return describe_unknown_key(name, list_nearby(kind, name))
 
 
@@ -402,22 +387,6 @@ def _require_table(
     for key in table:
         if known and key not in known:
             raise error(f"{place}.{name_key(key)}: {describe_unknown_key(key, list(known))}")
-
-
-def _read_toml(path: str | Path) -> dict[str, Any]:
-    try:
-        return _parse_toml(read_text_file(path), source=str(path))
-    except UnicodeDecodeError as err:
-        raise CompareError(f"{path}: not TOML, not even text") from err
-    except FileNotFoundError as err:
-        raise CompareError(f"{path}: {describe_missing(path)}") from err
-    except OSError as err:
-        found = err.strerror or err
-        raise CompareError(
-            f"{path}: expected a specification or tolerance file, found: {found}"
-        ) from err
-    except ValueError as err:
-        raise CompareError(f"{path}: not TOML: {err}") from err
 
 
 def _parse_toml(text: str, *, source: str) -> dict[str, Any]:

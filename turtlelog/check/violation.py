@@ -1,7 +1,7 @@
-"""The signal that violated a check, with its allowed band."""
+"""The signal that violated a check, and the band in which the check requires it to stay."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -10,14 +10,41 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve
 from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, ViolationMoment
-from turtlelog.check.decisive_band import BandReader, find_scale, list_leaves, names_signals
-from turtlelog.check.formula import check_run
-from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, read_signals
+from turtlelog.check.formula import check_run, find_formula_unit
+from turtlelog.check.formula_trace import (
+    FormulaTrace,
+    Signals,
+    find_span,
+    find_window,
+    list_names,
+    read_signals,
+)
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
+from turtlelog.check.robustness import split_comparison, walk_formula
 from turtlelog.check.spec import Check
 from turtlelog.compare.difference import trace_tube
-from turtlelog.expressions import Call, Comparison, Name
-from turtlelog.measure import MIRRORED, find_signal, list_metrics, list_signals, measure_run
+from turtlelog.expressions import (
+    Call,
+    Comparison,
+    Expression,
+    Kind,
+    Logic,
+    Name,
+    Node,
+    Prefix,
+    Temporal,
+    Until,
+    evaluate_node,
+    format_expression,
+)
+from turtlelog.measure import (
+    MIRRORED,
+    SignalKind,
+    find_signal,
+    list_metrics,
+    list_signals,
+    measure_run,
+)
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -54,23 +81,18 @@ def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
 
 
 def _find_signal(run: Run, result: CheckResult) -> SignalSearch:
-    match result.judged:
-        case None:
-            return SignalSearch(reason=f"{result.check} is held to no band of a signal")
-        case JudgedSignal():
-            return _find_in_tube(run, result, result.judged)
-        case JudgedMetric():
-            return _find_of_metric(run, result, result.judged)
-    return _find_of_formula(run, result, result.judged)
-
-
-def _find_of_formula(run: Run, result: CheckResult, check: Check) -> SignalSearch:
-    metric = _read_metric_bound(run, check, result) if check.kind == "expect" else None
-    if metric is not None:
+    judged = result.judged
+    if judged is None:
+        return SignalSearch(reason=f"{result.check} is held to no band of a signal")
+    if isinstance(judged, JudgedSignal):
+        return _find_in_tube(run, result, judged)
+    if isinstance(judged, JudgedMetric):
+        return _find_of_metric(run, result, judged)
+    if (metric := _read_metric_bound(run, judged, result)) is not None:
         return _find_of_metric(run, result, metric)
     if result.verdict is Verdict.FAIL and result.first_violation_s is None:
         return SignalSearch(reason="it is violated at no single moment")
-    return _find_over_time(run, result, check)
+    return _find_over_time(run, result, judged)
 
 
 def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> SignalSearch:
@@ -82,13 +104,7 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
         return SignalSearch(reason=f"{judged.name} is no number with a distance")
     kind = list_signals(run.declaration)[judged.name]
     unit, factor = find_scale(kind.unit)
-    curve = Curve(
-        start_ns=run.start_ns,
-        time_ns=tube.time_ns,
-        values=tube.values * factor,
-        holds=kind.resampling == "hold",
-    )
-    rows = _Rows(curve=curve, outside=outside)
+    rows = _Rows(curve=_build_curve(run, kind, tube.time_ns, tube.values), outside=outside)
     worst = int(np.where(outside, tube.excess, -np.inf).argmax())
     return rows.show(
         result,
@@ -101,14 +117,20 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
     )
 
 
+def _build_curve(run: Run, kind: SignalKind, time_ns: NDArray[np.int64], values: Values) -> Curve:
+    shown, is_held = values * find_scale(kind.unit)[1], kind.resampling == "hold"
+    return Curve(start_ns=run.start_ns, time_ns=time_ns, values=shown, holds=is_held)
+
+
 def _read_metric_bound(run: Run, check: Check, result: CheckResult) -> JudgedMetric | None:
     """Return the only metric that a check bounds by a number; None for any other check."""
     root = check.formula.root
-    if not isinstance(root, Comparison) or len(root.operators) > 1 or result.limit is None:
+    if check.kind != "expect" or not isinstance(root, Comparison) or result.limit is None:
         return None
-    for node, operator in zip(
-        root.operands, (root.operators[0], MIRRORED[root.operators[0]]), strict=True
-    ):
+    if len(root.operators) > 1:
+        return None
+    asked = root.operators[0]
+    for node, operator in zip(root.operands, (asked, MIRRORED[asked]), strict=True):
         bare = node.arguments[0] if isinstance(node, Call) and node.function == "abs" else node
         if isinstance(bare, Name) and bare.name in list_metrics(run.declaration):
             metric = measure_run(run, only=(bare.name,))[bare.name]
@@ -158,13 +180,7 @@ def _find_carrier(
         signal = find_signal(run, name)
         if signal is None or signal.kind.compared_as == "label" or value is None:
             continue
-        factor = find_scale(signal.kind.unit)[1]
-        curve = Curve(
-            start_ns=run.start_ns,
-            time_ns=signal.time_ns,
-            values=signal.values * factor,
-            holds=signal.kind.resampling == "hold",
-        )
+        curve = _build_curve(run, signal.kind, signal.time_ns, signal.values)
         row = int(np.abs(curve.time_s - at_s).argmin())
         if math.isclose(abs(float(curve.values[row])), abs(value), rel_tol=_SAME, abs_tol=_SAME):
             return name, curve, row
@@ -172,22 +188,27 @@ def _find_carrier(
 
 
 def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch:
-    """Return the signal of the comparison that decides a formula."""
     formula, names = check.formula, check.formula.names
     window_ns = find_span(run, names) if check.phase is None else find_window(run, check.phase)
     if window_ns is None:
         return SignalSearch(reason=f"the run has no phase {check.phase}")
     found = check_run(run, formula, window_ns=window_ns)
     leaf = next(
-        (one for one in list_leaves(formula.root) if found.decided_by in one.list_links()), None
+        (
+            leaf
+            for leaf in _list_leaves(formula.root)
+            for link in split_comparison(leaf.node)
+            if format_expression(link) == found.decided_by
+        ),
+        None,
     )
     signals = read_signals(run, names)
-    if leaf is None or not names_signals(leaf.node, signals):
+    if leaf is None or not _names_signals(leaf.node, signals):
         of_metric = any(name in list_metrics(run.declaration) for name in names)
         hint = "; a metric is one value, to be asked for without always" if of_metric else ""
         return SignalSearch(reason=f"{found.decided_by or formula.text} names no signal{hint}")
     trace = FormulaTrace.open(signals, formula, window_ns=window_ns)
-    band = BandReader(run, formula, leaf, signals).read(found.decided_by)
+    band = _BandReader(run, formula, leaf, signals).read(found.decided_by)
     if band is None:
         return SignalSearch(reason=f"{found.decided_by}: {_NO_BAND}")
     outside = leaf.find_failing(formula, trace, band.curve.time_ns) & band.is_beyond
@@ -236,6 +257,237 @@ class _Rows:
         return max(int(np.searchsorted(self.curve.time_ns, time_ns, side="right")) - 1, 0)
 
     def tell(self, row: int) -> ViolationMoment:
-        return ViolationMoment(
-            time_s=float(self.curve.time_s[row]), value=float(self.curve.values[row])
+        time_s, value = float(self.curve.time_s[row]), float(self.curve.values[row])
+        return ViolationMoment(time_s=time_s, value=value)
+
+
+_TURNED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
+"""Required operator, by the operator of a comparison that must be false."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Place:
+    """The operators above a part of a formula.
+
+    Attributes:
+        is_denied: Whether the formula requires the part to be false.
+        start_s: Earliest time at which the part is required, from the beginning [s].
+        end_s: Latest time at which the part is required [s].
+        body: Part below the innermost window; None if the part is not below `always` alone.
+        is_body_denied: Whether the formula requires the body to be false.
+        windows: Number of windows above the part.
+        beside: Comparisons that are required together with this part.
+    """
+
+    is_denied: bool = False
+    start_s: float = 0.0
+    end_s: float = 0.0
+    body: Node | None = None
+    is_body_denied: bool = False
+    windows: int = 0
+    beside: tuple[Comparison, ...] = ()
+
+    def enter(self, node: Temporal) -> "_Place":
+        is_always = (node.operator == "always") is not self.is_denied
+        is_first = is_always and not self.windows
+        return _Place(
+            is_denied=self.is_denied,
+            start_s=self.start_s + node.start_s,
+            end_s=self.end_s + node.end_s,
+            body=node.operand if is_first else None,
+            is_body_denied=self.is_denied,
+            windows=self.windows + 1,
         )
+
+    def deny(self) -> "_Place":
+        return replace(self, is_denied=not self.is_denied, beside=())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Leaf:
+    """A comparison in a formula, and the operators above it."""
+
+    node: Comparison
+    place: _Place
+
+    def find_failing(
+        self, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Return the times at which the comparison is required and the formula fails."""
+        first_ns = trace.start_ns + self.place.start_s * 1e9
+        last_ns = min(trace.start_ns + self.place.end_s * 1e9, trace.end_ns)
+        asked = (time_ns >= first_ns) & (time_ns <= last_ns)
+        if self.place.body is None:
+            return np.asarray(asked)
+        margins = walk_formula(replace(formula, root=self.place.body), trace, exact=True).margins
+        pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
+        values = margins.values[np.maximum(pieces, 0)]
+        return np.asarray(asked & ((values > 0.0) if self.place.is_body_denied else (values < 0.0)))
+
+
+def _list_leaves(node: Node, place: _Place = _Place()) -> Iterator[_Leaf]:
+    """Yield the comparisons of a formula, with the operators above each."""
+    match node:
+        case Comparison():
+            beside = tuple(one for one in place.beside if one is not node)
+            yield _Leaf(node=node, place=replace(place, beside=beside))
+        case Temporal(operand=operand):
+            yield from _list_leaves(operand, place.enter(node))
+        case Until():
+            for side in node.list_children():
+                window = Temporal(operator="eventually", end_s=node.end_s, operand=side)
+                yield from _list_leaves(side, place.enter(window))
+        case Logic(operands=operands):
+            both = "or" if place.is_denied else "and"
+            together = [one for one in operands if isinstance(one, Comparison)]
+            beside = tuple(together) if node.operator == both else ()
+            for number, operand in enumerate(operands):
+                is_condition = node.operator == "implies" and number == 0
+                inner = replace(place.deny() if is_condition else place, beside=beside)
+                yield from _list_leaves(operand, inner)
+        case Prefix(operator="not", operand=operand):
+            yield from _list_leaves(operand, place.deny())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Band:
+    """A measured side as a curve, its limits, the rows beyond the limits, and their excess."""
+
+    name: str
+    unit: str
+    curve: Curve
+    low: Values | None
+    high: Values | None
+    excess: Values
+    is_beyond: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ends:
+    """Ends of a band, None for no end, and whether an end is excluded."""
+
+    low: Values | None = None
+    high: Values | None = None
+    is_strict: bool = False
+
+    def narrow(self, other: "_Ends") -> "_Ends":
+        """Return the intersection of both bands."""
+        lows = [end for end in (self.low, other.low) if end is not None]
+        highs = [end for end in (self.high, other.high) if end is not None]
+        return _Ends(
+            low=np.fmax.reduce(lows) if lows else None,
+            high=np.fmin.reduce(highs) if highs else None,
+            is_strict=self.is_strict or other.is_strict,
+        )
+
+
+class _BandReader:
+    """Reader of a comparison's measured value and its limits, at the rows of the signals."""
+
+    def __init__(self, run: Run, formula: Expression, leaf: _Leaf, signals: Signals) -> None:
+        self._run, self._formula, self._leaf = run, formula, leaf
+        named = {name: signals.get(name) for name in list_names(leaf.node)}
+        columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
+        self._signals = columns
+        longest = max(columns.values(), key=lambda column: len(column[0]))[0]
+        others = [time_ns for time_ns, _ in columns.values()]
+        one = all(np.array_equal(time_ns, longest) for time_ns in others)
+        self._time_ns = longest if one else np.unique(np.concatenate(others))
+        start_ns = max(int(time_ns[0]) for time_ns in others)
+        self._time_ns = self._time_ns[self._time_ns >= start_ns]
+        self._values: dict[str, Any] = {name: signals.get(name) for name in formula.names}
+        for name, (time_ns, values) in columns.items():
+            rows = np.searchsorted(time_ns, self._time_ns, side="right") - 1
+            self._values[name] = values[rows]
+
+    def read(self, decided_by: str) -> _Band | None:
+        """Return the band of the deciding comparison, with its other end, if any."""
+        links = [*split_comparison(self._leaf.node)]
+        decisive = next(link for link in links if format_expression(link) == decided_by)
+        # The side that changes with time; the first side if both change.
+        left, right = decisive.operands
+        measured = left if _names_signals(left, self._signals) else right
+        is_magnitude, bare = False, measured
+        if isinstance(measured, Call) and measured.function == "abs":
+            is_magnitude, bare = True, measured.arguments[0]
+        shown = self._evaluate(bare)
+        if shown is None:
+            return None
+        ends = self._find_ends(links, measured, is_magnitude=is_magnitude)
+        if ends is None:
+            return None
+        for link in (part for node in self._leaf.place.beside for part in split_comparison(node)):
+            names = [name for name in list_names(link) if name not in self._signals]
+            if any(isinstance(self._values[name], tuple) for name in names):
+                continue  # it uses other signals than the deciding comparison
+            more = self._find_ends([link], measured, is_magnitude=is_magnitude)
+            ends = ends if more is None else ends.narrow(more)
+        low, high, excess = ends.low, ends.high, np.full(len(shown), -np.inf)
+        excess = excess if high is None else np.fmax(excess, shown - high)
+        excess = excess if low is None else np.fmax(excess, low - shown)
+        unit, factor = find_scale(self._find_unit(measured))
+        known, start_ns = list_signals(self._run.declaration), self._run.start_ns
+        kinds = [known[name] for name in list_names(bare) if name in known]
+        is_held = any(kind.resampling == "hold" for kind in kinds)  # in steps if any is held
+        return _Band(
+            name=format_expression(bare),
+            unit=unit,
+            curve=Curve(
+                start_ns=start_ns, time_ns=self._time_ns, values=shown * factor, holds=is_held
+            ),
+            low=None if low is None else low * factor,
+            high=None if high is None else high * factor,
+            excess=excess * factor,
+            is_beyond=excess >= 0.0 if ends.is_strict else excess > 0.0,
+        )
+
+    def _find_ends(
+        self, links: Sequence[Comparison], measured: Node, *, is_magnitude: bool
+    ) -> "_Ends | None":
+        """Return the ends that comparisons require; None if a comparison requires anything else."""
+        ends = _Ends()
+        for link in links:
+            if measured not in link.operands:
+                continue
+            left, right = link.operands
+            operator: str = link.operators[0] if left == measured else MIRRORED[link.operators[0]]
+            operator = _TURNED[operator] if self._leaf.place.is_denied else operator
+            limit = self._evaluate(right if left == measured else left)
+            is_high = operator in {"<", "<="}
+            if limit is None or operator in {"==", "!="} or (is_magnitude and not is_high):
+                return None
+            high = limit if is_high else None
+            low = (-limit if is_magnitude else None) if is_high else limit
+            ends = ends.narrow(_Ends(low=low, high=high, is_strict=operator in {"<", ">"}))
+        return ends
+
+    def _evaluate(self, node: Node) -> Values | None:
+        found = evaluate_node(self._formula, node, self._values)
+        if found.kind is not Kind.NUMBER:
+            return None
+        return np.broadcast_to(np.asarray(found.data, np.float64), self._time_ns.shape).copy()
+
+    def _find_unit(self, node: Node) -> str:
+        """Return the unit of the measured value; for a sum, the common unit of its parts."""
+        if isinstance(node, Call) and node.function == "deg":
+            return "deg"
+        if isinstance(node, Call) and node.function not in {"abs", "min", "max"}:
+            return ""
+        if isinstance(node, Name):
+            return find_formula_unit(node.name, self._run.declaration) or ""
+        operator = getattr(node, "operator", "")
+        children = node.list_children()
+        if operator in {"*", "/", "**"} or not children:
+            return ""
+        found = {self._find_unit(child) for child in children if list_names(child)}
+        return found.pop() if len(found) == 1 else ""
+
+
+def _names_signals(node: Node, signals: Mapping[str, Any]) -> bool:
+    """Return whether any node below a node is a signal."""
+    return any(isinstance(signals.get(name), tuple) for name in list_names(node))
+
+
+def find_scale(unit: str) -> tuple[str, float]:
+    """Return the unit in which a check's message shows values, and its conversion factor."""
+    return ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)

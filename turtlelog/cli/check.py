@@ -33,7 +33,7 @@ from turtlelog.errors import ExpressionError, LogError, UsageError
 from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
-    from turtlelog.check.judged_files import CheckedFile, FileJudge, JudgedFile
+    from turtlelog.check.judge_run import CheckedFile, FileJudge, JudgedFile
 
 
 Words = Annotated[list[options.Place], Parameter(name="SPEC FILE")]
@@ -126,7 +126,7 @@ def check(
     kind = (formats or console.FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
     if first.schema:
-        from turtlelog.check.spec import build_schema
+        from turtlelog.check.spec_templates import build_schema
 
         console.print_json(build_schema())
         return console.EXIT_FINE
@@ -158,8 +158,7 @@ def check(
 
 def _load_spec(path: Path, formulas: Sequence[str], reference: Path | None) -> "tl.Spec":
     """Return the specification of --expect, or else of a file, with a reference that it needs."""
-    from turtlelog.check.spec import list_formula_names
-    from turtlelog.check.vocabulary import TRAJECTORY_VALUES
+    from turtlelog.check.spec import TRAJECTORY_VALUES, list_formula_names
 
     if not formulas:
         return tl.load_spec(path, reference=reference)
@@ -216,8 +215,7 @@ def _require_targets(reports: ReportOptions, output: Path | None, words: Sequenc
 
 def build_spec(formulas: "Sequence[str]") -> "tl.Spec":
     """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
-    from turtlelog.check.spec import Check
-    from turtlelog.check.vocabulary import names_metrics_alone, require_known_names
+    from turtlelog.check.spec import Check, names_metrics_alone, require_known_names
 
     checks = []
     for text in formulas:
@@ -234,8 +232,8 @@ def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.Readi
     Recordings are read only for names that may be states or parameters of a user law, until one
     recording contains them all.
     """
-    from turtlelog.check.judged_files import read_to_judge
-    from turtlelog.check.vocabulary import is_in_tables, require_known_names
+    from turtlelog.check.judge_run import read_to_judge
+    from turtlelog.check.spec import is_in_tables, require_known_names
 
     formulas = [
         (formula, check.kind == "holds" and formula is check.formula)
@@ -263,8 +261,8 @@ def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.Readi
 def _write_first(
     path: Path, words: Sequence[Path], output: Path | None, topics: options.ReadingOptions
 ) -> int:
-    from turtlelog.check.first_spec import format_first_spec, name_reference
-    from turtlelog.check.judged_files import read_to_judge
+    from turtlelog.check.judge_run import read_to_judge
+    from turtlelog.check.spec_templates import format_first_spec, name_reference
 
     if words:
         raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")
@@ -299,7 +297,7 @@ def _check_into_table(
     topics: options.ReadingOptions,
 ) -> "Iterator[tl.check.CheckResult]":
     """Return the results of files. The table provides the results of unchanged files."""
-    from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
+    from turtlelog.check.judge_run import plan_verdict_table, read_verdicts
 
     for name in ("junit", "artifacts", "report"):
         if getattr(reports, name) is not None:
@@ -319,8 +317,7 @@ def _prepare_judge(
     is_described: bool = False,
     keeps_runs: bool = False,
 ) -> "FileJudge":
-    from turtlelog.check.judged_files import FileJudge
-    from turtlelog.check.reference import read_reference_run, read_reference_trajectory
+    from turtlelog.check.judge_run import FileJudge, read_reference_run, read_reference_trajectory
 
     choice = spec.read.override(topics.build_choice())
     return FileJudge(
@@ -338,7 +335,7 @@ def _check_all(
     spec: "tl.Spec", files: Sequence[Path], reports: ReportOptions, topics: options.ReadingOptions
 ) -> "Iterator[tl.check.CheckResult]":
     """Yield the results of files, and write the requested files next to the answer."""
-    from turtlelog.check.judged_files import format_junit
+    from turtlelog.check.judge_run import format_junit
 
     if reports.scheduler is not None and reports.report is not None:
         raise UsageError("--report: leave out --scheduler")

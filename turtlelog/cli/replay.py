@@ -131,7 +131,7 @@ def replay(
             answer, text, found = _replay(file, run, scenario, mode, output)
     failed = False
     if mode.expect_equal:
-        from turtlelog.check.judge_run import judge_replay
+        from turtlelog.check.reference import judge_replay
 
         results = judge_replay(run, found, file=str(file))
         verdict = tl.check.join_verdicts(results)

@@ -86,7 +86,7 @@ class ProgressLine:
                     return
 
     def _describe(self) -> str:
-        from turtlelog.simulate.compiled.compiled_code import COMPILING
+        from turtlelog.simulate.compiled import COMPILING
 
         text = self._label
         if self._total is not None:

@@ -9,6 +9,9 @@ from .collect import (
     find_software as find_software,
     simulate_run as simulate_run,
 )
+from .loop_parts import (
+    needs_time as needs_time,
+)
 from .many import (
     ManyRuns as ManyRuns,
     simulate_many as simulate_many,
@@ -24,7 +27,4 @@ from .rows import (
 )
 from .scenario_notes import (
     list_scenario_notes as list_scenario_notes,
-)
-from .settings import (
-    needs_time as needs_time,
 )

@@ -10,19 +10,9 @@ from math import hypot, isfinite, isinf
 from operator import index
 from typing import Any, Final
 
+from turtlelog import laws
 from turtlelog.errors import SimulationError, TurtlelogError
-from turtlelog.laws import (
-    LAWS,
-    AnyLaw,
-    Decision,
-    Goal,
-    Law,
-    Pose,
-    declare_law,
-    describe_law_error,
-    find_law,
-    print_to_stderr,
-)
+from turtlelog.laws import Decision, Pose
 from turtlelog.parts import LARGEST_FLOAT
 from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path
@@ -49,11 +39,11 @@ class ClassLaw:
 
     def __init__(
         self,
-        law: Law,
+        law: laws.Law,
         declaration: Declaration,
         *,
         step: Step,
-        goal: Goal,
+        goal: laws.Goal,
         path: Path | None,
         limits: tuple[float, float],
     ) -> None:
@@ -106,7 +96,7 @@ class ClassLaw:
         return True
 
     def _reset(self, pose: Pose) -> None:
-        with print_to_stderr():
+        with laws.print_to_stderr():
             take_limits = getattr(self._law, "take_limits", None)
             if take_limits is not None:
                 take_limits(*self._limits)
@@ -298,9 +288,9 @@ def _read_ticks(value: Any) -> int:
     raise SimulationError(f"blocks_ticks: expected {expected}, found {value!r:.60}")
 
 
-def is_built_in(law: AnyLaw) -> bool:
+def is_built_in(law: laws.AnyLaw) -> bool:
     """Return whether a law is one of turtlelog's."""
-    return law in LAWS.values()
+    return law in laws.LAWS.values()
 
 
 def build_law(choice: LawChoice) -> Any:
@@ -312,14 +302,14 @@ def build_law(choice: LawChoice) -> Any:
         LawError: If there is no such law.
     """
     choice = resolve_law(choice)
-    law = find_law(choice.kind)
+    law = laws.find_law(choice.kind)
     try:
-        with print_to_stderr():
+        with laws.print_to_stderr():
             return law(choice.parameters)
     except (TurtlelogError, KeyboardInterrupt):
         raise
     except BaseException as err:
-        raise SimulationError(f"law {choice.kind}: {describe_law_error(err, law)}") from err
+        raise SimulationError(f"law {choice.kind}: {laws.describe_law_error(err, law)}") from err
 
 
 def declare_scenario(scenario: Scenario) -> Declaration:
@@ -330,13 +320,13 @@ def declare_scenario(scenario: Scenario) -> Declaration:
         LawError: If there is no such law, or its declaration is wrong.
     """
     choice = resolve_law(scenario.law)
-    law = find_law(choice.kind)
-    return declare_law(law, choice.parameters, build_goal(scenario), scenario.path)
+    law = laws.find_law(choice.kind)
+    return laws.declare_law(law, choice.parameters, build_goal(scenario), scenario.path)
 
 
-def build_goal(scenario: Scenario) -> Goal:
+def build_goal(scenario: Scenario) -> laws.Goal:
     """Return the goal of a scenario."""
-    return Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
+    return laws.Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
 
 
 def describe_numbers(failure: int, row: SampleRow, states: Mapping[str, float]) -> str:

@@ -141,9 +141,13 @@ class RunCollector:
         """
         scenario, kind = self._scenario, self._scenario.law.kind
         if not self.has_samples:
+            backlog, sensing = scenario.loop.start_backlog, scenario.sensing
+            waits = {name: getattr(sensing, name) for name in ("dropout_probability", "delay_s")}
+            others = [f", sensing.{name} = {value:g}" for name, value in waits.items() if value]
             raise SimulationError(
                 f"{scenario.name}: no pose is answered within max_duration_s ="
-                f" {scenario.max_duration_s}: {_describe_wait(scenario)}"
+                f" {scenario.max_duration_s}: start_backlog = {backlog} poses come"
+                f" first{''.join(others)}"
             )
         poses = np.frombuffer(self._poses, self._pose_row)
         source = read_law_source(kind) if is_given(kind) else None
@@ -157,14 +161,6 @@ class RunCollector:
             events=tuple(self._events),
             notes={} if source is None else {"law_source": source},
         )
-
-
-def _describe_wait(scenario: Scenario) -> str:
-    """Return why the first answer has to wait."""
-    sensing, backlog = scenario.sensing, scenario.loop.start_backlog
-    effects = {"dropout_probability": sensing.dropout_probability, "delay_s": sensing.delay_s}
-    others = [f", sensing.{key} = {value:g}" for key, value in effects.items() if value]
-    return f"start_backlog = {backlog} poses come first{''.join(others)}"
 
 
 class SampleRows:
@@ -198,12 +194,9 @@ class SampleRows:
 def _find_packing(
     whole: tuple[str, ...], numbers: tuple[str, ...], given: str = ""
 ) -> tuple[Function, np.dtype[Any]]:
-    """Return a function that appends a row to bytes, and the type of the appended row.
+    """Return a function that appends a row with whole and other numbers, and the type of the row.
 
-    Args:
-        whole: Fields of the row that are whole numbers.
-        numbers: Fields of the row that are other numbers.
-        given: Kinds of the values that the function receives after the row: `q` or `d` for each.
+    `given` are the kinds of the values that the function receives after the row, `q` or `d`.
     """
     pack = Struct(f"<{len(whole)}q{len(numbers)}d{given}").pack
     others = [f"given_{place}" for place in range(len(given))]
@@ -239,9 +232,7 @@ def build_poses(time_ns: NDArray[np.int64], rows: NDArray[Any], *, senses: bool)
     return PoseColumns(
         time_ns=time_ns,
         xy_m=pair_columns(rows, "x_m", "y_m"),
-        heading_rad=rows["heading_rad"].copy(),
-        speed_m_s=rows["speed_m_s"].copy(),
-        turn_rate_rad_s=rows["turn_rate_rad_s"].copy(),
+        **{name: rows[name].copy() for name in ("heading_rad", *_COMMAND)},
         sensed_xy_m=pair_columns(rows, "sensed_x_m", "sensed_y_m") if senses else None,
         sensed_heading_rad=rows["sensed_heading_rad"].copy() if senses else None,
     )
@@ -268,19 +259,13 @@ def build_samples(
     """Return the samples; a column is None if it is not declared, or if a row has no number."""
     moves = declaration.has_reference
     world = pair_columns(rows, "world_v_x_m_s", "world_v_y_m_s")
+    commands = ("wanted_speed_m_s", "wanted_turn_rate_rad_s", *_COMMAND)
     return SampleColumns(
-        time_ns=rows["time_ns"].copy(),
-        sequence=rows["sequence"].copy(),
-        pose_sequence=rows["pose_sequence"].copy(),
-        phase=rows["phase"].copy(),
+        **{name: rows[name].copy() for name in (*_SAMPLE, *commands)},
         bearing_rad=_keep_whole(rows["bearing_rad"].copy()),
         heading_error_rad=_keep_whole(rows["heading_error_rad"].copy()),
         error_xy_m=_keep_whole(pair_columns(rows, "error_x_m", "error_y_m")),
         distance_m=_keep_whole(rows["distance_m"].copy()),
-        wanted_speed_m_s=rows["wanted_speed_m_s"].copy(),
-        wanted_turn_rate_rad_s=rows["wanted_turn_rate_rad_s"].copy(),
-        speed_m_s=rows["speed_m_s"].copy(),
-        turn_rate_rad_s=rows["turn_rate_rad_s"].copy(),
         shaped_speed_m_s=rows["shaped_speed_m_s"].copy() if has_shaping else None,
         shaped_turn_rate_rad_s=rows["shaped_turn_rate_rad_s"].copy() if has_shaping else None,
         world_velocity_m_s=None if np.isnan(world).all() else world,

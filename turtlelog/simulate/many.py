@@ -1,11 +1,18 @@
-"""Simulation of many scenarios, in threads and with compiled loops if that is faster."""
+"""Simulation of many scenarios, in threads, with compiled code if loading it is worth its cost."""
 
+import gc
+import math
+import sys
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import cache, partial
-from typing import Final
+from contextlib import ExitStack, suppress
+from functools import cache, cached_property, partial
+from importlib import import_module
+from importlib.util import find_spec
+from threading import Lock
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,8 +26,9 @@ from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.compiled.compiled_code import CompiledCode, is_kept
+from turtlelog.simulate.compiled import COMPILING
 from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, compile_loop, name_loop
+from turtlelog.simulate.compiled.twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
@@ -45,6 +53,132 @@ _AHEAD: Final = 4
 """Largest number of finished runs that wait per thread: this limits memory, and keeps all threads
 busy."""
 
+
+class CompiledCode:
+    """Compiled code, loaded as soon as the expected work justifies its cost.
+
+    With this rule, no process takes more than twice as long as with perfect knowledge of its work.
+
+    Attributes:
+        problem: Reason why the code could not be compiled or is no longer used; None if it can be
+            used.
+    """
+
+    def __init__(
+        self,
+        load: Callable[[], Any],
+        is_kept: Callable[[], bool],
+        *,
+        cost_s: float,
+        first_s: float | None = None,
+        beside: Sequence[str] = (),
+    ) -> None:
+        """Store the loader of the code and its cost.
+
+        Args:
+            load: Function that returns the code. The function may raise ImportError, RuntimeError,
+                and errors of numba.
+            is_kept: Function that returns whether numba's cache contains the code.
+            cost_s: Time to import numba and load the code from its cache [s].
+            first_s: Time if the code is not in the cache [s]; None: hardly more.
+            beside: Functions that compile parts of the code, as `module:function`, each called in a
+                process; `load` calls them by `call_beside`.
+        """
+        self._load, self._is_kept, self._cached_s = load, is_kept, cost_s
+        self._first_s = cost_s if first_s is None else first_s
+        self._beside = beside
+        self._loading = Lock()
+        self._saved_s = 0.0
+        self._loops: Any = None
+        self.problem: str | None = None
+
+    def expect(self, count: int, saving_s: float) -> Any:
+        """Add expected work: a number of items, and the time that the code saves on each [s].
+
+        Returns:
+            The code as soon as the total work is worth loading it, otherwise None.
+        """
+        with self._loading:
+            before, self._saved_s = self._saved_s, self._saved_s + count * saving_s
+            is_little = self._saved_s < self._cached_s  # the cache is not searched then
+            if not is_little and before < self.cost_s <= self._saved_s:
+                self._loops = self.load()
+        return self._loops
+
+    @cached_property
+    def cost_s(self) -> float:
+        """Time to load the code [s]: more if parts are not in numba's cache, inf without numba."""
+        if find_spec("numba") is None:
+            return math.inf
+        return self._cached_s if self._is_kept() else self._first_s
+
+    def find(self) -> Any:
+        """Return the code if it is loaded, else None."""
+        return self._loops
+
+    def give_up(self, problem: str) -> None:
+        """Stop using the code."""
+        with self._loading:
+            self._loops, self.problem = None, problem
+
+    def load(self) -> Any:
+        """Return the code; None without numba, or if numba cannot store compiled code.
+
+        Without a writable folder for its cache, numba would compile again in every process.
+        """
+        try:
+            if import_module("numba").config.DISABLE_JIT:
+                return None
+            with ExitStack() as processes:
+                if not self._is_kept():
+                    COMPILING.set()
+                    if gc.isenabled():  # saves 10 %: numba creates millions of permanent objects
+                        gc.disable()
+                        processes.callback(gc.enable)
+                    _start(self._beside, processes)
+                return self._load()
+        # numba for another numpy raises ImportError, a read-only cache RuntimeError.
+        except (ImportError, RuntimeError, OSError):
+            return None
+        except Exception as err:
+            self.problem = str(err)
+            return None
+        finally:
+            COMPILING.clear()
+
+
+_BESIDE: Final[dict[str, Any]] = {}
+"""Processes that compile what a function returns, by `module:function`."""
+
+_CALL: Final = (
+    "import gc, sys; gc.disable(); sys.path[:] = sys.argv[2:];"
+    " from pkgutil import resolve_name; resolve_name(sys.argv[1])()"
+)
+
+
+def _start(functions: Sequence[str], processes: ExitStack) -> None:
+    """Compile what functions return into numba's cache, each in a process, and wait for them."""
+    import subprocess  # most commands do not need it
+
+    for function in functions:
+        # If a process does not start or fails, the function compiles when it is called here.
+        with suppress(OSError, ValueError):
+            command = [sys.executable, "-c", _CALL, function, *sys.path]
+            nowhere = subprocess.DEVNULL
+            _BESIDE[function] = processes.enter_context(
+                subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
+            )
+
+
+def call_beside(function: str) -> Any:
+    """Return what a function compiles, after the end of the process that compiles it, if any."""
+    from pkgutil import resolve_name
+
+    if (process := _BESIDE.pop(function, None)) is not None:
+        process.wait()
+    return resolve_name(function)()
+
+
 Simulated = Run | SimulationError
 
 
@@ -64,16 +198,18 @@ class ManyRuns(Iterator[Simulated]):
         self,
         scenarios: Iterable[Scenario],
         *,
-        plant: Plant | None,
+        plant: Plant | None = None,
         threads: int | None,
         step_budget_s: float | None,
+        expected: int | None = None,
     ) -> None:
+        """Begin as `simulate_many` does. `expected`: number of runs. Default: of the scenarios."""
         self.compiled = self.interpreted = 0
         self.notes: list[str] = []
         self._threads = count_cores() if threads is None else threads
         if self._threads < 1:
             raise SimulationError(f"threads: expected at least 1, found {threads}")
-        self._count = len(scenarios) if isinstance(scenarios, Sized) else 1
+        self._count = expected or (len(scenarios) if isinstance(scenarios, Sized) else 1)
         self._plant, self._step_budget_s = plant, step_budget_s
         self._scenarios = iter(scenarios)
         self._waiting: deque[Simulated | Future[Simulated]] = deque()
@@ -109,7 +245,7 @@ class ManyRuns(Iterator[Simulated]):
             return self._interpret(scenario, plant, loop)
         is_own = not is_built_in(find_law(scenario.law.kind))
         if is_own and loop not in self._compared:
-            return self._simulate_both_ways(loop, scenario, plant)
+            return self._simulate_twice(loop, scenario, plant)
         if self._threads == 1:
             return self._compile(loop, scenario, plant)
         if self._pool is None:
@@ -131,9 +267,7 @@ class ManyRuns(Iterator[Simulated]):
             self.interpreted += run is None
         return self._simulate(scenario, plant) if run is None else run
 
-    def _simulate_both_ways(
-        self, loop: CompiledCode, scenario: Scenario, plant: Plant
-    ) -> Simulated:
+    def _simulate_twice(self, loop: CompiledCode, scenario: Scenario, plant: Plant) -> Simulated:
         """Simulate a user law in ordinary Python and compiled, and record a difference as a note.
 
         The arithmetic of numba and Python may differ in the last bits: for `x**3` in a quarter of
@@ -175,21 +309,21 @@ class ManyRuns(Iterator[Simulated]):
             return err
 
 
-@cache
-def _find_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> CompiledCode:
-    """Return the loop of a law and a plant, which is compiled when the work justifies this."""
-    load, find = partial(compile_loop, law, plant, states), partial(_is_kept, law, plant, states)
-    return CompiledCode(load, find, cost_s=COST_S, first_s=FIRST_S)
-
-
 ENTRY: Final = "turtlelog.simulate.compiled.compiled_entry"
 
 
-def _is_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
+def is_loop_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:
+    """Return whether numba's cache has the loop of a law and a plant."""
     try:
         return is_kept(ENTRY, name_loop(law, plant, states))
     except TypeError:  # not compilable; the compilation reports it
         return False
+
+
+@cache
+def _find_loop(*kind: Any) -> CompiledCode:
+    load, find = partial(compile_loop, *kind), partial(is_loop_kept, *kind)
+    return CompiledCode(load, find, cost_s=COST_S, first_s=FIRST_S)
 
 
 def find_loop(scenario: Scenario, plant: Plant) -> CompiledCode | None:

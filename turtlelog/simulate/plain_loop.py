@@ -1,7 +1,7 @@
 """The loop in ordinary Python, tick by tick, for a law in any Python, without a compiler."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from math import inf
@@ -11,47 +11,16 @@ from typing import Any, Final
 
 import msgspec
 
+from turtlelog import laws
 from turtlelog.errors import SimulationError
-from turtlelog.laws import (
-    AnyLaw,
-    Goal,
-    Law,
-    LawPart,
-    Pose,
-    declare_law,
-    describe_law_error,
-    find_law,
-    name_law,
-)
 from turtlelog.parts import LARGEST_FLOAT, Plant
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import Event
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import LAW_FAILED, STEP_BUDGET, name_stop, number_stop
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import loop, step_budget
-from turtlelog.simulate.class_law import (
-    ClassLaw,
-    build_goal,
-    build_law,
-    describe_numbers,
-    is_built_in,
-)
-from turtlelog.simulate.loop_parts import (
-    DrawnEvents,
-    bind_parts,
-    bind_states,
-    bind_step,
-    list_streams,
-)
-from turtlelog.simulate.rows import (
-    EventRow,
-    SampleRow,
-    TickRow,
-    describe_event,
-    find_maker,
-)
-from turtlelog.simulate.settings import build_settings, find_states, list_acting
+from turtlelog.simulate import class_law, loop, loop_parts, step_budget
+from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event, find_maker
 
 _FORGET_EVERY: Final = 64
 """Ticks between two deletions of rows that are no longer needed. Few rows stay in the processor's
@@ -115,7 +84,7 @@ def iterate_ticks(
         step_budget.require_budget(step_budget_s)
     made = [] if made is None else made
     ticks, kind = _iterate(scenario, plant, step_budget_s, made), scenario.law.kind
-    is_ours = is_built_in(find_law(kind))
+    is_ours = class_law.is_built_in(laws.find_law(kind))
     if step_budget_s is None or not step_budget.needs_watch(step_budget_s, is_built_in=is_ours):
         return ticks
     watched = step_budget.LimitedLoop(ticks, made, step_budget_s, law=kind, one_by_one=one_by_one)
@@ -143,7 +112,7 @@ class PlainLoop:
         scenario: Scenario,
         plant: Plant | None = None,
         *,
-        law: Law | None = None,
+        law: laws.Law | None = None,
         step_budget_s: float | None = None,
     ) -> None:
         """Start the loop.
@@ -156,34 +125,40 @@ class PlainLoop:
             step_budget_s: Time limit of a step; a step beyond it fails with a StepBudgetError. A
                 short budget is measured here, a longer one by a `LimitedLoop`.
         """
-        self._kind = scenario.law.kind if law is None else name_law(type(law))
+        self._kind = scenario.law.kind if law is None else laws.name_law(type(law))
         parameters = getattr(law, "parameters", scenario.law.parameters)
-        self._law: AnyLaw = find_law(self._kind) if law is None else type(law)
+        self._law: laws.AnyLaw = laws.find_law(self._kind) if law is None else type(law)
         self._budget_s = inf if step_budget_s is None else step_budget_s
-        goal = build_goal(scenario)
-        self.declaration = declare_law(self._law, parameters, goal, scenario.path)
+        goal = class_law.build_goal(scenario)
+        self.declaration = laws.declare_law(self._law, parameters, goal, scenario.path)
         plant = scenario.plant.facts if plant is None else plant
-        _, self.settings, self.state = build_settings(scenario, self._law, self.declaration, plant)
+        _, self.settings, self.state = loop_parts.build_settings(
+            scenario, self._law, self.declaration, plant
+        )
         self.now = self.state.now
-        self._class_law: ClassLaw | None = None
+        self._class_law: class_law.ClassLaw | None = None
         part = PLANTS[scenario.plant.kind]
         decide, record = self._bind_law(scenario, law, goal)
-        parts = bind_parts(part, decide, record, list_acting(scenario))
+        parts = loop_parts.bind_parts(part, decide, record, loop_parts.list_acting(scenario))
         self.parts = SimpleNamespace(**parts._asdict())  # reading it takes half the time of a tuple
         self.rows: Any = _build_rows(scenario, self._law, self.declaration)
-        self._read_states = _find_reader(self._law, self.declaration)
+        self._read_states: Callable[[Any], tuple[float, ...]] | None = None
+        if names := self.declaration.states:
+            read: Any = attrgetter(*names)  # returns no tuple for one name
+            of_part = read if len(names) > 1 else lambda row: (read(row),)
+            self._read_states = of_part if isinstance(self._law, laws.LawPart) else tuple
 
     def _bind_law(
-        self, scenario: Scenario, law: Law | None, goal: Goal
+        self, scenario: Scenario, law: laws.Law | None, goal: laws.Goal
     ) -> tuple[Callable[..., Any], Callable[..., Any]]:
         """Return the functions that ask the law and record its states."""
         is_timed = self._budget_s < step_budget.TIMED_BELOW_S
-        if isinstance(self._law, LawPart):
-            decide = bind_step(self._law.step)
-            record = bind_states(self.declaration.states)
+        if isinstance(self._law, laws.LawPart):
+            decide = loop_parts.bind_step(self._law.step)
+            record = loop_parts.bind_states(self.declaration.states)
             return (step_budget.StepBudget(decide, self._budget_s) if is_timed else decide), record
-        law = build_law(scenario.law) if law is None else law
-        self._class_law = found = ClassLaw(
+        law = class_law.build_law(scenario.law) if law is None else law
+        self._class_law = found = class_law.ClassLaw(
             law,
             self.declaration,
             step=step_budget.StepBudget(law.step, self._budget_s) if is_timed else law.step,
@@ -231,7 +206,12 @@ class PlainLoop:
             before, published = end, now.published
             if now.events != events:
                 events = now.events
-                told = self._take_events(period_ns, "" if failure is None else f": {failure}")
+                because = "" if failure is None else f": {failure}"
+                found = [*rows.events.values()]
+                rows.events.clear()
+                told = tuple(
+                    [describe_event(row, period_ns, self.stops, because=because) for row in found]
+                )
                 stop = name_stop(now.stop, self.stops) if now.stop != 0 else None
             own = tuple([self.take_states(one.sequence) for one in computed]) if states else ()
             yield Tick(tick * period_ns, ticks[tick], computed, sent, own, told, stop)
@@ -242,18 +222,15 @@ class PlainLoop:
             if tick % _FORGET_EVERY == 0:
                 self._forget()
 
-    def answer_pose(self, time_ns: int, number: int, pose: Pose) -> SampleRow:
+    def answer_pose(self, time_ns: int, number: int, pose: laws.Pose) -> SampleRow:
         """Return the sample for a pose from outside, such as a recorded pose; no plant moves.
 
         Raises:
             SimulationError: If the law fails or gives an invalid answer.
         """
         row = self.rows.ticks[number] = TickRow(pose.x_m, pose.y_m, pose.heading_rad)
-        row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad = (
-            pose.x_m,
-            pose.y_m,
-            pose.heading_rad,
-        )
+        row.sensed_x_m, row.sensed_y_m = pose.x_m, pose.y_m
+        row.sensed_heading_rad = pose.heading_rad
         sample = self.now.samples
         try:
             loop.answer_pose(self.settings, self.state, self.rows, self.parts, time_ns, number)
@@ -299,7 +276,7 @@ class PlainLoop:
             ended = step_budget.describe_excess(budget_s, budget_s, has_returned=False)
             what = ended if isinstance(err, step_budget.StepEnded) else str(err)
             return step_budget.StepBudgetError(self.describe_late(what))
-        reason = describe_law_error(err, self._law)
+        reason = laws.describe_law_error(err, self._law)
         failure = SimulationError(f"law {self._kind}, sample {self.now.samples}: {reason}")
         failure.__cause__ = err
         return failure
@@ -311,17 +288,10 @@ class PlainLoop:
         if self._read_states is not None and now.samples in rows.states:
             values = self._read_states(rows.states[now.samples])
             states = dict(zip(self.declaration.states, values, strict=True))
-        reason = describe_numbers(now.failure, rows.samples[now.samples], states)
+        reason = class_law.describe_numbers(now.failure, rows.samples[now.samples], states)
         return SimulationError(f"law {self._kind}, sample {now.samples}: {reason}")
 
-    def _take_events(self, period_ns: int, because: str) -> tuple[Event, ...]:
-        """Return the events so far and delete them."""
-        found = [*self.rows.events.values()]
-        self.rows.events.clear()
-        return tuple(describe_event(row, period_ns, self.stops, because=because) for row in found)
-
     def _forget(self) -> None:
-        """Delete the rows that are no longer needed."""
         now, rows = self.now, self.rows
         arrived = now.poses_arrived if self.settings.scene.delays_poses else now.ticks
         if now.poses_count == 0:
@@ -341,31 +311,20 @@ def _list_rows(rows: dict[int, Any], first: int, end: int) -> Samples:
 
 
 @dataclass(slots=True)
-class _New:
-    """Factory of a row of each kind."""
-
-    tick: Callable[[], TickRow]
-    sample: Callable[[], SampleRow]
-    event: type[EventRow]
-    waiting: type[Any] | None
-    states: type[Any] | None
-
-
-@dataclass(slots=True)
 class _Rows:
     """The rows of a loop that are still needed, by number, like `compiled_loop.Rows`."""
 
-    ticks: dict[int, TickRow]
-    samples: dict[int, SampleRow]
-    states: dict[int, Any]
-    events: dict[int, EventRow]
-    waiting: dict[int, Any]
     table: Any
     pieces: Any
-    drawn_ticks: DrawnEvents
-    drawn_samples: DrawnEvents
-    new: tuple[_New]
-    forgotten: int
+    drawn_ticks: loop_parts.DrawnEvents
+    drawn_samples: loop_parts.DrawnEvents
+    new: tuple[SimpleNamespace]  # what makes a row of each kind
+    ticks: dict[int, TickRow] = field(default_factory=dict)
+    samples: dict[int, SampleRow] = field(default_factory=dict)
+    states: dict[int, Any] = field(default_factory=dict)
+    events: dict[int, EventRow] = field(default_factory=dict)
+    waiting: dict[int, Any] = field(default_factory=dict)
+    forgotten: int = 0
 
 
 def _drop(rows: dict[int, Any], before: int) -> int:
@@ -379,48 +338,26 @@ def _drop(rows: dict[int, Any], before: int) -> int:
     return count
 
 
-def _build_rows(scenario: Scenario, law: AnyLaw, declaration: Declaration) -> Any:
-    used = list_streams(scenario)
-    is_part = isinstance(law, LawPart)
-    table = law.build_table if isinstance(law, LawPart) else None
+def _build_rows(scenario: Scenario, law: laws.AnyLaw, declaration: Declaration) -> Any:
+    used, is_part = loop_parts.list_streams(scenario), isinstance(law, laws.LawPart)
+    table = law.build_table if isinstance(law, laws.LawPart) else None
+    makers = SimpleNamespace(
+        tick=find_maker(TickRow),
+        sample=find_maker(SampleRow),
+        event=EventRow,
+        waiting=PLANTS[scenario.plant.kind].Waiting,
+        states=loop_parts.find_states(declaration.states) if is_part else None,
+    )
     return _Rows(
-        ticks={},
-        samples={},
-        states={},
-        events={},
-        waiting={},
         table=() if table is None else table(scenario.law.parameters),
         pieces=() if scenario.path is None else scenario.path.ways,
-        drawn_ticks=DrawnEvents(scenario.seed, used, ticks=True),
-        drawn_samples=DrawnEvents(scenario.seed, used, ticks=False),
-        new=(
-            _New(
-                tick=find_maker(TickRow),
-                sample=find_maker(SampleRow),
-                event=EventRow,
-                waiting=PLANTS[scenario.plant.kind].Waiting,
-                states=find_states(declaration.states) if is_part else None,
-            ),
-        ),
-        forgotten=0,
+        drawn_ticks=loop_parts.DrawnEvents(scenario.seed, used, ticks=True),
+        drawn_samples=loop_parts.DrawnEvents(scenario.seed, used, ticks=False),
+        new=(makers,),
     )
 
 
-def _find_reader(
-    law: AnyLaw, declaration: Declaration
-) -> Callable[[Any], tuple[float, ...]] | None:
-    """Return a function that makes a tuple of a sample's states; None without states."""
-    if not declaration.states:
-        return None
-    if not isinstance(law, LawPart):
-        return tuple
-    read: Any = attrgetter(*declaration.states)
-    return read if len(declaration.states) > 1 else lambda row: (read(row),)
-
-
-def describe_runaway(
-    time_ns: int, state: tuple[float, float, float, float, float]
-) -> SimulationError:
+def describe_runaway(time_ns: int, state: tuple[float, ...]) -> SimulationError:
     """Return a sentence on a plant that is further or faster than a pose can contain."""
     return SimulationError(
         f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"

@@ -284,17 +284,13 @@ def describe_event(row: Any, period_ns: int, stops: Sequence[str], *, because: s
     elif number == STOP:
         text = describe_stop(name_stop(int(second), stops), because)
     else:
-        text = _describe_loss(kind, int(first), int(second))
+        who, what = _LOSSES[kind]
+        lost, since_s = int(second), int(first) / 1e9
+        when = f"{what}s from {since_s:.3f} s on" if lost > 1 else f"{what} at {since_s:.3f} s"
+        text = f"{who} {lost} {when}."
     return Event(time_ns=int(row.tick) * period_ns, kind=kind, text=text)
 
 
 def describe_stop(stop_reason: str, because: str = "") -> str:
     """Return a sentence on the end of the run."""
     return f"The run ended: {stop_reason.replace('_', ' ')}{because}."
-
-
-def _describe_loss(kind: str, since_ns: int, lost: int) -> str:
-    """Return a sentence on the losses of a segment."""
-    who, what = _LOSSES[kind]
-    when = f"{what}s from" if lost > 1 else f"{what} at"
-    return f"{who} {lost} {when} {since_ns / 1e9:.3f} s{' on' if lost > 1 else ''}."

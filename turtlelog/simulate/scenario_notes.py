@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import chain
 from typing import Final
 
+from turtlelog import theory
 from turtlelog.display import describe_count
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
@@ -17,17 +18,6 @@ from turtlelog.run import Parameter
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario
-from turtlelog.theory import (
-    LoopTiming,
-    PidGains,
-    Process,
-    find_stable_gains,
-    find_timing,
-    hides_stability,
-    is_pid_stable,
-    read_gains,
-    read_process,
-)
 
 _ROUNDING: Final = 1e-9
 """Share of a limit within which a larger gain counts as equal to the limit, without a note."""
@@ -56,15 +46,13 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     declaration = declare_scenario(scenario)
     parameters = flatten_scenario(scenario)
     unused = _describe_unused(scenario, declaration, parameters, given)
-    unstable = [*_describe_wrong_signs(declaration, parameters)]
+    unstable = [*_describe_signs(declaration, parameters)]
     unstable += _describe_unstable(declaration, parameters)
     idle = [one.notes(scenario) for one in EFFECTS if one.notes is not None]
     return (*unstable, *unused, *chain.from_iterable(idle))
 
 
-def _describe_wrong_signs(
-    declaration: Declaration, parameters: Mapping[str, Parameter]
-) -> Iterator[str]:
+def _describe_signs(declaration: Declaration, parameters: Mapping[str, Parameter]) -> Iterator[str]:
     """Yield the loops whose plant inverts the feedback.
 
     The open loop is real and negative for real z > 1, from minus infinity at 1 up to 0. For any
@@ -74,7 +62,7 @@ def _describe_wrong_signs(
         for name in ("gain", "reverse_gain"):
             key = f"{PLANT_KEYS[loop.command]}{name}"
             gain = read_number(parameters, key)
-            if gain < 0.0 and not isinstance(read_gains(loop, parameters), str):
+            if gain < 0.0 and not isinstance(theory.read_gains(loop, parameters), str):
                 yield (
                     f"{loop.name}: {key} = {_write(gain)} feeds the error back with the wrong sign:"
                     f" theory's loop is unstable at any {loop.gain} above 0"
@@ -82,13 +70,13 @@ def _describe_wrong_signs(
 
 
 def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parameter]) -> list[str]:
-    timing = find_timing(parameters)
-    if isinstance(timing, str) or hides_stability(parameters):
+    timing = theory.find_timing(parameters)
+    if isinstance(timing, str) or theory.hides_stability(parameters):
         return []
     found = []
     for loop in declaration.loops:
-        gains = read_gains(loop, parameters)
-        process = read_process(loop, parameters, timing.least_s)
+        gains = theory.read_gains(loop, parameters)
+        process = theory.read_process(loop, parameters, timing.least_s)
         if isinstance(gains, str) or isinstance(process, str):
             continue
         if said := _judge(loop, gains, process, timing):
@@ -96,7 +84,7 @@ def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parame
     return found
 
 
-def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) -> str:
+def _describe_timing(process: theory.Process, timing: theory.LoopTiming, *, in_ticks: bool) -> str:
     """Return a description of the period, dead time and lag."""
     words = [f"a period of {1e3 * timing.period_s:g} ms"]
     if process.lag_s > 0.0:
@@ -114,7 +102,9 @@ def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) ->
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTiming) -> str | None:
+def _judge(
+    loop: ControlLoop, gains: theory.PidGains, process: theory.Process, timing: theory.LoopTiming
+) -> str | None:
     """Return why a loop is unstable for every possible dead time; None otherwise."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
@@ -125,8 +115,17 @@ def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTim
     is_plain = gains.kd == 0.0 and process.lag_s == process.low_pass_s == 0.0
     try:
         if not is_plain and timing.least_s < timing.most_s:
-            return _judge_each(gains, process, timing, f"with {named} {words}")
-        ranges = find_stable_gains(gains, period_s=timing.period_s, process=process)
+            # Limits rise with the dead time: the loop must be unstable at each.
+            ticks = range(round((timing.most_s - timing.least_s) / timing.step_s) + 1)
+            times_s = [process.dead_time_s + tick * timing.step_s for tick in ticks]
+            is_stable = any(
+                theory.is_pid_stable(
+                    gains, period_s=timing.period_s, process=replace(process, dead_time_s=time_s)
+                )
+                for time_s in times_s
+            )
+            return None if is_stable else f"with {named} {words} is unstable"
+        ranges = theory.find_stable_gains(gains, period_s=timing.period_s, process=process)
     except TheoryError:  # numbers beyond the range of theory
         return None
     if not ranges:
@@ -139,15 +138,6 @@ def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTim
         limit = _round_towards(low, gains.kp)
         return f"{named} is below {limit} {loop.gain_unit}, where {words} becomes stable"
     return None
-
-
-def _judge_each(gains: PidGains, process: Process, timing: LoopTiming, words: str) -> str | None:
-    """Return why a loop is unstable at each dead time, for limits that rise with the dead time."""
-    for ticks in range(round((timing.most_s - timing.least_s) / timing.step_s) + 1):
-        late = replace(process, dead_time_s=process.dead_time_s + ticks * timing.step_s)
-        if is_pid_stable(gains, period_s=timing.period_s, process=late):
-            return None
-    return f"{words} is unstable"
 
 
 def _round_towards(limit: float, kp: float) -> str:

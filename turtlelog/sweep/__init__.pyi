@@ -2,44 +2,38 @@ from . import tune as tune
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
+    hash_recording as hash_recording,
     is_one_recording as is_one_recording,
-)
-from .gain_borders import (
-    Border as Border,
-    ColumnLimits as ColumnLimits,
-    LoopLimits as LoopLimits,
-    describe_limits as describe_limits,
-    find_borders as find_borders,
-    find_loop_limits as find_loop_limits,
-    list_gain_keys as list_gain_keys,
-    tell_borders as tell_borders,
 )
 from .plan import (
     Sampling as Sampling,
     SweepPlan as SweepPlan,
     build_plan as build_plan,
 )
-from .sensitivities import (
+from .sweep_analysis import (
+    Border as Border,
+    ColumnLimits as ColumnLimits,
+    LoopLimits as LoopLimits,
     Sensitivities as Sensitivities,
     Sensitivity as Sensitivity,
+    describe_limits as describe_limits,
+    find_borders as find_borders,
+    find_loop_limits as find_loop_limits,
     find_sensitivities as find_sensitivities,
+    list_gain_keys as list_gain_keys,
     list_varied as list_varied,
-)
-from .simulate_rows import (
-    RowRecords as RowRecords,
+    tell_borders as tell_borders,
 )
 from .sweep_rows import (
-    SweepEstimate as SweepEstimate,
-    SweepSummary as SweepSummary,
-    estimate_sweep as estimate_sweep,
-    run_sweep as run_sweep,
+    RowRecords as RowRecords,
 )
 from .sweep_scenario import (
     Sweep as Sweep,
-    SweepTable as SweepTable,
+    SweepEstimate as SweepEstimate,
+    SweepSummary as SweepSummary,
+    estimate_sweep as estimate_sweep,
     prepare_sweep as prepare_sweep,
-    read_sweep_table as read_sweep_table,
-    read_table_results as read_table_results,
+    run_sweep as run_sweep,
     sweep_scenario as sweep_scenario,
 )
 from .table.recording_table import (
@@ -47,7 +41,6 @@ from .table.recording_table import (
     TabulatedFiles as TabulatedFiles,
     describe_former as describe_former,
     describe_values as describe_values,
-    hash_recording as hash_recording,
     plan_metric_table as plan_metric_table,
     tabulate_recordings as tabulate_recordings,
 )
@@ -59,11 +52,14 @@ from .table.result_table import (
     write_result_table as write_result_table,
 )
 from .table.swept_results import (
+    SweepTable as SweepTable,
     SweptAxis as SweptAxis,
     SweptMetric as SweptMetric,
     SweptResults as SweptResults,
     load_row_scenario as load_row_scenario,
+    read_sweep_table as read_sweep_table,
     read_swept_results as read_swept_results,
+    read_table_results as read_table_results,
 )
 from .table.swept_views import (
     SweptCells as SweptCells,

@@ -158,10 +158,7 @@ def _work_as(version: str, work: Callable[..., T], *args: Any, **kwargs: Any) ->
 def _connect(distributed: Any, address: str) -> Any:
     class Client(distributed.Client):  # type: ignore[misc]
         def start(self, **options: Any) -> None:
-            """Connect within a time limit.
-
-            If that fails, clean up so that nothing blocks the exit.
-            """
+            """Connect within a time limit, and clean up if that fails: nothing blocks the exit."""
             try:
                 # Without this limit it would wait for ever for a server that is not a scheduler.
                 super().start(callback_timeout=2 * _CONNECT_S, **options)

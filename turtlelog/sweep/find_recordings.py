@@ -1,5 +1,6 @@
 """The search for recordings below folders: which files and folders are recordings; their order."""
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -79,7 +80,11 @@ def find_recordings(
             count += 1
             place = str(one.absolute())
             if place not in found:
-                label = _name_apart(_label(one, path if is_one else None), labels)
+                label = told = _label(one, path if is_one else None)
+                number = 1
+                while label in labels:  # names of invalid Unicode may be escaped to the same text
+                    number, label = number + 1, f"{told} ({number + 1})"
+                labels.add(label)
                 size, mtime_ns = stat_recording(one)
                 found[place] = FoundRecording(str(one), label, size, mtime_ns)
         if not count:
@@ -152,11 +157,10 @@ def _is_folder(path: Path) -> bool:
 
 
 def _is_result_table(path: Path) -> bool:
-    """Return whether the footer of a Parquet file marks it as a result table of turtlelog."""
-    with open_file(path) as stream:
+    with open_file(path) as stream:  # the mark is in the footer of the Parquet file
         stream.seek(-8, os.SEEK_END)
-        length = int.from_bytes(stream.read(4), "little")
-        stream.seek(-8 - min(length, _MOST_FOOTER), os.SEEK_END)
+        length = min(int.from_bytes(stream.read(4), "little"), _MOST_FOOTER)
+        stream.seek(-8 - length, os.SEEK_END)
         return _TABLE_MARK in stream.read(_MOST_FOOTER)
 
 
@@ -191,15 +195,6 @@ def _label(path: Path, root: Path | None) -> str:
     return told.as_posix().encode("utf-8", "backslashreplace").decode()
 
 
-def _name_apart(label: str, labels: set[str]) -> str:
-    """Return a unique label. Different names of invalid Unicode may be escaped to the same text."""
-    number, tried = 1, label
-    while tried in labels:
-        number, tried = number + 1, f"{label} ({number + 1})"
-    labels.add(tried)
-    return tried
-
-
 def stat_recording(path: Path) -> tuple[int, int]:
     """Return size and time of the last change of a file or bag; -1 for unknown values."""
     try:
@@ -218,3 +213,19 @@ def list_contents(path: Path) -> list[Path]:
         OSError: If the folder cannot be listed.
     """
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
+
+
+def hash_recording(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the names and contents of a bag's files.
+
+    Raises:
+        OSError: If a file cannot be read.
+        LogError: If a file is a pipe or a device.
+    """
+    files, whole = list_contents(path), hashlib.sha256()
+    if files == [path]:
+        with open_file(path) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
+    for file in files:
+        whole.update(f"{file.name!r} {hash_recording(file)}\n".encode())
+    return whole.hexdigest()

@@ -47,6 +47,15 @@ class Sampling:
             most = f"at most {MOST_DRAWN:,} rows"
             raise SweepError(f"--sample: expected {most}, found {self.count:,}")
 
+    def draw(self, width: int) -> NDArray[np.float64]:
+        """Return random fractions in [0, 1): one row per sample, one column per axis."""
+        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed)))
+        drawn = generator.random((self.count, width))
+        if not self.is_latin:
+            return drawn
+        order = np.argsort(generator.random(drawn.shape), axis=0, kind="stable")
+        return np.minimum((order + drawn) / self.count, _BELOW_1)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyValues:
@@ -95,7 +104,7 @@ class SweepPlan:
         axes = (*((one,) for one in self.grid), *((self.zipped,) if self.zipped else ()))
         object.__setattr__(self, "_axes", axes)
         _require_sound(self)
-        drawn = None if self.sampling is None else _draw(self.sampling, len(axes))
+        drawn = None if self.sampling is None else self.sampling.draw(len(axes))
         object.__setattr__(self, "_drawn", drawn)
         lengths = [len(axis[0].values) for axis in axes]
         strides = tuple(math.prod(lengths[place + 1 :]) for place in range(len(axes)))
@@ -122,11 +131,15 @@ class SweepPlan:
         number, axis, one = self._find(key)
         if self._drawn is not None:
             shares = self._drawn[rows.start : rows.stop, number].tolist()
-            return [_pick(one, share) for share in shares]
+            values, last = one.values, len(one.values) - 1
+            if one.is_open and isinstance(values, EqualSteps) and not values.is_whole:
+                width = values[-1] - values[0]
+                return [min(values[0] + width * share, values[-1]) for share in shares]
+            return [values[min(int(share * len(values)), last)] for share in shares]
         places = np.arange(rows.start, rows.stop) // self._strides[number] % len(axis[0].values)
         different, which = np.unique(places, return_inverse=True)
-        values = [one.values[place] for place in different.tolist()]
-        return [values[place] for place in which.tolist()]
+        found = [one.values[place] for place in different.tolist()]
+        return [found[place] for place in which.tolist()]
 
     def find_type(self, key: str) -> ColumnType:
         """Return the type of the values of a key."""
@@ -135,12 +148,8 @@ class SweepPlan:
 
     def _find(self, key: str) -> tuple[int, tuple[KeyValues, ...], KeyValues]:
         """Return the index of a key's axis, the axis, and the values of the key."""
-        return next(
-            (number, axis, one)
-            for number, axis in enumerate(self._axes)
-            for one in axis
-            if one.key == key
-        )
+        places = ((number, axis, one) for number, axis in enumerate(self._axes) for one in axis)
+        return next(found for found in places if found[2].key == key)
 
     def list_probes(self) -> tuple[int, ...]:
         """Return the numbers of representative rows: the first, a middle and the last row."""
@@ -175,16 +184,11 @@ class SweepPlan:
 
     def describe(self) -> str:
         """Return the plan as JSON for file metadata."""
-        drawn = self.sampling
-        return json.dumps(
-            {
-                "grid": {one.key: one.text for one in self.grid},
-                "zip": {one.key: one.text for one in self.zipped},
-                "sample": None
-                if drawn is None
-                else {"count": drawn.count, "seed": drawn.seed, "latin": drawn.is_latin},
-            }
-        )
+        texts = [{one.key: one.text for one in axes} for axes in (self.grid, self.zipped)]
+        sample = None
+        if (drawn := self.sampling) is not None:
+            sample = {"count": drawn.count, "seed": drawn.seed, "latin": drawn.is_latin}
+        return json.dumps({"grid": texts[0], "zip": texts[1], "sample": sample})
 
 
 def build_plan(
@@ -195,14 +199,10 @@ def build_plan(
     Raises:
         SweepError: If a text cannot be parsed, or nothing varies.
     """
-    return SweepPlan(
-        grid=tuple(
-            parse_key_values(text, source="--grid", is_sampled=sampling is not None)
-            for text in grid
-        ),
-        zipped=tuple(parse_key_values(text, source="--zip") for text in zipped),
-        sampling=sampling,
-    )
+    is_sampled = sampling is not None
+    own = [parse_key_values(text, source="--grid", is_sampled=is_sampled) for text in grid]
+    together = [parse_key_values(text, source="--zip") for text in zipped]
+    return SweepPlan(grid=tuple(own), zipped=tuple(together), sampling=sampling)
 
 
 def _require_sound(plan: SweepPlan) -> None:
@@ -221,42 +221,6 @@ def _require_sound(plan: SweepPlan) -> None:
             f"--grid: expected at most {MOST_ROWS:,} rows, found {plan.row_count:,}; --sample draws"
             " some of them"
         )
-
-
-def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
-    """Return random fractions in [0, 1): one row per sample, one column per axis."""
-    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(sampling.seed)))
-    drawn = generator.random((sampling.count, width))
-    if not sampling.is_latin:
-        return drawn
-    order = np.argsort(generator.random((sampling.count, width)), axis=0, kind="stable")
-    shares: NDArray[np.float64] = np.minimum((order + drawn) / sampling.count, _BELOW_1)
-    return shares
-
-
-def _pick(one: KeyValues, share: float) -> Any:
-    """Return the value at a fraction of the range."""
-    values = one.values
-    if one.is_open and isinstance(values, EqualSteps) and not values.is_whole:
-        return min(values[0] + (values[-1] - values[0]) * share, values[-1])
-    return values[min(int(share * len(values)), len(values) - 1)]
-
-
-class PlannedCells(Sequence[Any]):
-    """The values of a key in all rows, computed on demand."""
-
-    def __init__(self, plan: SweepPlan, key: str) -> None:
-        """Take the plan, and the key of the column."""
-        self._plan, self._key = plan, key
-
-    def __len__(self) -> int:
-        return self._plan.row_count
-
-    def __getitem__(self, place: Any) -> Any:
-        if not isinstance(place, slice):
-            return self[place : place + 1][0]
-        begin, end, _ = place.indices(len(self))
-        return self._plan.list_values(range(begin, end), self._key)
 
 
 def build_row_scenario(
@@ -328,13 +292,16 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
         raise SweepError(f"{source}: expected {_EXPECTED}, found {text[:60]!r}")
     place = f"{source}: {key}"
     found = _RANGE.fullmatch(rest)
-    if found is None and _is_meant_as_range(rest):
+    # At least one end of a range is a number; `path.py:Class` is a value.
+    words = [word.strip() for word in rest.split(":")]
+    is_number = re.compile(rf"{_NUMBER}|[-+]?(?:nan|inf)", re.IGNORECASE).fullmatch
+    if found is None and 1 < len(words) < 4 and any(map(is_number, words)):
         wrong = next(end for end in rest.split(":") if not re.fullmatch(_NUMBER, end.strip()))
         what = f"{quote_name(wrong)} is not a finite number" if wrong else "a bound is missing"
         raise SweepError(f"{place}={rest[:60]}: {what}; a range is A:B or A:B:STEP")
     if found is not None:
         is_any = is_sampled and found[3] is None and not _are_whole(*found.groups())
-        steps = (_span if is_any else _build_steps)(*found.groups(), place=place)
+        steps = _build_steps(*found.groups(), place=place, is_any=is_any)
         return KeyValues(key=key, text=rest, values=steps, is_open=found[3] is None)
     try:
         texts = [f"value={one.strip()}" for one in rest.split(",")]
@@ -346,15 +313,15 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
     return KeyValues(key=key, text=rest, values=values)
 
 
-def _is_meant_as_range(text: str) -> bool:
-    """Return whether at least one end is a number; `path.py:Class` is a value, not a range."""
-    words = [word.strip() for word in text.split(":")]
-    is_number = re.compile(rf"{_NUMBER}|[-+]?(?:nan|inf)", re.IGNORECASE).fullmatch
-    return 1 < len(words) < 4 and any(map(is_number, words))
-
-
-def _build_steps(first: str, last: str, step: str | None, *, place: str) -> EqualSteps:
+def _build_steps(
+    first: str, last: str, step: str | None, *, place: str, is_any: bool
+) -> EqualSteps:
+    """Return the steps of a range; if any number in it is allowed, its ends."""
     low, high, width = Fraction(first), Fraction(last), Fraction(step or 1)
+    if is_any and high < low:
+        raise SweepError(f"{place}: expected a range from low to high, found {first}:{last}")
+    if is_any:
+        return EqualSteps(low, high - low, 2, is_whole=False)
     if not width:
         raise SweepError(f"{place}: expected a step other than 0, found {step}")
     steps, rest = divmod(high - low, width)
@@ -372,14 +339,6 @@ def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Equa
             f" lead to {near}: {first}:{near}:{step} or {first}:{beyond}:{step}"
         )
     return EqualSteps(low, width, int(steps) + 1, _are_whole(first, last, step))
-
-
-def _span(first: str, last: str, _: str | None, *, place: str) -> EqualSteps:
-    """Return both ends of a range."""
-    width = Fraction(last) - Fraction(first)
-    if width < 0:
-        raise SweepError(f"{place}: expected a range from low to high, found {first}:{last}")
-    return EqualSteps(Fraction(first), width, 2, is_whole=False)
 
 
 def _are_whole(*texts: str | None) -> bool:

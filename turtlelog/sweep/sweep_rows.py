@@ -1,35 +1,40 @@
-"""The run of a sweep: simulation of its rows on all cores, and their one table."""
+"""Rows of a sweep: simulation and measurement of chunks of rows, and their one table.
+
+A chunk contains all its inputs, and the results of a row do not depend on the chunk. Therefore any
+process on any machine with the same version of turtlelog returns the same results.
+"""
 
 import json
 import re
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from turtlelog.errors import LogError, SweepError
-from turtlelog.files.urls import RemotePath, has_files, make_path
-from turtlelog.laws import WorkWithLaws, is_given
-from turtlelog.log.file_access import name_file, remove_leftovers
-from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
-from turtlelog.scenario import parse_scenario
-from turtlelog.sweep.batch.measured_rows import find_batch
-from turtlelog.sweep.plan import PlannedCells, SweepPlan
-from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
-from turtlelog.sweep.table.kept_parts import KeptParts, has_results, name_partial, require_same
+from turtlelog import expressions, measure
+from turtlelog.errors import SimulationError, SweepError, TurtlelogError
+from turtlelog.files.urls import make_path
+from turtlelog.log.recording import write_recording
+from turtlelog.measure.metric import Metric
+from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
+from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
+from turtlelog.simulate import ManyRuns, declare_scenario
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
+from turtlelog.sweep.batch.batch_arrays import OK, STATUSES, is_batched
+from turtlelog.sweep.batch.measured_rows import is_covered, measure_rows
+from turtlelog.sweep.plan import SweepPlan, build_row_scenario
 from turtlelog.sweep.table.result_table import (
     STATUS,
+    ComputedItems,
     ResultColumn,
     ResultTable,
     StoredTable,
-    open_result_table,
-    write_result_table,
 )
 from turtlelog.sweep.table.stored_rows import (
     Columns,
+    KeptParts,
     Key,
     StoredCells,
     StoredRows,
@@ -37,260 +42,259 @@ from turtlelog.sweep.table.stored_rows import (
     build_result_columns,
 )
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
 
-    from turtlelog.sweep.sweep_scenario import Sweep
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowRecords:
+    """Settings of the runs of a sweep to record.
 
-_CHUNK_S: Final = 0.5
-"""Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
+    Attributes:
+        folder: Folder of the recordings, named like `row-000123.mcap`; a URL is a prefix.
+        where: Condition on metrics, keys and `stop_reason`. None: all runs are recorded.
+    """
 
-_MOST_IN_CHUNK: Final = 1024
-"""Largest number of rows in an ordinary chunk, because a process keeps all results of a chunk in
-memory."""
-
-_MOST_IN_BATCH: Final = 4096
-"""Largest number of rows in a compiled chunk: half a second for usual rows, and a few hundred
-calls."""
+    folder: str
+    where: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SweepSummary:
-    """Results of a sweep.
+class RowChunk:
+    """Rows to simulate.
 
     Attributes:
-        output: Path of the table.
-        rows: Number of rows.
-        failed: Number of failed rows.
-        samples: Total number of samples of all runs.
-        recorded: Number of recorded runs.
-        first_failure: Row and reason of the first failure; empty if no row failed.
-        valueless: Metrics without a value in any row, with their statuses.
+        base: Scenario that the rows vary, as text; its law may run.
+        first: Number of the first row.
+        values: Values of the keys, per row.
+        metrics: Metric ids or patterns. Default: those of `list_row_metrics`.
+        ahead: Approximate number of rows still to be done by this process; it decides whether the
+            compiled loop is worth loading.
+        threads: Number of threads, if the chunk is a batch.
+        step_budget_s: Longest computing time of the law per step [s].
     """
 
-    output: Path
-    rows: int
-    failed: int
-    samples: int
+    base: str
+    keys: tuple[str, ...]
+    first: int
+    values: tuple[tuple[Any, ...], ...]
+    metrics: tuple[str, ...] | None = None
+    records: RowRecords | None = None
+    ahead: int = 0
+    threads: int = 1
+    step_budget_s: float = STEP_BUDGET_S
+
+
+@dataclass(slots=True, kw_only=True)
+class MetricCells:
+    """Values of a metric per row, None without one, and their units, several if laws differ.
+
+    A status is None if the row's law has no such metric, or if the row failed.
+    """
+
+    units: list[str]
+    values: list[float | None]
+    statuses: list[str | None]
+
+
+@dataclass(slots=True, kw_only=True)
+class RowResults:
+    """Results of a chunk, row by row, from the row `first` on.
+
+    Attributes:
+        stop_reasons: Stop reason of each row; None for rows that failed.
+        failed: Reason of each failure; None for rows that did not fail.
+        samples: Total number of samples of the runs.
+        notes: Notes on the compiled loops, one line each.
+    """
+
+    first: int
+    stop_reasons: list[str | None] = field(default_factory=list)
+    failed: list[str | None] = field(default_factory=list)
+    samples: int = 0
     recorded: int = 0
-    first_failure: str = ""
-    valueless: Mapping[str, str] = field(default_factory=dict)
-
-
-def run_sweep(
-    sweep: "Sweep",
-    output: str | Path,
-    *,
-    jobs: "int | Executor | None" = None,
-    watch: Callable[[int], None] | None = None,
-    tell: Callable[[str], None] | None = None,
-) -> SweepSummary:
-    """Simulate all rows of a sweep, write their table and return a summary.
-
-    Finished rows are saved next to the output: the same sweep into the same file resumes from
-    there. If the results already exist, nothing is simulated.
-
-    Args:
-        sweep: Result of `prepare_sweep`.
-        output: Path of the Parquet file.
-        jobs: Number of processes, or an executor. Default: one per core if that is faster.
-        watch: Function that is called with the number of finished rows.
-        tell: Function that is called once, with the first row whose law exceeds the step budget.
-
-    Raises:
-        SweepError: If the file belongs to another sweep, another process is writing it, or the disk
-            is full.
-        LogError: If the results cannot be written.
-    """
-    output, facts = make_path(output), sweep.list_facts()
-    if has_results(output, facts):
-        name_partial(output).unlink(missing_ok=True)
-        return _summarise(output, sweep)
-    kept = KeptParts(output, facts, RowResults, require=partial(require_same, facts))
-    is_complete = False
-    try:
-        _begin_records(sweep, kept)
-        rows = SweptRows(kept)
-        _simulate(sweep, rows, jobs, _Telling(watch or _ignore, tell or _ignore))
-        write_result_table(assemble_table(sweep.plan, facts, rows), output)
-        is_complete = True
-    finally:
-        kept.close(is_complete=is_complete)
-    return _summarise(output, sweep)
-
-
-def _ignore(_: object) -> None:
-    """Do nothing."""
-
-
-def _begin_records(sweep: "Sweep", kept: KeptParts[RowResults]) -> None:
-    """Create the folder of recordings, or remove a killed sweep's incomplete files from it.
-
-    A folder with files is refused unless the sweep is resumed.
-    """
-    if sweep.records is None:
-        return
-    if kept.was_begun:
-        folder = make_path(sweep.records.folder)
-        if not isinstance(folder, RemotePath):
-            remove_leftovers(folder)
-        return
-    try:
-        _require_empty(make_path(sweep.records.folder))
-    except (LogError, SweepError):
-        kept.close(is_complete=True)  # nothing was begun
-        raise
-
-
-def _require_empty(folder: Path) -> None:
-    with name_file(folder, expected="a place that can be written"):
-        is_used = has_files(folder)
-    if is_used:
-        raise SweepError(f"{folder}: expected a new folder for recordings, found one with files")
-    if isinstance(folder, RemotePath):
-        return
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as err:
-        raise SweepError(
-            f"{folder}: expected the name of a folder to make, found: {err.strerror or err}"
-        ) from err
-
-
-def _simulate(
-    sweep: "Sweep", rows: "SweptRows", jobs: "int | Executor | None", watch: "_Telling"
-) -> None:
-    """Simulate the remaining rows; the first two run alone to measure the time per row."""
-    watch(rows.count)
-    for _ in range(2):  # the first row includes loading times
-        gaps = rows.list_gaps(sweep.plan.row_count)
-        if not gaps:
-            return
-        first = sweep.cut_chunk(gaps[0][0], 1)
-        begun = time.perf_counter()
-        found = simulate_rows(first)
-        row_s = time.perf_counter() - begun
-        rows.add(found)
-        watch(rows.count, found)
-    rest = sweep.plan.row_count - rows.count
-    if jobs is None:
-        jobs = count_cores() if rest * row_s > LONG_S else 1
-    count, threads = (jobs if isinstance(jobs, int) else 1), 1
-    batch = find_batch(parse_scenario(sweep.base)) if is_batch(first) else None
-    if batch is not None and batch.expect(rest, row_s / count) is not None:
-        size = _MOST_IN_BATCH
-        if isinstance(jobs, int):
-            # Threads share loaded code; processes would take longer to start.
-            jobs, threads = 1, jobs
-    else:
-        size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
-    laws = _list_given_laws(sweep)
-    if laws and isinstance(jobs, int) and not CAN_FORK:
-        jobs = 1
-    work = WorkWithLaws(simulate_rows, () if isinstance(jobs, int) else laws)
-    cut = partial(sweep.cut_chunk, ahead=rest // count, threads=threads)
-    chunks = _Chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
-    for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
-        rows.add(results)
-        watch(rows.count, results)
-
-
-class _Telling:
-    """Reports the number of finished rows, notes of compiled loops, and the first late row."""
-
-    def __init__(self, watch: Callable[[int], None], tell: Callable[[str], None]) -> None:
-        self._watch, self._tell, self._has_told = watch, tell, False
-        self._notes: set[str] = set()
-
-    def __call__(self, done: int, results: RowResults | None = None) -> None:
-        self._watch(done)
-        for note in () if results is None else results.notes:
-            if note not in self._notes:
-                self._notes.add(note)
-                self._tell(note)
-        late = None if results is None or self._has_told else results.find_late()
-        if late is not None:
-            self._has_told = True
-            self._tell(late)
-
-
-class _Chunks(Sequence[RowChunk]):
-    """Chunks of work on segments of rows, created on demand."""
-
-    def __init__(
-        self, cut: Callable[[int, int], RowChunk], gaps: Sequence[tuple[int, int]], size: int
-    ) -> None:
-        self._cut = cut
-        self._cuts = [
-            (first, min(size, end - first))
-            for begin, end in gaps
-            for first in range(begin, end, size)
-        ]
+    metrics: dict[str, MetricCells] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def __len__(self) -> int:
-        return len(self._cuts)
+        return len(self.failed)
 
-    def __getitem__(self, place: Any) -> Any:
-        if isinstance(place, slice):
-            return [self._cut(*cut) for cut in self._cuts[place]]
-        return self._cut(*self._cuts[place])
-
-
-def _name_chunk(chunk: RowChunk) -> str:
-    return f"rows {chunk.first} to {chunk.first + len(chunk.values) - 1}"
+    def find_late(self) -> str | None:
+        """Return the first row whose law exceeded its time, with the reason of the failure."""
+        rows = enumerate(self.failed, start=self.first)
+        return next((f"row {row}: {one}" for row, one in rows if one and is_late(one)), None)
 
 
-def _summarise(output: Path, sweep: "Sweep") -> SweepSummary:
-    """Return the summary of a table, with at most one row group in memory."""
-    table = open_result_table(output, kind="sweep")
-    failed = table.count_values("failed")
-    return SweepSummary(
-        output=output,
-        rows=table.row_count,
-        failed=failed,
-        samples=int(table.facts["samples"]),
-        recorded=int(table.facts["recorded"]),
-        first_failure=find_failure(table) if failed else "",
-        valueless=list_valueless(table, sweep.metrics or ()),
+def simulate_rows(chunk: RowChunk) -> RowResults:
+    """Simulate and measure the rows of a chunk. A failed row gets a reason."""
+    base = parse_scenario(chunk.base)
+    if kinds := _list_batch_metrics(base, chunk):
+        return _simulate_batch(base, chunk, kinds)
+    scenarios: list[Scenario | TurtlelogError] = []
+    for row, values in enumerate(chunk.values, start=chunk.first):
+        try:
+            scenario = build_row_scenario(base, chunk.keys, values, row)
+            scenarios.append(resolve_scenario(scenario))
+        except TurtlelogError as err:
+            scenarios.append(err)
+    good = [one for one in scenarios if isinstance(one, Scenario)]
+    expected, budget_s = max(len(good), chunk.ahead), chunk.step_budget_s
+    runs = ManyRuns(good, threads=1, step_budget_s=budget_s, expected=expected)
+    results = RowResults(first=chunk.first)
+    for row, one in enumerate(scenarios, start=chunk.first):
+        found = next(runs) if isinstance(one, Scenario) else one
+        if isinstance(found, Run):
+            _enter_run(results, chunk, row, found)
+        else:
+            _enter_failure(results, found)
+    results.notes = runs.notes
+    return results
+
+
+_DECIDING: Final = ("law.kind", "law.reorient", "law.schedule", "path.", "plant.kind")
+"""Beginnings of keys that decide which metrics a row has, and whether the row is compiled."""
+
+
+def is_batch(chunk: RowChunk) -> bool:
+    """Return whether compiled code can simulate and measure a chunk as a whole."""
+    return bool(_list_batch_metrics(parse_scenario(chunk.base), chunk))
+
+
+def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, measure.MetricKind]:
+    """Return the metrics of a chunk by id if the batch covers all of them, else nothing."""
+    if chunk.records or any(k.startswith(_DECIDING) for k in chunk.keys):
+        return {}
+    try:
+        scenario = resolve_scenario(base)
+    except TurtlelogError:  # the rows may supply missing values
+        return {}
+    if not is_batched(scenario, scenario.plant.facts):
+        return {}
+    declaration = declare_scenario(scenario)
+    names, known = list_row_metrics(declaration, chunk.metrics), measure.list_metrics(declaration)
+    if not all(name in known and is_covered(name) for name in names):
+        return {}
+    return {name: known[name] for name in names}
+
+
+def _simulate_batch(
+    base: Scenario, chunk: RowChunk, kinds: Mapping[str, measure.MetricKind]
+) -> RowResults:
+    columns = dict(zip(chunk.keys, zip(*chunk.values, strict=True), strict=True))
+    found = measure_rows(
+        base,
+        columns,
+        [*kinds],
+        threads=chunk.threads,
+        first=chunk.first,
+        ahead=chunk.ahead,
+        step_budget_s=chunk.step_budget_s,
     )
+    results = RowResults(
+        first=chunk.first,
+        stop_reasons=found.stop_reasons,
+        failed=found.failed,
+        samples=int(found.samples.sum()),
+        notes=[*found.notes],
+    )
+    if all(reason is not None for reason in found.failed):
+        return results
+    for name, kind in kinds.items():
+        numbers = found.statuses[name].tolist()
+        values = zip(found.values[name].tolist(), numbers, strict=True)
+        results.metrics[name] = MetricCells(
+            units=[kind.unit],
+            values=[value if number == OK else None for value, number in values],
+            statuses=[None if number < 0 else STATUSES[number].value for number in numbers],
+        )
+    return results
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SweepEstimate:
-    """Estimated cost of a sweep, measured on a few of its rows.
+def _enter_failure(results: RowResults, err: TurtlelogError) -> None:
+    if isinstance(err, SimulationError) and err.run is not None:
+        results.samples += len(err.run.samples)
+    results.failed.append(str(err))
+    results.stop_reasons.append(None)
+    _enter_metrics(results, {})
 
-    Attributes:
-        seconds: Duration with the given number of processes [s].
-        bytes: Size of the table [bytes]; the file may be smaller if values repeat.
+
+def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None:
+    try:
+        names = list_row_metrics(run.declaration, chunk.metrics)
+        condition = _parse_condition(chunk.records)
+        asked = () if condition is None else _list_asked(condition)
+        found = measure.measure_run(run, only=[*dict.fromkeys([*names, *asked])])
+    except TurtlelogError as err:
+        _enter_failure(results, err)
+        return
+    results.samples += len(run.samples)
+    results.failed.append(None)
+    results.stop_reasons.append(run.stop_reason)
+    _enter_metrics(results, {name: found[name] for name in names})
+    if chunk.records is None:
+        return
+    values = {"name": run.name, "stop_reason": run.stop_reason, **run.parameters}
+    values |= dict(zip(chunk.keys, chunk.values[row - chunk.first], strict=True))
+    values |= {name: metric.value for name, metric in found.items()}
+    if condition is None or judge_condition(condition, values):
+        write_recording(run, make_path(chunk.records.folder) / f"row-{row:06d}.mcap")
+        results.recorded += 1
+
+
+def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the ids of the requested metrics of a law.
+
+    The default is the essential metrics without dead times. The scenario already sets the delays,
+    and identifying dead times from the log of each run would take most of the time.
     """
-
-    seconds: float
-    bytes: int
-
-
-def estimate_sweep(sweep: "Sweep", *, jobs: int | None = None) -> SweepEstimate:
-    """Simulate a few rows and return the estimated cost of all rows."""
-    count, jobs = sweep.plan.row_count, jobs or count_cores()
-    probes = sweep.plan.list_probes()
-    for row in probes:  # loading times are not counted for every row
-        found = simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
-    begun = time.perf_counter()
-    for row in probes:
-        simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
-    row_s = (time.perf_counter() - begun) / len(probes)
-    numbers = 1 + len(sweep.plan.keys) + len(found.metrics)
-    return SweepEstimate(seconds=row_s * count / jobs, bytes=8 * numbers * count)
+    if patterns is not None:
+        return measure.choose_metrics(patterns, declaration)
+    essential = measure.list_essential_metrics(declaration)
+    return tuple(name for name in essential if not name.endswith(".dead_time"))
 
 
-def _list_given_laws(sweep: "Sweep") -> tuple[str, ...]:
-    """Return the laws of the rows that exist only in this process and its forks."""
-    kinds = [parse_scenario(sweep.base).law.kind]
-    for one in (*sweep.plan.grid, *sweep.plan.zipped):
-        kinds += [*one.values] if one.key == "law.kind" else []
-    return tuple(dict.fromkeys(filter(is_given, kinds)))
+def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
+    before = len(results) - 1
+    for name, metric in found.items():
+        cells = results.metrics.get(name)
+        if cells is None:
+            cells = MetricCells(units=[], values=[None] * before, statuses=[None] * before)
+            results.metrics[name] = cells
+        if metric.unit not in cells.units:
+            cells.units.append(metric.unit)
+        # Some metrics are numpy numbers, which other processes need not load.
+        cells.values.append(None if metric.value is None else float(metric.value))
+        cells.statuses.append(metric.status.value)
+    for name in results.metrics.keys() - found.keys():
+        results.metrics[name].values.append(None)
+        results.metrics[name].statuses.append(None)
+
+
+def _parse_condition(records: RowRecords | None) -> expressions.Expression | None:
+    if records is None or records.where is None:
+        return None
+    return expressions.parse_expression(records.where, source="--record-where")
+
+
+def _list_asked(condition: expressions.Expression) -> list[str]:
+    return [name for name in condition.names if measure.find_metric_kind(name) is not None]
+
+
+def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]) -> bool:
+    """Return whether a condition holds; False if a value that it needs is missing."""
+    truth = expressions.evaluate_expression(condition, values)
+    if truth is not None and not isinstance(truth, bool):
+        raise SweepError(f"{condition.source}: expected a condition, found {truth!r}")
+    return truth is True
+
+
+def require_condition(records: RowRecords | None, parameters: Mapping[str, Any]) -> None:
+    """Refuse a condition that cannot be evaluated for any row, given the parameters of one."""
+    condition = _parse_condition(records)
+    if condition is not None:
+        known = {"name": "", "stop_reason": "", **parameters}
+        judge_condition(condition, known | dict.fromkeys(_list_asked(condition), 1.0))
 
 
 _STOP_REASON: Final = Key("stop_reason")
+
 _FAILED: Final = Key("failed")
 
 
@@ -369,17 +373,17 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
         *(key for name in units for key in (Key(name, "real"), Key(f"{name}{STATUS}"))),
         *(_STOP_REASON, _FAILED),
     ]
+
+    def plan_column(key: str) -> ResultColumn:
+        cells = ComputedItems(
+            plan.row_count, lambda begin, end: plan.list_values(range(begin, end), key)
+        )
+        unit = find_key_unit(key)
+        return ResultColumn(name=key, type=plan.find_type(key), cells=cells, unit=unit)
+
     columns = [
         ResultColumn(name="row", type="whole", cells=range(plan.row_count)),
-        *(
-            ResultColumn(
-                name=key,
-                type=plan.find_type(key),
-                cells=PlannedCells(plan, key),
-                unit=find_key_unit(key),
-            )
-            for key in plan.keys
-        ),
+        *map(plan_column, plan.keys),
         *(
             replace(column, unit=units.get(column.name, column.unit))
             for column in build_result_columns(ordered, keys)
@@ -389,11 +393,8 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
     twice = next((name for number, name in enumerate(names) if name in names[:number]), None)
     if twice is not None:
         raise SweepError(f"{twice}: expected one column of a name, found a key and a metric of it")
-    own = {
-        "varied": json.dumps(plan.keys),
-        "samples": str(rows.samples),
-        "recorded": str(rows.recorded),
-    }
+    own = {"varied": json.dumps(plan.keys), "samples": str(rows.samples)}
+    own["recorded"] = str(rows.recorded)
     return ResultTable(kind="sweep", columns=tuple(columns), facts={**facts, **own})
 
 
@@ -407,6 +408,7 @@ def find_key_unit(key: str) -> str | None:
 
 
 _UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
+
 _POWER: Final = re.compile(r"(\d)$")
 
 

@@ -1,20 +1,22 @@
-"""A sweep: preparation of its rows, and in one call from arrays of values to a table in memory."""
+"""A sweep: preparation of its rows, their simulation on all cores, and all of it in one call."""
 
 import hashlib
 import json
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from html import escape
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.display import describe_count, fit_line, format_html, format_notebook
-from turtlelog.errors import ScenarioError, SweepError
-from turtlelog.laws import read_law_source
+from turtlelog.errors import LogError, ScenarioError, SweepError
+from turtlelog.files.urls import RemotePath, has_files, make_path
+from turtlelog.laws import WorkWithLaws, is_given, read_law_source
 from turtlelog.laws.loading import list_law_files
+from turtlelog.log.file_access import name_file, remove_leftovers
 from turtlelog.measure import choose_metrics
-from turtlelog.run.tables import Tabular
+from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
 from turtlelog.scenario import (
     Scenario,
     choose_scenario,
@@ -26,80 +28,21 @@ from turtlelog.scenario import (
 )
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.sweep import sweep_rows
+from turtlelog.sweep.batch.measured_rows import find_batch
 from turtlelog.sweep.plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
-from turtlelog.sweep.simulate_rows import RowChunk, RowRecords, require_condition
-from turtlelog.sweep.sweep_rows import run_sweep
 from turtlelog.sweep.table.result_table import (
-    ResultTable,
-    build_result_arrow,
+    ComputedItems,
     choose_type,
     open_result_table,
     write_result_table,
 )
-from turtlelog.sweep.table.swept_results import SweptResults, read_swept_results
+from turtlelog.sweep.table.stored_rows import KeptParts, has_results, name_partial, require_same
+from turtlelog.sweep.table.swept_results import SweepTable, read_sweep_table
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
-
-_SHOWN_ROWS: Final = 20
-"""Number of rows of the table shown in a notebook; the frame contains all rows."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class SweepTable(Tabular):
-    """The results of a sweep: a table for pandas, polars and Arrow.
-
-    The columns are the row number, the varied keys, each metric with its status, the stop reason,
-    and the reason of a failure.
-
-    Attributes:
-        name: Name of the scenario that the rows vary.
-        keys: Varied keys.
-        table: All columns and the facts of the table.
-        notes: Notes on laws that were not compiled or exceeded the step budget, one line each.
-    """
-
-    name: str
-    keys: tuple[str, ...]
-    table: ResultTable
-    notes: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return self.table.row_count
-
-    @property
-    def failed(self) -> int:
-        """Number of failed rows."""
-        column = self.table.find("failed")
-        return 0 if column is None else sum(cell is not None for cell in column.cells)
-
-    def _tabulate(self) -> Mapping[str, Any]:
-        return {one.name: one.cells for one in self.table.columns}
-
-    def _list_units(self) -> Mapping[str, str]:
-        return {one.name: one.unit for one in self.table.columns if one.unit}
-
-    def to_arrow(self) -> Any:
-        """Return the table as the `pyarrow.Table` that its file contains."""
-        return build_result_arrow(self.table)
-
-    def __repr__(self) -> str:
-        return fit_line(f"<SweepTable of {self._describe()}>")
-
-    def _describe(self) -> str:
-        rows, failed = describe_count(len(self), "row"), self.failed
-        more = f", {failed} failed" if failed else ""
-        return f"{self.name}: {rows} over {', '.join(self.keys)}{more}"
-
-    def _repr_html_(self) -> str:
-        shown = [one for one in self.table.columns if one.name in self.keys or one.type == "real"]
-        heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in shown]
-        rows = [[one.cells[row] for one in shown] for row in range(min(len(self), _SHOWN_ROWS))]
-        rest = len(self) - len(rows)
-        more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
-        notes = [f"<p>{escape(note)}</p>" for note in self.notes]
-        return format_notebook(self._describe(), format_html(rows, heads=heads), more, *notes)
 
 
 def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
@@ -169,7 +112,7 @@ class Sweep:
     base: str
     plan: SweepPlan
     metrics: tuple[str, ...] | None = None
-    records: RowRecords | None = None
+    records: sweep_rows.RowRecords | None = None
     law_code: str = ""
     step_budget_s: float = STEP_BUDGET_S
 
@@ -185,11 +128,13 @@ class Sweep:
             "version": __version__,
         }
 
-    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
+    def cut_chunk(
+        self, first: int, count: int, *, ahead: int = 0, threads: int = 1
+    ) -> sweep_rows.RowChunk:
         """Return a range of rows as a chunk of work."""
         rows = range(first, first + count)
         columns = [self.plan.list_values(rows, key) for key in self.plan.keys]
-        return RowChunk(
+        return sweep_rows.RowChunk(
             base=self.base,
             keys=self.plan.keys,
             first=first,
@@ -207,7 +152,7 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
     plan: SweepPlan,
     *,
     metrics: Sequence[str] | None = None,
-    records: RowRecords | None = None,
+    records: sweep_rows.RowRecords | None = None,
     trust_law: bool = False,
     step_budget_s: float = STEP_BUDGET_S,
     source: str = "grid",
@@ -251,50 +196,22 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
         for one in found:
             choose_metrics(metrics, declare_scenario(one))
     first = dict(zip(plan.keys, plan.find_values(0), strict=True))
-    require_condition(records, {**known[0], **first})
-    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
+    sweep_rows.require_condition(records, {**known[0], **first})
+    kinds = sorted({one.law.kind for one in found} | {str(one.get("law.kind")) for one in known})
+    # Files of laws and the modules that they import from their folder, or the source text of a law
+    # of this session; built-in laws and modules have neither.
+    paths = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    files = [file for path in paths for file in list_law_files(path)]
+    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
+    code = b"".join([*(path.read_bytes() for path in files), *(text.encode() for text in texts)])
     return Sweep(
         base=format_scenario(base),
         plan=plan.with_reals(real),
         metrics=None if metrics is None else tuple(metrics),
         records=records,
-        law_code=_sum_up_code(sorted(kinds)),
+        law_code=hashlib.sha256(code).hexdigest() if files or texts else "",
         step_budget_s=step_budget_s,
     )
-
-
-def _sum_up_code(kinds: Sequence[str]) -> str:
-    """Return a checksum of the files of laws and of the modules that they import from their folder.
-
-    For a law defined in this session, the checksum is that of its source text. The result is empty
-    if all laws are built in or modules.
-    """
-    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
-    laws = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
-    files = [file for law in laws for file in list_law_files(law)]
-    parts = [*(path.read_bytes() for path in files), *(text.encode() for text in texts)]
-    return hashlib.sha256(b"".join(parts)).hexdigest() if parts else ""
-
-
-def read_sweep_table(path: str | Path) -> SweepTable:
-    """Return the table of a sweep in a file.
-
-    Raises:
-        LogError: If the file is not a table of a sweep.
-        LibraryError: If pyarrow is not installed.
-    """
-    table = open_result_table(path, kind="sweep").load()
-    name = parse_scenario(table.facts["base"]).name
-    plan = json.loads(table.facts["plan"])
-    return SweepTable(name=name, keys=(*plan["grid"], *plan["zip"]), table=table)
-
-
-def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None) -> SweptResults:
-    """Return the rows of a table in memory for charts, as `read_swept_results` does."""
-    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        file = Path(folder, "sweep.parquet")
-        write_result_table(table.table, file)
-        return replace(read_swept_results(file, patterns), path=f"sweep of {table.name}")
 
 
 def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
@@ -320,3 +237,231 @@ def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
         yield KeyValues(key=key, text=text, values=values)
     if rows > MOST_ROWS:
         raise SweepError(f"grid: expected at most {MOST_ROWS:,} rows, found {rows:,}")
+
+
+_CHUNK_S: Final = 0.5
+"""Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
+
+_MOST_IN_CHUNK: Final = 1024
+"""Largest number of rows in an ordinary chunk, because a process keeps all results of a chunk in
+memory."""
+
+_MOST_IN_BATCH: Final = 4096
+"""Largest number of rows in a compiled chunk: half a second for usual rows, and a few hundred
+calls."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepSummary:
+    """Results of a sweep.
+
+    Attributes:
+        output: Path of the table.
+        rows: Number of rows.
+        failed: Number of failed rows.
+        samples: Total number of samples of all runs.
+        recorded: Number of recorded runs.
+        first_failure: Row and reason of the first failure; empty if no row failed.
+        valueless: Metrics without a value in any row, with their statuses.
+    """
+
+    output: Path
+    rows: int
+    failed: int
+    samples: int
+    recorded: int = 0
+    first_failure: str = ""
+    valueless: Mapping[str, str] = field(default_factory=dict)
+
+
+def run_sweep(
+    sweep: Sweep,
+    output: str | Path,
+    *,
+    jobs: "int | Executor | None" = None,
+    watch: Callable[[int], None] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> SweepSummary:
+    """Simulate all rows of a sweep, write their table and return a summary.
+
+    Finished rows are saved next to the output: the same sweep into the same file resumes from
+    there. If the results already exist, nothing is simulated.
+
+    Args:
+        sweep: Result of `prepare_sweep`.
+        output: Path of the Parquet file.
+        jobs: Number of processes, or an executor. Default: one per core if that is faster.
+        watch: Function that is called with the number of finished rows.
+        tell: Function that is called once, with the first row whose law exceeds the step budget.
+
+    Raises:
+        SweepError: If the file belongs to another sweep, another process is writing it, or the disk
+            is full.
+        LogError: If the results cannot be written.
+    """
+    output, facts = make_path(output), sweep.list_facts()
+    if has_results(output, facts):
+        name_partial(output).unlink(missing_ok=True)
+        return _summarise(output, sweep)
+    kept = KeptParts(output, facts, sweep_rows.RowResults, require=partial(require_same, facts))
+    is_complete = False
+    try:
+        _begin_records(sweep, kept)
+        rows = sweep_rows.SweptRows(kept)
+        _simulate(sweep, rows, jobs, _Telling(watch, tell))
+        write_result_table(sweep_rows.assemble_table(sweep.plan, facts, rows), output)
+        is_complete = True
+    finally:
+        kept.close(is_complete=is_complete)
+    return _summarise(output, sweep)
+
+
+def _begin_records(sweep: Sweep, kept: KeptParts[sweep_rows.RowResults]) -> None:
+    """Create the folder of recordings, or remove a killed sweep's incomplete files from it.
+
+    A folder with files is refused unless the sweep is resumed.
+    """
+    folder = None if sweep.records is None else make_path(sweep.records.folder)
+    if folder is not None and not kept.was_begun:
+        try:
+            _make_folder(folder)
+        except (LogError, SweepError):
+            kept.close(is_complete=True)  # nothing was begun
+            raise
+    elif folder is not None and not isinstance(folder, RemotePath):
+        remove_leftovers(folder)
+
+
+def _make_folder(folder: Path) -> None:
+    with name_file(folder, expected="a place that can be written"):
+        is_used = has_files(folder)
+    if is_used:
+        raise SweepError(f"{folder}: expected a new folder for recordings, found one with files")
+    try:
+        if not isinstance(folder, RemotePath):
+            folder.mkdir(exist_ok=True)
+    except OSError as err:
+        expected = "the name of a folder to make"
+        raise SweepError(f"{folder}: expected {expected}, found: {err.strerror or err}") from err
+
+
+def _simulate(
+    sweep: Sweep, rows: sweep_rows.SweptRows, jobs: "int | Executor | None", watch: "_Telling"
+) -> None:
+    """Simulate the remaining rows; the first two run alone to measure the time per row."""
+    watch(rows.count)
+    for _ in range(2):  # the first row includes loading times
+        gaps = rows.list_gaps(sweep.plan.row_count)
+        if not gaps:
+            return
+        first = sweep.cut_chunk(gaps[0][0], 1)
+        begun = time.perf_counter()
+        found = sweep_rows.simulate_rows(first)
+        row_s = time.perf_counter() - begun
+        rows.add(found)
+        watch(rows.count, found)
+    rest = sweep.plan.row_count - rows.count
+    if jobs is None:
+        jobs = count_cores() if rest * row_s > LONG_S else 1
+    count, threads = (jobs if isinstance(jobs, int) else 1), 1
+    batch = find_batch(parse_scenario(sweep.base)) if sweep_rows.is_batch(first) else None
+    if batch is not None and batch.expect(rest, row_s / count) is not None:
+        size = _MOST_IN_BATCH
+        if isinstance(jobs, int):
+            # Threads share loaded code; processes would take longer to start.
+            jobs, threads = 1, jobs
+    else:
+        size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // count)))
+    laws = _list_given_laws(sweep)
+    if laws and isinstance(jobs, int) and not CAN_FORK:
+        jobs = 1
+    work = WorkWithLaws(sweep_rows.simulate_rows, () if isinstance(jobs, int) else laws)
+    cut = partial(sweep.cut_chunk, ahead=rest // count, threads=threads)
+    chunks = _cut_chunks(cut, rows.list_gaps(sweep.plan.row_count), size)
+    for results in map_in_processes(work, chunks, jobs, name=_name_chunk, is_forked=bool(laws)):
+        rows.add(results)
+        watch(rows.count, results)
+
+
+def _cut_chunks(
+    cut: Callable[[int, int], sweep_rows.RowChunk], gaps: Sequence[tuple[int, int]], size: int
+) -> Sequence[sweep_rows.RowChunk]:
+    """Return chunks of work on segments of rows, created on demand."""
+    cuts = [(row, min(size, end - row)) for first, end in gaps for row in range(first, end, size)]
+    return ComputedItems(len(cuts), lambda first, end: [cut(*one) for one in cuts[first:end]])
+
+
+def _name_chunk(chunk: sweep_rows.RowChunk) -> str:
+    return f"rows {chunk.first} to {chunk.first + len(chunk.values) - 1}"
+
+
+def _list_given_laws(sweep: Sweep) -> tuple[str, ...]:
+    """Return the laws of the rows that exist only in this process and its forks."""
+    keys = (*sweep.plan.grid, *sweep.plan.zipped)
+    kinds = [kind for one in keys if one.key == "law.kind" for kind in one.values]
+    return tuple(filter(is_given, dict.fromkeys([parse_scenario(sweep.base).law.kind, *kinds])))
+
+
+class _Telling:
+    """Reports the number of finished rows, notes of compiled loops, and the first late row."""
+
+    def __init__(
+        self, watch: Callable[[int], None] | None, tell: Callable[[str], None] | None
+    ) -> None:
+        self._watch, self._tell = watch or (lambda _: None), tell or (lambda _: None)
+        self._notes, self._has_told = set[str](), False
+
+    def __call__(self, done: int, results: sweep_rows.RowResults | None = None) -> None:
+        self._watch(done)
+        if results is None:
+            return
+        for note in results.notes:
+            if note not in self._notes:
+                self._notes.add(note)
+                self._tell(note)
+        late = None if self._has_told else results.find_late()
+        if late is not None:
+            self._has_told = True
+            self._tell(late)
+
+
+def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
+    """Return the summary of a table, with at most one row group in memory."""
+    table = open_result_table(output, kind="sweep")
+    failed = table.count_values("failed")
+    return SweepSummary(
+        output=output,
+        rows=table.row_count,
+        failed=failed,
+        samples=int(table.facts["samples"]),
+        recorded=int(table.facts["recorded"]),
+        first_failure=sweep_rows.find_failure(table) if failed else "",
+        valueless=sweep_rows.list_valueless(table, sweep.metrics or ()),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepEstimate:
+    """Estimated cost of a sweep, measured on a few of its rows.
+
+    Attributes:
+        seconds: Duration with the given number of processes [s].
+        bytes: Size of the table [bytes]; the file may be smaller if values repeat.
+    """
+
+    seconds: float
+    bytes: int
+
+
+def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
+    """Simulate a few rows and return the estimated cost of all rows."""
+    count, jobs = sweep.plan.row_count, jobs or count_cores()
+    probes = sweep.plan.list_probes()
+    for row in probes:  # loading times are not counted for every row
+        found = sweep_rows.simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
+    begun = time.perf_counter()
+    for row in probes:
+        sweep_rows.simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
+    row_s = (time.perf_counter() - begun) / len(probes)
+    numbers = 1 + len(sweep.plan.keys) + len(found.metrics)
+    return SweepEstimate(seconds=row_s * count / jobs, bytes=8 * numbers * count)

@@ -36,7 +36,6 @@ _MARKERS = (
     "reference(path): what turtlelog_reference is; {stem} is the recording's",
 )
 
-
 NAME: Final = "turtlelog.check.pytest_plugin"
 
 

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import pytest
@@ -86,37 +85,31 @@ class Session:
         if result is not None:
             self._results.append((recording, result))
 
-    def list_properties(self) -> list[tuple[str, object]]:
-        """Return every metric of the used recordings; empty if no report needs them."""
-        if not self._config.getoption("xmlpath", None):
-            return []
-        return [found for name in self._used for found in self._list_metrics(name)]
+    def list_properties(self) -> Iterator[tuple[str, object]]:
+        """Yield every metric of the used recordings, if a report needs them."""
+        for name in self._used if self._config.getoption("xmlpath", None) else ():
+            from turtlelog.measure import measure_run
 
-    def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
-        from turtlelog.measure import measure_run
-
-        try:
-            metrics = measure_run(self._used[name].run)
-        except TurtlelogError:
-            # The test has failed because of it.
-            return
-        yield "recording", name
-        prefix = f"{name}: " if len(self._used) > 1 else ""
-        for metric in metrics.values():
-            unit = "" if metric.unit == "1" else f" [{metric.unit}]"
-            value = metric.status.value if metric.value is None else repr(metric.value)
-            yield f"{prefix}{metric.id}{unit}", value
+            try:
+                metrics = measure_run(self._used[name].run)
+            except TurtlelogError:  # the test has failed because of it
+                continue
+            yield "recording", name
+            prefix = f"{name}: " if len(self._used) > 1 else ""
+            for metric in metrics.values():
+                unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+                value = metric.status.value if metric.value is None else repr(metric.value)
+                yield f"{prefix}{metric.id}{unit}", value
 
     def complete_report(self, item: pytest.Item, report: pytest.TestReport) -> None:
         """Add the checks of a test to its report; for a failure, also message and artifacts."""
         if not self._used:
             return
         has_failed = report.failed
-        accepted = [str(path) for path, found in self._references.items() if found.is_written]
         report.turtlelog = {  # type: ignore[attr-defined]
             "recordings": list(self._used),
             "checks": [_pack(result, has_failed=has_failed) for _, result in self._results],
-            "accepted": accepted,
+            "accepted": [str(path) for path, one in self._references.items() if one.is_written],
         }
         failed: dict[Recording, dict[tuple[str, str], CheckResult]] = {}
         for recording, result in self._results:
@@ -136,7 +129,11 @@ class Session:
         lines: list[str] = []
         explains = not self._config.getoption("--turtlelog-no-why")
         for recording, results in failed.items():
-            lines += [*_list_failure_lines(recording, results, explains=explains), ""]
+            try:
+                found = recording.explain_failures(results) if explains else results
+                lines += [*recording.describe(*found), ""]
+            except TurtlelogError as err:
+                lines += [f"{recording.file}: {err}", ""]
         folder = self._config.getoption("--turtlelog-artifacts")
         if folder:
             place = self._config.invocation_params.dir / folder
@@ -164,23 +161,8 @@ def explain_comparison(operator: str, left: object, right: object) -> list[str] 
         result = watch.judge(metric, asked, other)
     except TurtlelogError:
         return None
-    lines = (
-        f"{left!r} {operator} {right!r}",
-        f"{result.check} of {result.file}: expected {result.expected}",
-    )
-    return [escape_controls(line) for line in lines]
-
-
-def _list_failure_lines(
-    recording: "Recording", results: "Sequence[CheckResult]", *, explains: bool
-) -> list[str]:
-    """Return the complete message for failed checks, with the reason why the recording differs."""
-    try:
-        if explains:
-            results = recording.explain_failures(results)
-        return recording.describe(*results)
-    except TurtlelogError as err:
-        return [f"{recording.file}: {err}"]
+    check = f"{result.check} of {result.file}: expected {result.expected}"
+    return [escape_controls(line) for line in (f"{left!r} {operator} {right!r}", check)]
 
 
 def _keep_artifacts(
@@ -207,13 +189,8 @@ def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
     if not has_failed:
         # A denied comparison, as in `assert not overshoot > 2`, passes if it is false.
         margin, verdict = None if margin is None else abs(margin), "PASS"
-    return {
-        "file": result.file,
-        "check": result.check,
-        "verdict": verdict,
-        "margin": margin,
-        "unit": result.unit,
-    }
+    names = {"file": result.file, "check": result.check, "unit": result.unit}
+    return {**names, "verdict": verdict, "margin": margin}
 
 
 def _show_path(path: Path, root: Path) -> str:
@@ -252,25 +229,18 @@ class SessionSummary:
             f"turtlelog: {describe_count(len(self._recordings), 'recording')}",
             describe_count(len(self._checks), "check") + (f" ({failed} failed)" if failed else ""),
         ]
-        worst = self._describe_worst()
-        parts += [f"worst margins: {'; '.join(worst)}"] if worst else []
+        if self._checks:
+            from turtlelog.check.result import CheckResult, find_worst
+            from turtlelog.display import format_number
+
+            worst = find_worst(CheckResult(**check) for check in self._checks)[:_MOST]
+            names = [shorten(one.check, _WIDTH, placeholder="...") for one in worst]
+            margins = [format_number(one.margin, one.unit) for one in worst]
+            told = zip(margins, names, (one.file for one in worst), strict=True)
+            texts = "; ".join(f"{margin} {name} ({file})" for margin, name, file in told)
+            parts.append(f"worst margins: {texts}")
         accepted = [f"accepted {path}" for path in sorted(self._accepted)]
         return escape_controls(", ".join([*parts, *accepted]))
-
-    def _describe_worst(self) -> list[str]:
-        if not self._checks:
-            return []
-        from turtlelog.check.result import CheckResult, find_worst
-
-        worst = find_worst(CheckResult(**check) for check in self._checks)
-        return [_describe(result) for result in worst[:_MOST]]
-
-
-def _describe(result: "CheckResult") -> str:
-    from turtlelog.display import format_number
-
-    name = shorten(result.check, _WIDTH, placeholder="...")
-    return f"{format_number(result.margin, result.unit)} {name} ({result.file})"
 
 
 SUMMARY = pytest.StashKey[SessionSummary]()
@@ -286,16 +256,14 @@ def end_at_test(error: BaseException) -> None:
     if not isinstance(error, TurtlelogError):
         return
     last, frame = None, error.__traceback__
-    while frame is not None and not _is_own(frame):
+    while frame is not None:
+        if Path(frame.tb_frame.f_code.co_filename).is_relative_to(_PACKAGE):
+            break
         last, frame = frame, frame.tb_next
     if last is not None:
         last.tb_next = None
     if not isinstance(error, LawError | SimulationError):  # these show the frames of a user's law
         error.__cause__, error.__suppress_context__ = None, True
-
-
-def _is_own(frame: TracebackType) -> bool:
-    return Path(frame.tb_frame.f_code.co_filename).is_relative_to(_PACKAGE)
 
 
 _FLAGS: Final = ("allow_partial", "trust_law")

@@ -19,7 +19,7 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import STROKES, fix_style, to_rgb
-from turtlelog.sweep.gain_borders import ColumnLimits, LoopLimits, choose_limits
+from turtlelog.sweep.sweep_analysis import ColumnLimits, LoopLimits, choose_limits
 from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
 from turtlelog.sweep.table.swept_views import SweptView, fill_cells
 

@@ -22,14 +22,22 @@ from turtlelog.draw.figures.figure_curves import count_legend_columns
 from turtlelog.draw.figures.page import REFERENCE, Page, to_rgb, use_looks
 from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
-from turtlelog.sweep.gain_borders import LoopLimits, choose_limits, find_loop_limits, list_gain_keys
-from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity, find_sensitivities
-from turtlelog.sweep.sweep_scenario import SweepTable, read_table_results
+from turtlelog.sweep.sweep_analysis import (
+    LoopLimits,
+    Sensitivities,
+    Sensitivity,
+    choose_limits,
+    find_loop_limits,
+    find_sensitivities,
+    list_gain_keys,
+)
 from turtlelog.sweep.table.swept_results import (
+    SweepTable,
     SweptAxis,
     SweptMetric,
     format_key_value,
     read_swept_results,
+    read_table_results,
 )
 from turtlelog.sweep.table.swept_views import SweptView, choose_view, fill_cells, require_values
 

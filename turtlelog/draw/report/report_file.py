@@ -31,7 +31,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
-from turtlelog.sweep.gain_borders import LoopLimits, find_borders, tell_borders
+from turtlelog.sweep.sweep_analysis import LoopLimits, find_borders, tell_borders
 from turtlelog.sweep.table.swept_results import SweptMetric
 from turtlelog.sweep.table.swept_views import SweptView, find_best_rows, list_shown_values
 from turtlelog.version import __version__

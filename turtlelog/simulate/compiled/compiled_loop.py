@@ -21,38 +21,19 @@ from turtlelog.run.path_pieces import PathPiece
 from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT, name_stop
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import collect, loop
+from turtlelog.simulate import collect, loop, loop_parts
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.compiled import compiled_entry
-from turtlelog.simulate.compiled.compiled_code import remove_others
 from turtlelog.simulate.compiled.twins import (
     TwinError,
     Twins,
     as_record,
     build_dtype,
     describe_numba_error,
+    remove_others,
     stamp_functions,
 )
-from turtlelog.simulate.loop_parts import (
-    STREAMS,
-    Function,
-    Parts,
-    bind_parts,
-    bind_states,
-    bind_step,
-    build_events,
-    draw_events,
-    list_of,
-    list_streams,
-)
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event
-from turtlelog.simulate.settings import (
-    NoNumbers,
-    bound_rows,
-    build_settings,
-    find_law_numbers,
-    find_shape,
-)
 from turtlelog.simulate.step_budget import WatchedCode
 
 
@@ -123,10 +104,9 @@ class Kinds:
 
 
 TICK, SAMPLE, EVENT = map(build_dtype, (TickRow, SampleRow, EventRow))
-_OF_TICKS, _OF_SAMPLES = (build_dtype(build_events(ticks=ticks)) for ticks in (True, False))
+_OF_TICKS, _OF_SAMPLES = (build_dtype(loop_parts.build_events(ticks=one)) for one in (True, False))
 
-
-_STEPS: Final[dict[str, Function]] = {
+_STEPS: Final[dict[str, loop_parts.Function]] = {
     "MOVE_PLANT": loop.move_plant,
     "ANSWER": loop.answer,
     "FINISH_TICK": loop.finish_tick,
@@ -138,13 +118,13 @@ _STEPS: Final[dict[str, Function]] = {
 def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds:
     """Return the types of the records of a loop."""
     state: Any = law.State
-    shape = find_shape(state, find_law_numbers(law), plant, states)
+    shape = loop_parts.find_shape(state, loop_parts.find_law_numbers(law), plant, states)
     rows: dict[str, type[Any]] = {
         "tick": TickRow,
         "sample": SampleRow,
         "event": EventRow,
         "states": shape.States,
-        "waiting": plant.Waiting or NoNumbers,
+        "waiting": plant.Waiting or loop_parts.NoNumbers,
     }
     fields = [(name, kind, field(default_factory=kind)) for name, kind in rows.items()]
     return Kinds(
@@ -160,25 +140,26 @@ class CompiledLoop:
 
     Attributes:
         law: Law for which it is compiled.
-        plant: Plant for which it is compiled.
-        states: States that the law declares.
+        name: Name in numba's cache.
         kinds: Types of the loop's records.
         run: Function of settings, state and rows.
     """
 
     law: LawPart
-    plant: PlantPart
-    states: tuple[str, ...]
+    name: str
     kinds: Kinds
     run: Any
 
 
 @cache
-def _bind(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> tuple[Kinds, Parts, str]:
-    kinds = find_kinds(law, plant, states)
-    parts = bind_parts(plant, bind_step(law.step), bind_states(states), EFFECTS)
+def _bind(
+    law: LawPart, plant: PlantPart, states: tuple[str, ...]
+) -> tuple[Kinds, loop_parts.Parts, str]:
     from importlib.metadata import version
 
+    kinds = find_kinds(law, plant, states)
+    decide, record = loop_parts.bind_step(law.step), loop_parts.bind_states(states)
+    parts = loop_parts.bind_parts(plant, decide, record, EFFECTS)
     stamp = stamp_functions(
         [*_STEPS.values(), *parts, compiled_entry.run_loop, compiled_entry.run_rows],
         *(kinds.settings, kinds.state, kinds.new.dtype, PIECE, _OF_TICKS, _OF_SAMPLES),
@@ -202,7 +183,7 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
         twins = Twins(compiler)
         return {
             **{name: twins.compile(step) for name, step in _STEPS.items()},
-            "PARTS": Parts(*map(twins.compile, parts)),
+            "PARTS": loop_parts.Parts(*map(twins.compile, parts)),
             "STAMP": int(stamp[:12], 16),
         }
 
@@ -212,7 +193,7 @@ def compile_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Com
         run = compile_entry(compiled_entry.run_loop, name, bind, signature)
     except NumbaError as err:
         raise TwinError(describe_numba_error(str(err))) from err
-    return CompiledLoop(law, plant, states, kinds, run)
+    return CompiledLoop(law, name, kinds, run)
 
 
 def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
@@ -232,8 +213,7 @@ def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
         types.Tuple([facts, loops, memory]),
         types.Tuple([asked, values.copy(ndim=2), reasons.copy(ndim=2)]),
     )
-    name = name_loop(loop.law, loop.plant, loop.states)
-    stops = loop.law.stops
+    name, stops = loop.name, loop.law.stops
     timeout = stops.index(TIMEOUT) + 1 if TIMEOUT in stops else 0
     scope = {"STAMP": int(name.rpartition("_")[2][:12], 16), "TIMEOUT": timeout}
     made = compile_entry(compiled_entry.run_rows, f"rows_{name}", lambda _: scope, signature)
@@ -306,12 +286,12 @@ class CompiledRunner:
             StepBudgetError: If a step of a user law does not return within its budget.
         """
         law, declaration = find_law(scenario.law.kind), declare_scenario(scenario)
-        _, settings, start = build_settings(scenario, law, declaration, plant)
-        ticks, samples = bound_rows(scenario, plant)
+        _, settings, start = loop_parts.build_settings(scenario, law, declaration, plant)
+        ticks, samples = loop_parts.bound_rows(scenario, plant)
         rows = self._rows.get(loop)
         if rows is None or ticks > len(rows.ticks) or samples > len(rows.samples):
             rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)
-        draw_streams(rows, list_streams(scenario), scenario.seed, ticks, samples)
+        draw_streams(rows, loop_parts.list_streams(scenario), scenario.seed, ticks, samples)
         rows = rows._replace(table=build_table(scenario), pieces=build_pieces(scenario.path))
         state = as_record(start, loop.kinds.state)
         now = state[0]["now"]
@@ -360,8 +340,8 @@ def build_pieces(path: Path | None) -> NDArray[Any]:
 def draw_streams(rows: Any, names: frozenset[str], seed: int, ticks: int, samples: int) -> None:
     """Generate the random numbers of effects, event by event."""
     for name in names:
-        of_ticks = name in list_of(ticks=True)
+        of_ticks = name in loop_parts.list_of(ticks=True)
         table, count = (rows.drawn_ticks, ticks) if of_ticks else (rows.drawn_samples, samples)
-        drawn = draw_events(seed, STREAMS[name], count)
-        for place, column in enumerate(STREAMS[name].fields):
+        drawn = loop_parts.draw_events(seed, loop_parts.STREAMS[name], count)
+        for place, column in enumerate(loop_parts.STREAMS[name].fields):
             table[name][column][:count] = drawn[:, place]

@@ -13,9 +13,13 @@ import dataclasses
 import dis
 import hashlib
 import math
+import os
 import re
+import sys
 import typing
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType
 from typing import Any, Final
@@ -51,12 +55,8 @@ def _find_globals(function: FunctionType) -> dict[str, Any]:
     codes = [function.__code__]
     for code in codes:
         codes += [one for one in code.co_consts if isinstance(one, CodeType)]
-    names = {
-        one.argval
-        for code in codes
-        for one in dis.get_instructions(code)
-        if one.opname == "LOAD_GLOBAL"
-    }
+    found = [one for code in codes for one in dis.get_instructions(code)]
+    names = {one.argval for one in found if one.opname == "LOAD_GLOBAL"}
     scope = function.__globals__
     return {name: scope[name] for name in sorted(names) if name in scope}
 
@@ -343,3 +343,54 @@ _TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = MappingProxyTyp
     }
 )
 """Functions of compiled code that replace Python functions."""
+
+
+def is_kept(module: str, function: str = "") -> bool:
+    """Return whether numba's cache has the code of a module or of a function, without loading it.
+
+    Code older than a file in the module's folder may need to be compiled again, unless the name of
+    the function is given, which contains the stamp.
+    """
+    source = _find_source(module)
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    try:
+        files = [source] if function else source.parent.glob("*.py")
+        changed_s = max(file.stat().st_mtime for file in files)
+        return any(
+            index.stat().st_mtime >= changed_s
+            for folder in _list_cache_folders(source)
+            for index in folder.glob(f"{source.stem}.{function}*.{python}*.nbi")
+        )
+    except OSError:
+        return False
+
+
+def remove_others(module: str, function: str, kept: str) -> None:
+    """Remove versions of a function from numba's cache, except the one whose name has `kept`."""
+    source = _find_source(module)
+    for folder in _list_cache_folders(source):
+        with suppress(OSError):
+            for file in folder.glob(f"{source.stem}.{function}_*.nb?"):
+                if kept not in file.name:
+                    file.unlink(missing_ok=True)
+
+
+def _find_source(module: str) -> Path:
+    found = find_spec(module)
+    return Path((found and found.origin) or "").absolute()
+
+
+def _list_cache_folders(source: Path) -> list[Path]:
+    """Return the folders in which numba stores compiled code of a module, without loading it.
+
+    The folder is NUMBA_CACHE_DIR if set, or else the module's folder. If that is not writable, it
+    is the user's cache, whose place is unknown here on Windows and macOS.
+    """
+    from hashlib import sha1  # most commands do not need it
+
+    hashed = sha1(str(source.parent).encode(), usedforsecurity=False).hexdigest()
+    name = f"{source.parent.name}_{hashed}"
+    if folder := os.environ.get("NUMBA_CACHE_DIR"):
+        return [Path(folder) / name]
+    of_user = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return [source.parent / "__pycache__", of_user / "numba" / name]

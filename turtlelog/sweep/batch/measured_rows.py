@@ -18,55 +18,43 @@ from numpy.typing import NDArray
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
+from turtlelog.measure.metric import REASONS, Status
+from turtlelog.measure.metric_kinds import RUN_METRICS
 from turtlelog.processes import count_cores
+from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, simulate_run
+from turtlelog.simulate import declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_code import CompiledCode, call_beside, is_kept
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, build_pieces, draw_streams
-from turtlelog.simulate.many import COST_S, ENTRY, FIRST_S, describe_difference, find_saving
+from turtlelog.simulate.compiled.compiled_loop import (
+    CompiledRunner,
+    build_pieces,
+    compile_loop,
+    compile_rows,
+    draw_streams,
+    name_loop,
+)
+from turtlelog.simulate.compiled.twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
-from turtlelog.sweep.batch.batch_columns import (
-    COURSES,
-    FACTS,
-    FIRST_POSE,
-    OK,
-    STATUS_OF,
-    STATUSES,
-    TOO_LARGE,
-    Coverage,
-    allocate_memory,
-    build_loops,
-    find_column,
-    is_angle,
-    is_covered,
-    name_measurement,
-    type_measurement,
-)
-from turtlelog.sweep.batch.batch_kernel import NO_PHASE
-from turtlelog.sweep.batch.batch_settings import (
-    Kind,
-    PreparedRows,
-    find_column_kind,
-    find_line,
-    find_scenario_coverage,
-    prepare_rows,
-)
+from turtlelog.sweep.batch import batch_arrays as arrays
+from turtlelog.sweep.batch.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
 from turtlelog.sweep.plan import build_row_scenario
 
 _ENTRY: Final = "turtlelog.sweep.batch.batch_entry"
 _MEASURING_S: Final = 5.0
 """Additional time for compiling the measurement together with the loop [s]."""
 
+_STATUS_OF: Final = np.array([arrays.STATUSES.index(one.status) for one in REASONS], np.int8)
+"""Status number of each reason."""
+
+_TOO_LARGE: Final = arrays.STATUSES.index(Status.TOO_LARGE)
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
 """Number of rows in one call: enough for a negligible overhead, few enough that all cores finish
 together."""
 
-
-_COMPARED: Final[set[CompiledCode]] = set()
+_COMPARED: Final[set[many.CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""
 
 
@@ -78,40 +66,30 @@ class Batch(NamedTuple):
 
 
 @cache
-def _find_batch(kind: Kind, coverage: Coverage) -> CompiledCode:
-    return CompiledCode(
-        partial(_load, kind, coverage),
-        partial(_is_kept, kind, coverage),
-        cost_s=COST_S,
-        first_s=FIRST_S + _MEASURING_S,
+def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> many.CompiledCode:
+    def load() -> Batch:
+        loop = compile_loop(*kind)
+        measure = many.call_beside(coverage.compiler)
+        return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
+
+    def is_batch_kept() -> bool:
+        names = many.ENTRY, f"rows_{name_loop(*kind)}"
+        return is_kept(_ENTRY, arrays.name_measurement(coverage)) and is_kept(*names)
+
+    return many.CompiledCode(
+        load,
+        lambda: many.is_loop_kept(*kind) and is_batch_kept(),
+        cost_s=many.COST_S,
+        first_s=many.FIRST_S + _MEASURING_S,
         beside=(coverage.compiler,),
     )
 
 
-def _load(kind: Kind, coverage: Coverage) -> Batch:
-    from turtlelog.simulate.compiled.compiled_loop import compile_loop, compile_rows
-
-    loop = compile_loop(*kind)
-    measure = call_beside(coverage.compiler)
-    return Batch(loop, compile_rows(loop, measure, type_measurement(coverage)))
-
-
-def _is_kept(kind: Kind, coverage: Coverage) -> bool:
-    from turtlelog.simulate.compiled.compiled_loop import name_loop
-
-    try:
-        name = name_loop(*kind)
-    except TypeError:  # not compilable; the compilation reports it
-        return False
-    is_measured = is_kept(_ENTRY, name_measurement(coverage))
-    return is_measured and is_kept(ENTRY, name) and is_kept(ENTRY, f"rows_{name}")
-
-
-def find_batch(base: Scenario) -> CompiledCode | None:
+def find_batch(base: Scenario) -> many.CompiledCode | None:
     """Return the compiled code for rows that vary keys of a scenario; None if the law has none."""
     try:
         scenario = resolve_scenario(base)
-        kind, coverage = find_column_kind(scenario), find_scenario_coverage(scenario)
+        kind, coverage = arrays.find_column_kind(scenario), arrays.find_coverage(scenario)
     except TurtlelogError:  # the rows may supply missing values
         return None
     return None if kind is None or coverage is None else _find_batch(kind, coverage)
@@ -178,7 +156,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
             work.measure_alone(0)
             rest = range(1, work.count)
             rows = max(work.count, ahead)
-            kernel = batch.expect(int(work.result.samples[0]) * rows, find_saving(base))
+            kernel = batch.expect(int(work.result.samples[0]) * rows, many.find_saving(base))
         if kernel is not None:
             threads = count_cores() if threads is None else threads
             rest = work.run_compiled(batch, kernel, rest, threads)
@@ -189,8 +167,19 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     return work.finish()
 
 
+def _build_loops(declaration: Declaration) -> NDArray[Any]:
+    """Return the loops of a covered law as `LOOP`."""
+    phases = declaration.phase_names
+    rows = []
+    for loop in declaration.loops:
+        own = sum(1 << phases.index(phase) for phase in declaration.list_phases(loop.name))
+        kinds = SIGNALS.index(loop.signal), REFERENCES.index(loop.reference)
+        rows.append((own, phases.index(PAUSE), *kinds, loop.command == "turn_rate"))
+    return np.array(rows, arrays.LOOP)
+
+
 class _Cells(NamedTuple):
-    """Values and numbers of reasons in the columns of `batch_columns`, shape (n, columns) each."""
+    """Values and numbers of reasons in the columns of `batch_arrays`, shape (n, columns) each."""
 
     values: NDArray[np.float64]
     reasons: NDArray[np.int16]
@@ -223,12 +212,10 @@ class _Work:
         )
 
     def finish(self) -> MeasuredRows:
-        """Return the results with the number of compiled rows."""
         interpreted, notes = self.count - self._compiled, tuple(self.notes)
         return replace(self.result, compiled=self._compiled, interpreted=interpreted, notes=notes)
 
     def measure_alone(self, row: int) -> None:
-        """Simulate and measure a row as a single run."""
         result = self.result
         try:
             scenario = self._build_scenario(row)
@@ -240,7 +227,7 @@ class _Work:
             return
         result.stop_reasons[row], result.samples[row] = run.stop_reason, len(run.samples)
         for name, metric in measure_run(run, only=self._metrics).items():
-            result.statuses[name][row] = STATUSES.index(metric.status)
+            result.statuses[name][row] = arrays.STATUSES.index(metric.status)
             if metric.value is not None:
                 result.values[name][row] = metric.value
 
@@ -250,7 +237,7 @@ class _Work:
         return resolve_scenario(scenario)
 
     def run_compiled(
-        self, batch: CompiledCode, kernel: Batch, rows: Sequence[int], threads: int
+        self, batch: many.CompiledCode, kernel: Batch, rows: Sequence[int], threads: int
     ) -> Sequence[int]:
         """Simulate and measure compiled rows; return the rows that are not compiled."""
         self._is_own = not is_built_in(kernel.loop.law)
@@ -273,15 +260,15 @@ class _Work:
         runner = CompiledRunner(self._step_budget_s)
         compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
-            self.notes += describe_difference(scenario.law.kind, plain, compiled)
+            self.notes += many.describe_difference(scenario.law.kind, plain, compiled)
 
     def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
         base = resolve_scenario(self._base)
-        declaration, coverage = declare_scenario(base), find_scenario_coverage(base)
+        declaration, coverage = declare_scenario(base), arrays.find_coverage(base)
         assert coverage is not None
         self._declaration, self._coverage = declaration, coverage
         self._places = {name: find_column(name, declaration, coverage) for name in self._metrics}
-        prepared = prepare_rows(base, self._columns, rows)
+        prepared = arrays.prepare_rows(base, self._columns, rows)
         cells = self._run_all(kernel, prepared, threads)
         # The line from start to goal is known in advance, unless a disturbance moves the waiting
         # robot.
@@ -297,13 +284,13 @@ class _Work:
         self._compiled += int(good.sum())
         return sorted([*prepared.others, *prepared.rows[~good].tolist()])
 
-    def _run_all(self, kernel: Any, prepared: PreparedRows, threads: int) -> _Cells:
+    def _run_all(self, kernel: Any, prepared: arrays.PreparedRows, threads: int) -> _Cells:
         """Simulate and measure prepared rows from their start states; `states` is overwritten."""
-        loops = build_loops(self._declaration)
-        columns = len(loops) * len(self._coverage.curves) + len(COURSES) + 2
+        loops = _build_loops(self._declaration)
+        columns = len(loops) * len(self._coverage.curves) + len(arrays.COURSES) + 2
         shape = len(prepared.rows), columns
         cells = _Cells(np.full(shape, np.nan), np.zeros(shape, np.int16))
-        prepared.begin()
+        prepared.states[:] = prepared.starts
         asked = np.zeros(shape[1], np.bool_)
         asked[[place for place in self._places.values() if place is not None]] = True
         order = np.argsort(prepared.seeds, kind="stable")
@@ -318,7 +305,7 @@ class _Work:
             rows, memory = self._find_memory(kernel, prepared, int(prepared.seeds[stretch[0]]))
             part = asked, cells.values[stretch], cells.reasons[stretch]
             begun = prepared.settings[stretch], prepared.states[stretch], prepared.lines[stretch]
-            told = np.zeros(1, FACTS), loops, memory
+            told = np.zeros(1, arrays.FACTS), loops, memory
             self._call(partial(kernel.run_rows, begun, rows, told, part), begun[1])
             _, cells.values[stretch], cells.reasons[stretch] = part
             _, prepared.states[stretch], _ = begun
@@ -344,29 +331,28 @@ class _Work:
         local.watched.call(run, lambda: int(states["now"]["samples"].sum()))
         vars(local).update(kept)
 
-    def _find_memory(self, kernel: Batch, prepared: PreparedRows, seed: int) -> tuple[Any, Any]:
+    def _find_memory(
+        self, kernel: Batch, prepared: arrays.PreparedRows, seed: int
+    ) -> tuple[Any, Any]:
         """Return this thread's arrays for the loop, including random numbers, and for measuring."""
         local = self._local
         ticks, samples = prepared.ticks, prepared.samples
-        if (
-            not hasattr(local, "rows")
-            or len(local.rows.ticks) < ticks
-            or (len(local.rows.samples) < samples)
-        ):
+        has_rows = hasattr(local, "rows") and len(local.rows.ticks) >= ticks
+        if not has_rows or len(local.rows.samples) < samples:
             rows = kernel.loop.kinds.allocate(ticks, samples)
             pieces = build_pieces(prepared.path)
             local.rows = rows._replace(table=prepared.table, pieces=pieces)
             loops = len(self._declaration.loops)
-            local.memory = allocate_memory(ticks, samples, loops, prepared.path)
+            local.memory = arrays.allocate_memory(ticks, samples, loops, prepared.path)
             local.seed = None
         if local.seed != seed:
             draw_streams(local.rows, prepared.streams, seed, ticks, samples)
             local.seed = seed
         return local.rows, local.memory
 
-    def _correct_lines(self, prepared: PreparedRows, cells: _Cells) -> NDArray[np.int64]:
+    def _correct_lines(self, prepared: arrays.PreparedRows, cells: _Cells) -> NDArray[np.int64]:
         """Set the line from the first pose that was read; return the rows whose line changed."""
-        read = cells.values[:, FIRST_POSE]
+        read = cells.values[:, arrays.FIRST_POSE]
         lines = prepared.lines
         other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
         other &= ~np.isnan(read[:, 0])
@@ -374,13 +360,12 @@ class _Work:
         for row in moved.tolist():
             settings = prepared.settings[row]
             goal = float(settings["goal"]["x_m"]), float(settings["goal"]["y_m"])
-            found = find_line((float(read[row, 0]), float(read[row, 1])), goal)
+            found = arrays.find_line((float(read[row, 0]), float(read[row, 1])), goal)
             for name, value in found.items():
                 lines[name][row] = value
         return moved
 
-    def _enter(self, prepared: PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
-        """Write the metrics of rows that the compiled loop has simulated."""
+    def _enter(self, prepared: arrays.PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:
         result, rows = self.result, prepared.rows[good]
         if not len(rows):
             return
@@ -392,11 +377,37 @@ class _Work:
         for name in self._metrics:
             place = self._places[name]
             if place is None:
-                result.statuses[name][rows] = STATUS_OF[NO_PHASE]
+                result.statuses[name][rows] = _STATUS_OF[NO_PHASE]
                 continue
-            column, status = cells.values[good, place], STATUS_OF[cells.reasons[good, place]]
+            column, status = cells.values[good, place], _STATUS_OF[cells.reasons[good, place]]
             if is_angle(name, self._declaration):
                 column *= math.degrees(1.0)
-            status[(status == OK) & ~np.isfinite(column)] = TOO_LARGE
-            result.values[name][rows] = np.where(status == OK, column, np.nan)
+            status[(status == arrays.OK) & ~np.isfinite(column)] = _TOO_LARGE
+            result.values[name][rows] = np.where(status == arrays.OK, column, np.nan)
             result.statuses[name][rows] = status
+
+
+def is_covered(name: str) -> bool:
+    """Return whether the batch computes a metric, for any loop."""
+    return (
+        name in arrays.COURSES if name in RUN_METRICS else name.rpartition(".")[2] in arrays.CURVES
+    )
+
+
+def find_column(name: str, declaration: Declaration, coverage: arrays.Coverage) -> int | None:
+    """Return the column of a covered metric; None if the law has no such metric."""
+    curves = coverage.curves
+    if name in arrays.COURSES:
+        return len(declaration.loops) * len(curves) + [*arrays.COURSES].index(name)
+    loop, _, plain = name.rpartition(".")
+    for number, one in enumerate(declaration.loops):
+        if one.name == loop and arrays.CURVES[plain].applies(one):
+            return number * len(curves) + curves.index(plain)
+    return None
+
+
+def is_angle(name: str, declaration: Declaration) -> bool:
+    """Return whether a metric is computed in rad but reported in deg."""
+    loop, _, plain = name.rpartition(".")
+    kind = None if name in arrays.COURSES else arrays.CURVES[plain]
+    return kind is not None and kind.describe_unit(declaration.find_loop(loop)) == "deg"

@@ -1,6 +1,5 @@
 """One table with the metrics of many recordings; unchanged recordings are not read again."""
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -8,31 +7,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.compare import order_ids
 from turtlelog.errors import LibraryError, LogError, TurtlelogError
 from turtlelog.files.urls import make_path
 from turtlelog.log import ReadChoice, read_as_chosen
-from turtlelog.log.file_access import open_file
+from turtlelog.log.parquet_file import list_cells
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
-from turtlelog.sweep.find_recordings import FoundRecording, list_contents
-from turtlelog.sweep.table.kept_parts import KeptParts
-from turtlelog.sweep.table.result_table import (
-    has_result_file,
-    open_result_table,
-    read_result_facts,
-    write_result_table,
-)
+from turtlelog.sweep.find_recordings import FoundRecording, hash_recording
+from turtlelog.sweep.table import result_table
+from turtlelog.sweep.table.result_table import STATUS, ResultColumn
 from turtlelog.sweep.table.stored_rows import (
     ERROR,
+    FILE,
     Cell,
-    FileRows,
-    FileState,
+    CellType,
+    Columns,
+    KeptParts,
     Key,
-    Order,
-    ReadFiles,
     Row,
+    StoredCells,
+    StoredRows,
+    WindowedRows,
+    build_result_columns,
 )
 from turtlelog.version import __version__
 
@@ -40,10 +40,49 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 
+_STATE: Final = Key("size", "whole", "B"), Key("mtime_ns", "whole", "ns"), Key("sha256")
+HEAD: Final = (FILE, *_STATE, ERROR)
+"""Columns of every table of recordings."""
+
+Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
+
 _CHUNK_FILES: Final = 16
 _CHUNK_BYTES: Final = 2**24
 """Size of a chunk of files [bytes], read in about a tenth of a second; an interruption loses one
 chunk."""
+
+
+class FileState(msgspec.Struct, frozen=True, array_like=True):
+    """Known facts of a file, with size and time as in `FoundRecording`, and its rows.
+
+    The hash is None if the file must be read again in any case. The count is 0 if the content is
+    unchanged and its rows are already known.
+    """
+
+    size: int
+    mtime_ns: int
+    sha256: str | None
+    first: int
+    count: int
+
+
+class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
+    """Rows read from some files: states by label, and name, type, unit and cells of each column."""
+
+    files: dict[str, FileState]
+    count: int
+    columns: list[tuple[str, CellType, str, list[Cell]]]
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def pack(self) -> Columns:
+        """Return the rows as columns."""
+        packed = {
+            Key(name, kind, unit): StoredCells.pack(kind, cells)
+            for name, kind, unit, cells in self.columns
+        }
+        return Columns(self.count, packed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,9 +131,9 @@ def describe_former(output: Path, table: RecordingTable) -> str | None:
         LogError: If the file is not such a table and must not be replaced.
         LibraryError: If pyarrow is not installed.
     """
-    if not has_result_file(output):
+    if not result_table.has_result_file(output):
         return None
-    found = read_result_facts(output)
+    found = result_table.read_result_facts(output)
     if found is None or found["kind"] != table.kind:
         other = "another Parquet file" if found is None else f"a table of {found['kind']}"
         raise LogError(f"{output}: expected a table of {table.kind} or a new name, found {other}")
@@ -134,14 +173,14 @@ def tabulate_recordings(
     """
     output = make_path(output)
     former = None
-    if describe_former(output, table) is None and has_result_file(output):
-        former = open_result_table(output, kind=table.kind)
+    if describe_former(output, table) is None and result_table.has_result_file(output):
+        former = result_table.open_result_table(output, kind=table.kind)
     facts = {**table.facts, "kind": table.kind, "version": __version__}
     kept = KeptParts(output, facts, ReadFiles)
     is_complete = False
     try:
         rows = FileRows(kept, former)
-        chunks = list(_cut(found, _list_tasks(found, rows)))
+        chunks = list(_cut(found, rows))
         if jobs is None:
             jobs = choose_jobs([one.path for chunk in chunks for one, _ in chunk], file_s=file_s)
         work = partial(_read_chunk, work=table.work)
@@ -150,7 +189,7 @@ def tabulate_recordings(
             rows.add(chunk)
         labels = [one.label for one in found]
         made, failed, errors = rows.assemble(labels, table.kind, table.facts, table.order)
-        write_result_table(made, output)
+        result_table.write_result_table(made, output)
         is_complete = True
     finally:
         kept.close(is_complete=is_complete or not kept.places)
@@ -163,22 +202,17 @@ _Task = tuple[FoundRecording, str | None]
 """A recording, with the known hash of its content."""
 
 
-def _list_tasks(found: Sequence[FoundRecording], rows: FileRows) -> Iterator[_Task]:
-    """Yield the recordings to check, with the known hashes of their content."""
-    for one in found:
-        known = rows.find(one.label)
-        if known is None or known.sha256 is None:
-            yield one, None
-        elif (known.size, known.mtime_ns) != (one.size, one.mtime_ns):
-            yield one, known.sha256
-
-
-def _cut(found: Sequence[FoundRecording], tasks: Iterator[_Task]) -> Iterator[list[_Task]]:
-    """Yield chunks of work: a few large files, or many small files."""
+def _cut(found: Sequence[FoundRecording], rows: "FileRows") -> Iterator[list[_Task]]:
+    """Yield chunks of recordings to check: a few large files, or many small files."""
     most = max(1, min(_CHUNK_FILES, len(found) // _CHUNK_FILES))
     chunk: list[_Task] = []
-    for task in tasks:
-        chunk.append(task)
+    for one in found:
+        known = rows.find(one.label)
+        sha256 = None if known is None else known.sha256
+        state = None if known is None else (known.size, known.mtime_ns)
+        if sha256 is not None and state == (one.size, one.mtime_ns):
+            continue
+        chunk.append((one, sha256))
         if len(chunk) == most or sum(one.size for one, _ in chunk) > _CHUNK_BYTES:
             yield chunk
             chunk = []
@@ -222,29 +256,7 @@ def _read_one(
     return sha256, rows or [{}]
 
 
-_HASHED_BYTES: Final = 2**20
-
-
-def hash_recording(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and contents of a bag's files.
-
-    Raises:
-        OSError: If a file cannot be read.
-        LogError: If a file is a pipe or a device.
-    """
-    files, whole = list_contents(path), hashlib.sha256()
-    if files == [path]:
-        with open_file(path) as stream:
-            while piece := stream.read(_HASHED_BYTES):
-                whole.update(piece)
-        return whole.hexdigest()
-    for file in files:
-        whole.update(f"{file.name!r} {hash_recording(file)}\n".encode())
-    return whole.hexdigest()
-
-
 _TEXTS = (Key("name"), Key("source"), Key("stop_reason"), Key("notes"))
-_STATUS = ".status"
 
 
 def _measure_file(
@@ -268,8 +280,7 @@ def _measure_file(
 
 @lru_cache(maxsize=1024)  # of one folder: all metrics of some laws
 def _name_columns(name: str, unit: str) -> tuple[Key, Key]:
-    """Return the keys of the value and the status of a metric."""
-    return Key(name, "real", unit), Key(f"{name}{_STATUS}")
+    return Key(name, "real", unit), Key(f"{name}{STATUS}")
 
 
 def plan_metric_table(
@@ -301,13 +312,11 @@ def plan_metric_table(
 
 def _order(keys: Set[Key], used: Set[Key]) -> list[Key]:
     """Return the text columns, then value and status of each metric that a run has."""
-    ids = {key.name.removesuffix(_STATUS) for key in used if key.name.endswith(_STATUS)}
-    values = {
-        name: sorted(key for key in keys if key.name == name and key.type == "real") for name in ids
-    }
-    chosen = [*_TEXTS]
+    ids = {key.name.removesuffix(STATUS) for key in used if key.name.endswith(STATUS)}
+    chosen, values = [*_TEXTS], sorted(key for key in keys if key.type == "real")
     for name in order_ids(sorted(ids)):
-        chosen += [*values[name], Key(f"{name}{_STATUS}")]
+        own = [key for key in values if key.name == name]
+        chosen += [*own, Key(f"{name}{STATUS}")]
     return chosen
 
 
@@ -320,3 +329,115 @@ def describe_values(values: Any) -> str:
         return value.tolist() if hasattr(value, "tolist") else repr(value)
 
     return msgspec.json.encode(values, enc_hook=describe, order="deterministic").decode()
+
+
+_ERRORS_KEPT: Final = 10
+
+_COLUMNS_LOOKED: Final = 512
+"""Number of row columns that fit in memory; all metrics have about 450 columns."""
+
+
+class FileRows:
+    """Known facts of files. The rows of files are in the existing table and the partial file."""
+
+    def __init__(self, kept: KeptParts[ReadFiles], former: result_table.StoredTable | None) -> None:
+        """Load the results of an interrupted call and the existing table."""
+        self._kept, self._stored = kept, StoredRows()
+        self._files: dict[str, FileState] = {}
+        self.read = 0
+        if former is not None:
+            for group in range(len(former.group_rows)):
+                self._enter_former(former, group)
+        for place in kept.places:
+            self._enter(kept.read(place), place)
+
+    def _enter_former(self, former: result_table.StoredTable, group: int) -> None:
+        row = self._stored.add(former.group_rows[group], partial(_load_group, former, group))
+        columns = former.read([key.name for key in HEAD[:4]], group)
+        heads = (list_cells(column.cells) for column in columns)
+        for label, size, mtime_ns, sha256 in zip(*heads, strict=True):
+            known = self._files.get(label)
+            first, count = (row, 0) if known is None else (known.first, known.count)
+            is_next = first + count == row  # False in a table that was reordered
+            known_hash = sha256 if is_next else None
+            self._files[label] = FileState(size, mtime_ns, known_hash, first, count + 1)
+            row += 1
+
+    def find(self, label: str) -> FileState | None:
+        """Return the known facts of a file."""
+        return self._files.get(label)
+
+    def add(self, chunk: ReadFiles) -> None:
+        """Add results of several recordings, and save them in case of an interruption."""
+        self.read += sum(state.count > 0 for state in chunk.files.values())
+        self._enter(chunk, self._kept.add(chunk))
+
+    def _enter(self, chunk: ReadFiles, place: int) -> None:
+        row = self._stored.add(chunk.count, lambda: self._kept.read(place).pack())
+        for label, state in chunk.files.items():
+            rows = row + state.first, state.count
+            if not state.count:
+                known = self._files[label]
+                rows = known.first, known.count
+            self._files[label] = FileState(state.size, state.mtime_ns, state.sha256, *rows)
+
+    def assemble(
+        self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
+    ) -> tuple[result_table.ResultTable, int, tuple[tuple[str, str], ...]]:
+        """Return the table of files with these labels, whose rows are loaded on demand.
+
+        Further results are the number of unreadable files, and label and reason of the first ones.
+        """
+        states = [self._files[label] for label in labels]
+        counts = np.array([state.count for state in states], np.intp)
+        which = np.repeat(np.arange(len(states)), counts)
+        begins = np.cumsum(counts) - counts
+        firsts = np.array([state.first for state in states], np.intp)
+        rows = WindowedRows(self._stored, np.arange(len(which)) + (firsts - begins)[which])
+        keys, used, failed, errors = _look_through(rows, begins)
+        columns = (
+            _repeat(FILE, labels, which),
+            *(_repeat(key, [getattr(one, key.name) for one in states], which) for key in _STATE),
+            *build_result_columns(rows, (ERROR, *order(keys, used))),
+        )
+        table = result_table.ResultTable(kind=kind, columns=columns, facts=facts)
+        return table, failed, tuple((labels[file], text) for file, text in errors)
+
+
+def _look_through(
+    rows: WindowedRows, begins: NDArray[np.intp]
+) -> tuple[set[Key], set[Key], int, list[tuple[int, str]]]:
+    """Return the keys of rows, those with a value, and number and first errors of failed files.
+
+    The error of a file is in the first row of the file.
+    """
+    keys, used, count = set[Key](), set[Key](), 0
+    errors: list[tuple[int, str]] = []
+    for stretch in result_table.cut_groups(len(rows), _COLUMNS_LOOKED):
+        cells = rows.load(stretch).cells
+        keys |= cells.keys()
+        used |= {key for key in cells.keys() - used if cells[key].has_value.any()}
+        if ERROR in cells:
+            first, last = np.searchsorted(begins, (stretch.start, stretch.stop))
+            places = begins[first:last] - stretch.start
+            failed = np.flatnonzero(cells[ERROR].has_value[places])
+            count += len(failed)
+            for file in failed[: _ERRORS_KEPT - len(errors)].tolist():
+                errors.append((int(first) + file, cells[ERROR][places[file]]))
+    return keys - {*HEAD}, used - {*HEAD}, count, errors
+
+
+def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultColumn:
+    packed = StoredCells.pack(key.type, cells).take(which)
+    return ResultColumn(name=key.name, type=key.type, cells=packed, unit=key.unit or None)
+
+
+def _load_group(former: result_table.StoredTable, group: int) -> Columns:
+    """Return the rows of a group of an existing table, without the facts of its files."""
+    known, packed = {key.name for key in HEAD[:4]}, {}
+    for column in former.read([name for name in former.names if name not in known], group):
+        unit = column.unit or ""
+        name = column.name.removesuffix(f" [{unit}]") if unit else column.name
+        key = Key(name, "text" if column.type == "truth" else column.type, unit)
+        packed[key] = StoredCells.pack_arrow(key.type, column.cells)
+    return Columns(former.group_rows[group], packed)

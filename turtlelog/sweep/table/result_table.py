@@ -1,6 +1,6 @@
 """Tables of results in Parquet files: columns with units, and facts about the table."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -39,6 +39,23 @@ footer has 20 MB. Groups do not depend on how rows reach the writer, so equal ta
 files."""
 
 _WHOLE: Final = range(-(2**63), 2**63)
+
+
+class ComputedItems(Sequence[Any]):
+    """A sequence whose segments are computed on demand."""
+
+    def __init__(self, count: int, compute: Callable[[int, int], Sequence[Any]]) -> None:
+        """Take the number of items, and the function of the first item and the one after."""
+        self._count, self._compute = count, compute
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, place: Any) -> Any:
+        if not isinstance(place, slice):
+            return self[place : place + 1][0]
+        begin, end, _ = place.indices(self._count)
+        return self._compute(begin, end)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,13 +155,10 @@ def cut_groups(row_count: int, column_count: int) -> Iterator[slice]:
 def _build_schema(table: ResultTable) -> Any:
     pa = load_library("pyarrow")
     kinds = {"whole": pa.int64(), "real": pa.float64(), "text": pa.string(), "truth": pa.bool_()}
+    units = [None if column.unit is None else {"unit": column.unit} for column in table.columns]
     fields = [
-        pa.field(
-            column.name,
-            kinds[column.type],
-            metadata=None if column.unit is None else {"unit": column.unit},
-        )
-        for column in table.columns
+        pa.field(column.name, kinds[column.type], metadata=unit)
+        for column, unit in zip(table.columns, units, strict=True)
     ]
     own = {"kind": table.kind, "format": FORMAT, "version": table.version}
     texts = {f"{_PREFIX}{name}": text for name, text in {**table.facts, **own}.items()}
@@ -179,7 +193,8 @@ def build_numbers(numbers: NDArray[Any], has_value: NDArray[np.bool_], kind: Any
     """
     pa = load_library("pyarrow")
     stored = _pack_bits(numbers) if numbers.dtype == np.bool_ else pa.py_buffer(numbers)
-    return pa.Array.from_buffers(kind, len(numbers), [_pack_nulls(has_value), stored])
+    mask = None if has_value.all() else _pack_bits(has_value)
+    return pa.Array.from_buffers(kind, len(numbers), [mask, stored])
 
 
 def build_texts(texts: Sequence[str], has_value: NDArray[np.bool_]) -> Any:
@@ -187,13 +202,9 @@ def build_texts(texts: Sequence[str], has_value: NDArray[np.bool_]) -> Any:
     pa, stored = load_library("pyarrow"), [text.encode() for text in texts]
     ends = np.zeros(len(stored) + 1, np.int32)
     np.cumsum([len(text) for text in stored], out=ends[1:])
-    buffers = [_pack_nulls(has_value), pa.py_buffer(ends), pa.py_buffer(b"".join(stored))]
+    mask = None if has_value.all() else _pack_bits(has_value)
+    buffers = [mask, pa.py_buffer(ends), pa.py_buffer(b"".join(stored))]
     return pa.Array.from_buffers(pa.string(), len(stored), buffers)
-
-
-def _pack_nulls(has_value: NDArray[np.bool_]) -> Any:
-    """Return Arrow's mask of the values; None if there is a value everywhere."""
-    return None if has_value.all() else _pack_bits(has_value)
 
 
 def _pack_bits(values: NDArray[np.bool_]) -> Any:
@@ -296,10 +307,8 @@ class StoredTable:
 
     def load(self, columns: Sequence[str] | None = None) -> ResultTable:
         """Return the table with Python values as cells; by default all columns."""
-        found = [replace(one, cells=list_cells(one.cells)) for one in self.read(columns)]
-        return ResultTable(
-            kind=self.kind, columns=tuple(found), facts=self.facts, version=self.version
-        )
+        found = tuple(replace(one, cells=list_cells(one.cells)) for one in self.read(columns))
+        return ResultTable(kind=self.kind, columns=found, facts=self.facts, version=self.version)
 
     def read_row(self, row: int, names: Sequence[str]) -> list[Any]:
         """Return the cells of columns in a row as Python values; KeyError for an unknown column."""
@@ -311,10 +320,8 @@ class StoredTable:
 
     def find_row(self, number: int) -> int:
         """Return the position of the row with a number; SweepError if there is none."""
-        has_numbers = ROW in self.names
-        if 0 <= number < self.row_count and (
-            not has_numbers or self.read_row(number, [ROW]) == [number]
-        ):
+        has_numbers, is_place = ROW in self.names, 0 <= number < self.row_count
+        if is_place and (not has_numbers or self.read_row(number, [ROW]) == [number]):
             return number
         cells = None
         if has_numbers:
@@ -346,9 +353,8 @@ def _name_table(path: str | Path) -> AbstractContextManager[None]:
 
 def _read_facts(metadata: Mapping[bytes, bytes] | None) -> Mapping[str, str] | None:
     texts = {key.decode(): text.decode() for key, text in (metadata or {}).items()}
-    facts = {
-        key.removeprefix(_PREFIX): text for key, text in texts.items() if key.startswith(_PREFIX)
-    }
+    own = {key: text for key, text in texts.items() if key.startswith(_PREFIX)}
+    facts = {key.removeprefix(_PREFIX): text for key, text in own.items()}
     if not {"kind", "format", "version"} <= facts.keys():
         return None
     if facts["format"] != FORMAT:

@@ -1,25 +1,24 @@
-"""Rows of tables and of files in columns: most parts are on disk, a few in memory."""
+"""Rows of tables in parts: kept in a file while a table is made, and packed in columns."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+import hashlib
+import os
+import struct
+import sys
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Final, Literal, NamedTuple
+from pathlib import Path
+from typing import Any, BinaryIO, Final, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.errors import SweepError
+from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
-from turtlelog.log.parquet_file import list_cells
-from turtlelog.sweep.table.kept_parts import KeptParts
-from turtlelog.sweep.table.result_table import (
-    ResultColumn,
-    ResultTable,
-    StoredTable,
-    build_numbers,
-    build_texts,
-    cut_groups,
-)
+from turtlelog.sweep.table import result_table
+from turtlelog.sweep.table.result_table import ResultColumn
 
 Cell = str | int | float | None
 CellType = Literal["text", "real", "whole"]
@@ -32,6 +31,10 @@ class Key(NamedTuple):
     type: CellType = "text"
     unit: str = ""
 
+
+FILE: Final = Key("file")
+ERROR: Final = Key("error")
+"""First and last column about the file, in tables of recordings."""
 
 Row = Mapping[Key, Cell]
 _NONES: Final[Mapping[str, Any]] = {"text": -1, "real": np.nan, "whole": -(2**63)}
@@ -107,9 +110,9 @@ class StoredCells(Sequence[Any]):
         if self._kind != "text":
             pa = load_library("pyarrow")
             kind = pa.int64() if self._kind == "whole" else pa.float64()
-            return build_numbers(self._numbers, has_value, kind)
+            return result_table.build_numbers(self._numbers, has_value, kind)
         texts = ["" if number < 0 else self._texts[number] for number in self._numbers.tolist()]
-        return build_texts(texts, has_value)
+        return result_table.build_texts(texts, has_value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,192 +166,265 @@ class WindowedRows:
         return self._held
 
 
-class _Column(Sequence[Any]):
-    """The cells of a key, for rows in a given order."""
-
-    def __init__(self, rows: WindowedRows, key: Key) -> None:
-        self._rows, self._key = rows, key
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __getitem__(self, place: Any) -> Any:
-        if not isinstance(place, slice):
-            return self[place : place + 1][0]
-        found = self._rows.load(place)
-        return found.cells.get(self._key) or StoredCells.fill(self._key.type, found.count)
-
-
 def build_result_columns(rows: WindowedRows, keys: Sequence[Key]) -> Iterator[ResultColumn]:
     """Yield the columns of keys. If a name has several units, the unit is appended to the name."""
     names = [key.name for key in keys]
     for key in keys:
-        is_alone = names.count(key.name) == 1
-        yield ResultColumn(
-            name=key.name if is_alone else f"{key.name} [{key.unit}]",
-            type=key.type,
-            cells=_Column(rows, key),
-            unit=key.unit or None,
+
+        def load(begin: int, end: int, key: Key = key) -> StoredCells:
+            found = rows.load(slice(begin, end))
+            return found.cells.get(key) or StoredCells.fill(key.type, found.count)
+
+        name = key.name if names.count(key.name) == 1 else f"{key.name} [{key.unit}]"
+        cells = result_table.ComputedItems(len(rows), load)
+        yield ResultColumn(name=name, type=key.type, cells=cells, unit=key.unit or None)
+
+
+Require = Callable[[Path, Mapping[str, str]], None]
+T = TypeVar("T")
+U = TypeVar("U")
+
+_MAGIC: Final = b"turtlelog sweep 1\n"
+_FRAME: Final = struct.Struct("<II")
+"""Length and checksum of the following compressed data."""
+
+_MOST_BYTES: Final = 2**30
+"""Largest length of a part [bytes]. A larger length is a sign of damage."""
+
+_SMALL_PART: Final = 2**23
+_MOST_PACKED: Final = 2
+"""Largest ratio of unpacked to packed size of a large part. A list takes eight bytes for each byte:
+a file of 10 MB takes 160 MB. Data with a larger ratio were not packed by turtlelog."""
+
+
+def name_partial(output: Path) -> Path:
+    """Return the path of the partial file: next to a table, or in the working folder.
+
+    Objects behind URLs cannot grow: their partial files are in the working folder, with names that
+    distinguish tables of the same name.
+    """
+    if not isinstance(output, RemotePath):
+        return output.with_name(f"{output.name}.partial")
+    told = hashlib.sha256(output.url.encode()).hexdigest()[:8]
+    return Path(f"{output.name}.{told}.partial")
+
+
+def has_results(output: Path, facts: Mapping[str, str]) -> bool:
+    """Return whether the results of this sweep already exist; SweepError for another content."""
+    if not result_table.has_result_file(output):
+        return False
+    found = result_table.read_result_facts(output)
+    if found is None or found["kind"] != "sweep":
+        raise SweepError(f"{output}: expected a new name, found a file that no sweep wrote")
+    require_same(facts, output, found, what="the results")
+    return True
+
+
+def require_same(
+    facts: Mapping[str, str], path: Path, found: Mapping[str, str], *, what: str = "what is done"
+) -> None:
+    """Raise SweepError for a file of another sweep; `what` is its content, for the message."""
+    others = [name for name, text in facts.items() if found.get(name) != text]
+    if others:
+        named = " and ".join(_NAMES.get(name, name) for name in others)
+        raise SweepError(
+            f"{path}: expected a new name, found {what} of a sweep with another {named}"
         )
 
 
-def parse_key(column: ResultColumn) -> Key:
-    """Return the key of a column that `build_result_columns` created."""
-    unit = column.unit or ""
-    name = column.name.removesuffix(f" [{unit}]") if unit else column.name
-    return Key(name, "text" if column.type == "truth" else column.type, unit)
+_NAMES: Final = {
+    "base": "base scenario",
+    "plan": "plan",
+    "metrics": "choice of metrics",
+    "records": "choice of recordings",
+    "law_code": "code of the law",
+    "version": "version of turtlelog",
+}
 
 
-FILE: Final = Key("file")
-SIZE: Final = Key("size", "whole", "B")
-CHANGED: Final = Key("mtime_ns", "whole", "ns")
-HASH: Final = Key("sha256")
-ERROR: Final = Key("error")
-HEAD: Final = (FILE, SIZE, CHANGED, HASH, ERROR)
-"""Columns of every table of recordings."""
+class KeptParts(Generic[T]):
+    """The partial file of a table, locked while it is open.
 
-_STATE: Final = HEAD[1:4]
-Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
-
-
-class FileState(msgspec.Struct, frozen=True, array_like=True):
-    """Known facts of a file, with size and time as in `FoundRecording`, and its rows.
-
-    The hash is None if the file must be read again in any case. The count is 0 if the content is
-    unchanged and its rows are already known.
+    Attributes:
+        places: Start of each part in the file [bytes].
+        was_begun: Whether the file already existed, for the same table.
     """
 
-    size: int
-    mtime_ns: int
-    sha256: str | None
-    first: int
-    count: int
+    def __init__(
+        self,
+        output: Path,
+        facts: Mapping[str, str],
+        kind: type[T],
+        *,
+        require: Require | None = None,
+    ) -> None:
+        """Open the file for parts of a type, or create the file.
 
-
-class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
-    """Rows read from some files: states by label, and name, type, unit and cells of each column."""
-
-    files: dict[str, FileState]
-    count: int
-    columns: list[tuple[str, CellType, str, list[Cell]]]
-
-    def __len__(self) -> int:
-        return len(self.files)
-
-    def pack(self) -> Columns:
-        """Return the rows as columns."""
-        packed = {
-            Key(name, kind, unit): StoredCells.pack(kind, cells)
-            for name, kind, unit, cells in self.columns
-        }
-        return Columns(self.count, packed)
-
-
-_ERRORS_KEPT: Final = 10
-_COLUMNS_LOOKED: Final = 512
-"""Number of row columns that fit in memory; all metrics have about 450 columns."""
-
-
-class FileRows:
-    """Known facts of files. The rows of files are in the existing table and the partial file."""
-
-    def __init__(self, kept: KeptParts[ReadFiles], former: StoredTable | None) -> None:
-        """Load the results of an interrupted call and the existing table."""
-        self._kept, self._stored = kept, StoredRows()
-        self._files: dict[str, FileState] = {}
-        self.read = 0
-        if former is not None:
-            for group in range(len(former.group_rows)):
-                self._enter_former(former, group)
-        for place in kept.places:
-            self._enter(kept.read(place), place)
-
-    def _enter_former(self, former: StoredTable, group: int) -> None:
-        """Find the files of a group of rows in the existing table."""
-        row = self._stored.add(former.group_rows[group], partial(_load_group, former, group))
-        columns = former.read([key.name for key in HEAD[:4]], group)
-        heads = (list_cells(column.cells) for column in columns)
-        for label, size, mtime_ns, sha256 in zip(*heads, strict=True):
-            known = self._files.get(label)
-            first, count = (row, 0) if known is None else (known.first, known.count)
-            is_next = first + count == row  # False in a table that was reordered
-            known_hash = sha256 if is_next else None
-            self._files[label] = FileState(size, mtime_ns, known_hash, first, count + 1)
-            row += 1
-
-    def find(self, label: str) -> FileState | None:
-        """Return the known facts of a file."""
-        return self._files.get(label)
-
-    def add(self, chunk: ReadFiles) -> None:
-        """Add results of several recordings, and save them in case of an interruption."""
-        self.read += sum(state.count > 0 for state in chunk.files.values())
-        self._enter(chunk, self._kept.add(chunk))
-
-    def _enter(self, chunk: ReadFiles, place: int) -> None:
-        row = self._stored.add(chunk.count, lambda: self._kept.read(place).pack())
-        for label, state in chunk.files.items():
-            rows = row + state.first, state.count
-            if not state.count:
-                known = self._files[label]
-                rows = known.first, known.count
-            self._files[label] = FileState(state.size, state.mtime_ns, state.sha256, *rows)
-
-    def assemble(
-        self, labels: Sequence[str], kind: str, facts: Mapping[str, str], order: Order
-    ) -> tuple[ResultTable, int, tuple[tuple[str, str], ...]]:
-        """Return the table of files with these labels, whose rows are loaded on demand.
-
-        Further results are the number of unreadable files, and label and reason of the first ones.
+        If the file has other facts, `require` is called with its path and its facts, and raises an
+        error; without `require`, the file is replaced.
         """
-        states = [self._files[label] for label in labels]
-        counts = np.array([state.count for state in states], np.intp)
-        which = np.repeat(np.arange(len(states)), counts)
-        begins = np.cumsum(counts) - counts
-        firsts = np.array([state.first for state in states], np.intp)
-        rows = WindowedRows(self._stored, np.arange(len(which)) + (firsts - begins)[which])
-        keys, used, failed, errors = _look_through(rows, begins)
-        columns = (
-            _repeat(FILE, labels, which),
-            *(_repeat(key, [getattr(one, key.name) for one in states], which) for key in _STATE),
-            *build_result_columns(rows, (ERROR, *order(keys, used))),
+        self.path, self._output = name_partial(output), output
+        self.places: list[int] = []
+        self.was_begun = False
+        self._decoder = msgspec.msgpack.Decoder(kind)
+        try:
+            self._stream = self._open()
+            try:
+                self._begin(dict(facts), require)
+            except BaseException:
+                self._stream.close()
+                raise
+        except OSError as err:
+            raise self._describe(err) from err
+
+    def _open(self) -> BinaryIO:
+        """Return the locked file. If another command removed the file during this, open again."""
+        while True:
+            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666)
+            stream = os.fdopen(descriptor, "r+b", buffering=0)
+            if not _lock(stream):
+                stream.close()
+                raise SweepError(
+                    f"{self._output}: another command is writing it; choose another name or wait"
+                )
+            if self.path.exists() and os.path.samestat(os.fstat(descriptor), self.path.stat()):
+                return stream
+            stream.close()
+
+    def _begin(self, facts: dict[str, str], require: Require | None) -> None:
+        head = self._stream.read(len(_MAGIC))
+        # A truncated head belongs to nobody; a file with other content must not be replaced.
+        if not _MAGIC.startswith(head):
+            raise SweepError(
+                f"{self.path}: is in the way, and not left by an interrupted command;"
+                " delete or rename it"
+            )
+        parts = self._iterate_parts() if head == _MAGIC else iter(())
+        packed = next(parts, (0, b""))[1]
+        if packed:
+            found = self._decode(packed, msgspec.msgpack.Decoder(dict[str, str]))
+            if found != facts and require is not None:
+                require(self.path, found)
+            self.was_begun = found == facts
+        if self.was_begun:
+            end = self._stream.tell()
+            for place, packed in parts:
+                self.places.append(place)
+                end = place + _FRAME.size + len(packed)
+            self._stream.truncate(end)
+        else:
+            self._stream.truncate(0)
+            self._append(_MAGIC + _frame(msgspec.msgpack.encode(facts)))
+
+    def _iterate_parts(self) -> Iterator[tuple[int, bytes]]:
+        """Yield complete packed parts, up to the first truncated or damaged one."""
+        while True:
+            place = self._stream.tell()
+            frame = self._stream.read(_FRAME.size)
+            if len(frame) < _FRAME.size:
+                return
+            length, checksum = _FRAME.unpack(frame)
+            packed = self._stream.read(length) if length < _MOST_BYTES else b""
+            if len(packed) < length or zlib.crc32(packed) != checksum:
+                return
+            yield place, packed
+
+    def read(self, place: int) -> T:
+        """Return the part that begins at a place; SweepError if it cannot be read or is damaged."""
+        try:
+            self._stream.seek(place)
+            packed = next(self._iterate_parts())[1]
+        except OSError as err:
+            raise self._describe(err) from err
+        except StopIteration as err:
+            raise SweepError(f"{self.path}: expected what was kept, found it damaged") from err
+        return self._decode(packed, self._decoder)
+
+    def _decode(self, packed: bytes, decoder: msgspec.msgpack.Decoder[U]) -> U:
+        most = _count_most(packed)
+        unpacking = zlib.decompressobj()
+        try:
+            data = unpacking.decompress(packed, most + 1)
+            if len(data) <= most and unpacking.eof:
+                return decoder.decode(data)
+        except (zlib.error, msgspec.DecodeError, RecursionError):
+            pass
+        raise SweepError(
+            f"{self.path}: a part of it is none that this command wrote, or is damaged. Delete the"
+            " file, then type the same command again"
         )
-        table = ResultTable(kind=kind, columns=columns, facts=facts)
-        return table, failed, tuple((labels[file], text) for file, text in errors)
+
+    def add(self, part: T) -> int:
+        """Append a part and return its start in the file; SweepError if there is no room."""
+        try:
+            self.places.append(self._append(_frame(msgspec.msgpack.encode(part))))
+        except OSError as err:
+            raise self._describe(err) from err
+        return self.places[-1]
+
+    def _append(self, data: bytes) -> int:
+        place, rest = self._stream.seek(0, os.SEEK_END), memoryview(data)
+        while rest:
+            rest = rest[self._stream.write(rest) :]
+        return place
+
+    def _describe(self, err: OSError) -> SweepError:
+        return SweepError(
+            f"{self.path}: expected room for what is done, found: {err.strerror or err}; the same"
+            " command goes on from there"
+        )
+
+    def close(self, *, is_complete: bool = False) -> None:
+        """Close the file, and remove it if the table is complete."""
+        # Under the lock if the system allows it: after its release the name may belong to another
+        # file.
+        if is_complete and sys.platform != "win32":
+            self.path.unlink(missing_ok=True)
+        self._stream.close()
+        if is_complete and sys.platform == "win32":
+            self.path.unlink(missing_ok=True)
 
 
-def _look_through(
-    rows: WindowedRows, begins: NDArray[np.intp]
-) -> tuple[set[Key], set[Key], int, list[tuple[int, str]]]:
-    """Return the keys of rows, those with a value, and number and first errors of failed files.
-
-    The error of a file is in the first row of the file.
-    """
-    keys, used, count = set[Key](), set[Key](), 0
-    errors: list[tuple[int, str]] = []
-    for stretch in cut_groups(len(rows), _COLUMNS_LOOKED):
-        cells = rows.load(stretch).cells
-        keys |= cells.keys()
-        used |= {key for key in cells.keys() - used if cells[key].has_value.any()}
-        if ERROR in cells:
-            first, last = np.searchsorted(begins, (stretch.start, stretch.stop))
-            places = begins[first:last] - stretch.start
-            failed = np.flatnonzero(cells[ERROR].has_value[places])
-            count += len(failed)
-            for file in failed[: _ERRORS_KEPT - len(errors)].tolist():
-                errors.append((int(first) + file, cells[ERROR][places[file]]))
-    return keys - {*HEAD}, used - {*HEAD}, count, errors
+def _frame(data: bytes) -> bytes:
+    packed = zlib.compress(data, 1)
+    if len(data) > _count_most(packed):
+        packed = zlib.compress(data, 0)
+    return _FRAME.pack(len(packed), zlib.crc32(packed)) + packed
 
 
-def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultColumn:
-    packed = StoredCells.pack(key.type, cells).take(which)
-    return ResultColumn(name=key.name, type=key.type, cells=packed, unit=key.unit or None)
+def _count_most(packed: bytes) -> int:
+    """Return the largest size of an unpacked part [bytes]."""
+    return max(_SMALL_PART, _MOST_PACKED * len(packed))
 
 
-def _load_group(former: StoredTable, group: int) -> Columns:
-    """Return the rows of a group of an existing table, without the facts of its files."""
-    known = {key.name for key in HEAD[:4]}
-    columns = former.read([name for name in former.names if name not in known], group)
-    keys = ((parse_key(column), column.cells) for column in columns)
-    packed = {key: StoredCells.pack_arrow(key.type, cells) for key, cells in keys}
-    return Columns(former.group_rows[group], packed)
+_BINARY: Final = getattr(os, "O_BINARY", 0)
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _FAR: Final = 2**40
+    """Offset of the lock, beyond any file, so that it does not hinder readers."""
+
+    def _lock(stream: BinaryIO) -> bool:
+        """Lock the file, or return False if another process has locked it."""
+        stream.seek(_FAR)
+        try:
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            stream.seek(0)
+        return True
+
+else:
+    import fcntl
+
+    def _lock(stream: BinaryIO) -> bool:
+        """Lock the file; return False if another process has locked it. Without locks: True."""
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
+        return True

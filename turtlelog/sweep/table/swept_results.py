@@ -1,32 +1,29 @@
-"""The table of a sweep prepared for charts: axes with places for its rows, and metrics."""
+"""The table of a sweep: in memory, and for charts as axes with places for its rows, and metrics."""
 
 import json
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unknown
 from turtlelog.files.text_files import parse_toml
 from turtlelog.log.file_access import name_file
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.run.loops import ControlLoop
-from turtlelog.scenario import Scenario, build_scenario, resolve_scenario
+from turtlelog.run.tables import Tabular
+from turtlelog.scenario import Scenario, build_scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.table.result_table import (
-    ROW,
-    STATUS,
-    ResultColumn,
-    StoredTable,
-    list_row_numbers,
-    open_result_table,
-)
+from turtlelog.sweep.table import result_table
 
 Values = NDArray[np.float64]
 
@@ -162,15 +159,10 @@ class SweptResults:
         Raises:
             ScenarioError: If the row's values are not a valid scenario.
         """
-        changes = [
-            (key, value)
-            for axis in self.axes
-            for key, value in zip(axis.keys, axis.values[axis.places[row]], strict=True)
-        ]
-        keys, values = [key for key, _ in changes], [value for _, value in changes]
-        return build_row_scenario(
-            self.base, keys, values, self.row_numbers[row], source=f"{self.path}", trust_law=False
-        )
+        keys = [key for axis in self.axes for key in axis.keys]
+        values = [value for axis in self.axes for value in axis.values[axis.places[row]]]
+        number, source = self.row_numbers[row], f"{self.path}"
+        return build_row_scenario(self.base, keys, values, number, source=source, trust_law=False)
 
     def tell_row(self, row: int) -> str:
         """Return the values of all varied keys in a row, in words."""
@@ -189,13 +181,13 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         SweepError: If a metric does not exist, or the patterns match too many metrics.
         LibraryError: If pyarrow is not installed.
     """
-    stored = open_result_table(path, kind="sweep")
+    stored = result_table.open_result_table(path, kind="sweep")
     axes, is_sampled, base = _parse_facts(path, stored)
-    known = [name for name in stored.names if f"{name}{STATUS}" in stored.names]
+    known = [name for name in stored.names if f"{name}{result_table.STATUS}" in stored.names]
     asked = known if patterns is None else _match(path, patterns, known)
     wanted = [*(key for keys in axes for key in keys), *asked]
-    wanted += [*(f"{name}{STATUS}" for name in asked), "failed"]
-    wanted += [ROW] if ROW in stored.names else []
+    wanted += [*(f"{name}{result_table.STATUS}" for name in asked), "failed"]
+    wanted += [result_table.ROW] if result_table.ROW in stored.names else []
     columns = {one.name: one for one in stored.read(list(dict.fromkeys(wanted)))}
     count = stored.row_count
     if not count:
@@ -217,14 +209,12 @@ def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) 
         is_sampled=is_sampled,
         failed=int(has_failed.sum()),
         row_count=count,
-        row_numbers=_list_row_numbers(columns.get(ROW), count),
+        row_numbers=_list_row_numbers(columns.get(result_table.ROW), count),
         base=base,
     )
     units = {loop.gain: loop.gain_unit for loop in list_declared_loops(results)}
-    axes_with_units = (
-        replace(axis, unit=axis.unit or units.get(axis.keys[0])) for axis in results.axes
-    )
-    return replace(results, axes=tuple(axes_with_units))
+    with_units = (replace(axis, unit=axis.unit or units.get(axis.keys[0])) for axis in results.axes)
+    return replace(results, axes=tuple(with_units))
 
 
 def list_declared_loops(results: SweptResults) -> Sequence[ControlLoop]:
@@ -255,7 +245,7 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
         ScenarioError: If the row's values are not a valid scenario, and the row failed for this
             reason.
     """
-    table = open_result_table(path, kind="sweep")
+    table = result_table.open_result_table(path, kind="sweep")
     place = table.find_row(row)
     try:
         keys, tables = json.loads(table.facts["varied"]), parse_toml(table.facts["base"])
@@ -267,7 +257,7 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
 
 
 def _parse_facts(
-    path: str | Path, stored: StoredTable
+    path: str | Path, stored: result_table.StoredTable
 ) -> tuple[list[tuple[str, ...]], bool, Scenario]:
     """Return the keys of each axis, whether rows were sampled at random, and the base scenario."""
     try:
@@ -310,20 +300,20 @@ def _choose_usual(metrics: Sequence[SweptMetric]) -> list[SweptMetric]:
     return sorted(valued or metrics[:1], key=rank)[:_USUAL_METRICS]
 
 
-def _list_row_numbers(column: ResultColumn | None, count: int) -> Sequence[int]:
+def _list_row_numbers(column: result_table.ResultColumn | None, count: int) -> Sequence[int]:
     if column is None:
         return range(count)
     cells: Any = column.cells
     is_whole = column.type == "whole" and not cells.null_count
     if is_whole and np.array_equal(cells.to_numpy(), np.arange(count)):
         return range(count)
-    return list_row_numbers(list_cells(column.cells), count)
+    return result_table.list_row_numbers(list_cells(column.cells), count)
 
 
 def _build_metric(
-    columns: Mapping[str, ResultColumn], name: str, has_failed: NDArray[np.bool_]
+    columns: Mapping[str, result_table.ResultColumn], name: str, has_failed: NDArray[np.bool_]
 ) -> SweptMetric:
-    column, statuses = columns.get(name), columns.get(f"{name}{STATUS}")
+    column, statuses = columns.get(name), columns.get(f"{name}{result_table.STATUS}")
     if column is None or statuses is None or column.type != "real":
         raise LogError(f"{name}: no column of numbers with statuses")
     cells: Any = column.cells
@@ -335,20 +325,14 @@ def _build_metric(
     without = np.flatnonzero(~is_drawn)
     told = list_cells(codes.take(without)) if len(without) else []
     for row, status in zip(without.tolist(), told, strict=True):
-        has_value = not math.isnan(values[row])
-        why = _BEYOND if has_value else _tell_status(status)
+        why = "no such loop" if status is None else status.replace("_", " ")
+        why = _BEYOND if not math.isnan(values[row]) else "not a number" if why == "ok" else why
         reasons[row] = "failed" if has_failed[row] else why
     values[~is_drawn] = math.nan
     return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
 
 
-def _tell_status(status: str | None) -> str:
-    if status is None:
-        return "no such loop"
-    return "not a number" if status == "ok" else status.replace("_", " ")
-
-
-def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
+def _build_axis(columns: Sequence[result_table.ResultColumn]) -> SweptAxis:
     found, places = _list_distinct(columns[0])
     distinct = [(value,) for value in found]
     for column in columns[1:]:
@@ -373,7 +357,7 @@ def _build_axis(columns: Sequence[ResultColumn]) -> SweptAxis:
     )
 
 
-def _list_distinct(column: ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
+def _list_distinct(column: result_table.ResultColumn) -> tuple[list[Any], NDArray[np.int64]]:
     """Return the distinct values of a column in row order, and the index of each row's value.
 
     Only distinct cells are converted to Python values, because there may be a million rows.
@@ -393,3 +377,84 @@ def _number_by_first_row(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArra
     _, first, inverse = np.unique(cells, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[inverse]
+
+
+_SHOWN_ROWS: Final = 20
+"""Number of rows of the table shown in a notebook; the frame contains all rows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SweepTable(Tabular):
+    """The results of a sweep: a table for pandas, polars and Arrow.
+
+    The columns are the row number, the varied keys, each metric with its status, the stop reason,
+    and the reason of a failure.
+
+    Attributes:
+        name: Name of the scenario that the rows vary.
+        keys: Varied keys.
+        table: All columns and the facts of the table.
+        notes: Notes on laws that were not compiled or exceeded the step budget, one line each.
+    """
+
+    name: str
+    keys: tuple[str, ...]
+    table: result_table.ResultTable
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return self.table.row_count
+
+    @property
+    def failed(self) -> int:
+        """Number of failed rows."""
+        column = self.table.find("failed")
+        return 0 if column is None else sum(cell is not None for cell in column.cells)
+
+    def _tabulate(self) -> Mapping[str, Any]:
+        return {one.name: one.cells for one in self.table.columns}
+
+    def _list_units(self) -> Mapping[str, str]:
+        return {one.name: one.unit for one in self.table.columns if one.unit}
+
+    def to_arrow(self) -> Any:
+        """Return the table as the `pyarrow.Table` that its file contains."""
+        return result_table.build_result_arrow(self.table)
+
+    def __repr__(self) -> str:
+        return fit_line(f"<SweepTable of {self._describe()}>")
+
+    def _describe(self) -> str:
+        rows, failed = describe_count(len(self), "row"), self.failed
+        more = f", {failed} failed" if failed else ""
+        return f"{self.name}: {rows} over {', '.join(self.keys)}{more}"
+
+    def _repr_html_(self) -> str:
+        shown = [one for one in self.table.columns if one.name in self.keys or one.type == "real"]
+        heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in shown]
+        rows = [[one.cells[row] for one in shown] for row in range(min(len(self), _SHOWN_ROWS))]
+        rest = len(self) - len(rows)
+        more = f"<p>{describe_count(rest, 'more row')}: to_pandas()</p>" if rest else ""
+        notes = [f"<p>{escape(note)}</p>" for note in self.notes]
+        return format_notebook(self._describe(), format_html(rows, heads=heads), more, *notes)
+
+
+def read_sweep_table(path: str | Path) -> SweepTable:
+    """Return the table of a sweep in a file.
+
+    Raises:
+        LogError: If the file is not a table of a sweep.
+        LibraryError: If pyarrow is not installed.
+    """
+    table = result_table.open_result_table(path, kind="sweep").load()
+    name = parse_scenario(table.facts["base"]).name
+    plan = json.loads(table.facts["plan"])
+    return SweepTable(name=name, keys=(*plan["grid"], *plan["zip"]), table=table)
+
+
+def read_table_results(table: SweepTable, patterns: Sequence[str] | None = None) -> SweptResults:
+    """Return the rows of a table in memory for charts, as `read_swept_results` does."""
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "sweep.parquet")
+        result_table.write_result_table(table.table, file)
+        return replace(read_swept_results(file, patterns), path=f"sweep of {table.name}")

@@ -137,32 +137,23 @@ def _require_axis(results: SweptResults, key: str, option: str) -> SweptAxis:
 
 
 def _hold(results: SweptResults, at: Mapping[str, Any]) -> dict[SweptAxis, int]:
-    """Return the fixed places of axes for given values."""
     held: dict[SweptAxis, int] = {}
     for key, value in at.items():
         axis = _require_axis(results, key, "--at")
         column = axis.keys.index(key)
         values = [one[column] for one in axis.values]
         if value not in values:
-            near = _suggest_near(value, values)
+            # The nearest numbers, or the first words.
+            is_number = all(isinstance(one, int | float) for one in (value, *values))
+            listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
+            near = " or ".join(format_key_value(one) for one in dict.fromkeys(listed[:3]))
             raise SweepError(f"--at: expected a value of {key}, as {near}, found {value}")
         wanted = [(axis.keys.index(other), at[other]) for other in axis.keys if other in at]
-        places = [
-            place
-            for place, one in enumerate(axis.values)
-            if all(one[column] == wish for column, wish in wanted)
-        ]
-        if not places:
+        fits = [all(one[column] == wish for column, wish in wanted) for one in axis.values]
+        if True not in fits:
             raise SweepError(f"--at: no row has these values of {axis.name}")
-        held[axis] = places[0]
+        held[axis] = fits.index(True)
     return held
-
-
-def _suggest_near(value: Any, values: Sequence[Any]) -> str:
-    """Return the values nearest to a number; for words, the first words."""
-    is_number = isinstance(value, int | float) and all(isinstance(v, int | float) for v in values)
-    listed = sorted(values, key=lambda one: abs(one - value)) if is_number else values
-    return " or ".join(format_key_value(one) for one in dict.fromkeys(listed[:3]))
 
 
 def _choose_axes(
@@ -171,12 +162,10 @@ def _choose_axes(
     held: Mapping[SweptAxis, int],
     gains: Sequence[str],
 ) -> list[SweptAxis]:
-    """Return the x axis, and the y axis if two axes are shown."""
     first, second = asked
     given = [axis for axis in asked if axis is not None]
-    free = [
-        axis for axis in results.axes if axis not in held and axis not in given and len(axis) > 1
-    ]
+    others = [axis for axis in results.axes if axis not in held and axis not in given]
+    free = [axis for axis in others if len(axis) > 1]
     free = [axis for axis in free if axis.keys != (SEED,)] or ([] if given else free)
     if not free and not given:
         free = [axis for axis in results.axes if axis not in held] or [results.axes[0]]

@@ -25,7 +25,7 @@ from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, reso
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import KP, build_row_scenario
-from turtlelog.sweep.simulate_rows import RowChunk, RowResults, is_batch, simulate_rows
+from turtlelog.sweep.sweep_rows import RowChunk, RowResults, is_batch, simulate_rows
 
 Point = tuple[float | int, ...]
 
@@ -38,7 +38,6 @@ _ROWS: Final = "grid: "
 _CHUNK_S: Final = 0.5
 """Duration of a unit of work [s]: long compared with the time to distribute it, short for a waiting
 user."""
-
 
 Values = Mapping[str, Any]
 
@@ -123,24 +122,6 @@ class TuningGoal:
         """
         return tuple(_judge(one, values) for one in self.constraints)
 
-    def require_sound(self, known: Values) -> None:
-        """Refuse an expression that cannot be evaluated for any candidate.
-
-        Args:
-            known: Values of keys, and a number for every metric.
-
-        Raises:
-            ExpressionError: If an expression contains an unknown name.
-            TuneError: If the objective is not a number, or a constraint is not a condition.
-        """
-        self.compute_objective(known)
-        self.judge(known)
-        if not self.metrics:
-            raise TuneError(
-                f"{self.objective.source}: expected a metric such as final.position_error, found"
-                f" none in {self.objective.text[:60]!r}"
-            )
-
 
 def parse_goal(
     objective: str, constraints: Sequence[str] = (), *, is_maximised: bool = False
@@ -199,17 +180,13 @@ def _measure_margin(expression: Expression, node: Node, values: Values) -> float
     return math.inf if evaluate_node(expression, node, values).unpack() is True else -math.inf
 
 
-_ORDER: Final = {"<": 1.0, "<=": 1.0, ">": -1.0, ">=": -1.0}
-
-
 def _compare(left: Any, operator: str, right: Any) -> float:
     if not (_is_number(left) and _is_number(right)):
         return math.inf if (left == right) == (operator == "==") else -math.inf
-    if operator in _ORDER:
-        # Equal infinite sides have distance 0.
-        return 0.0 if left == right else _ORDER[operator] * (right - left)
-    distance = 0.0 if left == right else abs(left - right)
-    return 0.0 - distance if operator == "==" else distance
+    distance: float = 0.0 if left == right else right - left  # also of equal infinite sides
+    if operator in {"<", "<=", ">", ">="}:
+        return distance if operator in {"<", "<="} else 0.0 - distance
+    return 0.0 - abs(distance) if operator == "==" else abs(distance)
 
 
 def _is_number(value: Any) -> bool:
@@ -305,7 +282,8 @@ class Candidates:
         self._row_s: float | None = None
         self._is_batch = False
         declared = declare_scenario(resolved)
-        self._set_keys = spread_keys(self.keys, declared.list_gains(), source=source)
+        self._spreads = spread_keys(self.keys, declared.list_gains(), source=source)
+        self._set_keys = tuple(key for keys in self._spreads for key in keys)
         known = list_metrics(declared)
         unknown = [name for name in goal.metrics if name not in known]
         if unknown:
@@ -315,24 +293,26 @@ class Candidates:
             )
         self._scenario, self._trusts = base, trust_law
         numbers = dict.fromkeys([*self.keys, *known], 1.0)
-        goal.require_sound({**self._parameters, **numbers})
+        values = {**self._parameters, **numbers}
+        goal.compute_objective(values)  # refuses what cannot be evaluated for any candidate
+        goal.judge(values)
+        if not goal.metrics:
+            raise TuneError(
+                f"{goal.objective.source}: expected a metric such as final.position_error, found"
+                f" none in {goal.objective.text[:60]!r}"
+            )
 
     def build_scenario(self, point: Point) -> Scenario:
         """Return the scenario of a candidate under the name of the base scenario."""
         trusted = True if self._trusts else None
-        keys = [*self._list_set_keys(), "name"]
+        keys = [*self._set_keys, "name"]
         values = [*self._spread(point), self._scenario.name]
         return build_row_scenario(
             self._scenario, keys, values, 0, source=self._source, trust_law=trusted
         )
 
     def require_bounds(self, points: Sequence[Point]) -> None:
-        """Refuse bounds if none of the bounds forms a valid scenario.
-
-        Raises:
-            ScenarioError: If the bounds are refused. The message gives the reason at the first
-                bound.
-        """
+        """Raise ScenarioError, with the reason at the first, if no bound forms a valid scenario."""
         errors = []
         for point in points:
             try:
@@ -386,9 +366,8 @@ class Candidates:
             self._cut(points[first : first + size], threads=threads)
             for first in range(done, len(points), max(size, 1))
         ]
-        for results in map_in_processes(
-            work, chunks, jobs, name=_name_chunk, is_forked=is_given(law)
-        ):
+        name, is_own = _name_chunk, is_given(law)
+        for results in map_in_processes(work, chunks, jobs, name=name, is_forked=is_own):
             yield done, results
             done += len(results)
 
@@ -406,7 +385,7 @@ class Candidates:
     def _cut(self, points: Sequence[Point], *, threads: int = 1) -> RowChunk:
         return RowChunk(
             base=self._base,
-            keys=self._list_set_keys(),
+            keys=self._set_keys,
             first=0,
             values=tuple(map(self._spread, points)),
             metrics=self.goal.metrics,
@@ -415,19 +394,16 @@ class Candidates:
             step_budget_s=self._step_budget_s,
         )
 
-    def _list_set_keys(self) -> tuple[str, ...]:
-        return tuple(key for keys in self._set_keys for key in keys)
-
     def _spread(self, point: Point) -> Point:
         """Return a value for each key of the scenario; the value of `kp` is used for all gains."""
-        return tuple(value for keys, value in zip(self._set_keys, point, strict=True) for _ in keys)
+        return tuple(value for keys, value in zip(self._spreads, point, strict=True) for _ in keys)
 
     def _judge(self, point: Point, results: RowResults, place: int) -> Candidate:
         found = {name: cells.values[place] for name, cells in results.metrics.items()}
         values = {
             **self._parameters,
             **dict(zip(self.keys, point, strict=True)),
-            **dict(zip(self._list_set_keys(), self._spread(point), strict=True)),
+            **dict(zip(self._set_keys, self._spread(point), strict=True)),
             **dict.fromkeys(self.goal.metrics),
             **found,
         }

@@ -128,6 +128,7 @@ def sum_up(candidates: Candidates, keys: Sequence[SearchedKey]) -> Tuned:
     """Return the result of the candidates so far, at least one."""
     known, best = candidates.list_known(), find_best(candidates)
     feasible = [one.objective for one in known if one.is_feasible]
+    values = zip(keys, best.point, strict=True)
     return Tuned(
         best=best,
         evaluations=candidates.evaluations,
@@ -135,11 +136,7 @@ def sum_up(candidates: Candidates, keys: Sequence[SearchedKey]) -> Tuned:
         failure=next((one.failed for one in known if one.failed), ""),
         feasible=len(feasible),
         is_flat=len(feasible) > 1 and len(set(feasible)) == 1,
-        at_bounds=tuple(
-            key.key
-            for key, value in zip(keys, best.point, strict=True)
-            if value in {key.low, key.high}
-        ),
+        at_bounds=tuple(key.key for key, value in values if value in {key.low, key.high}),
     )
 
 
@@ -182,8 +179,11 @@ class _Search:
 
     def _score(self, points: Sequence[Point]) -> NDArray[np.float64]:
         """Return a score for each point with the order of the candidates."""
-        orders = map(self._order, self._candidates.evaluate(points))
-        return np.array([_number(order) for order in orders])
+        scores = []
+        for group, value in map(self._order, self._candidates.evaluate(points)):
+            far = _FAR + _FAR * min(value, 1e100) if group == 1 else math.inf
+            scores.append(far if group else value)
+        return np.array(scores)
 
     def spread(self, seed: int) -> None:
         """Cover the range evenly."""
@@ -238,11 +238,6 @@ class _Search:
             if found is best:
                 step /= 2.0
             best = found
-
-
-def _number(order: Order) -> float:
-    group, value = order
-    return value if group == 0 else math.inf if group == 2 else _FAR + _FAR * min(value, 1e100)
 
 
 _MOST_STEPS: Final = 10_000
@@ -440,17 +435,12 @@ def _enter(walk: _Walk, share: float, fault: tuple[End, str] | None) -> None:
 
 
 def _find_slack(candidates: Candidates, best: float) -> float:
-    """Return the accepted loss of the objective, relative to the best value."""
-    values = [
-        one.objective
-        for one in candidates.list_known()
-        if one.is_feasible and one.objective is not None
-    ]
+    known = candidates.list_known()
+    values = [one.objective for one in known if one.is_feasible and one.objective is not None]
     return max(_WORSE * abs(best), _OF_SPREAD * abs(median(values) - best))
 
 
 def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
-    """Return why a candidate is not good; None if the candidate is good."""
     broken = [found for found in one.constraints if not found.holds]
     if broken:
         return "constraint", broken[0].expression

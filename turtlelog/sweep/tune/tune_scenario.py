@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
@@ -27,16 +27,8 @@ from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep.plan import KP
+from turtlelog.sweep.tune import search
 from turtlelog.sweep.tune.candidates import Candidates, TuningGoal, spread_keys
-from turtlelog.sweep.tune.search import (
-    NEIGHBOURS,
-    Neighbourhood,
-    SearchedKey,
-    Tuned,
-    explore_best,
-    parse_searched_keys,
-    search_best,
-)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -62,10 +54,10 @@ class TunedScenario:
     """
 
     scenario: Scenario
-    keys: tuple[SearchedKey, ...]
+    keys: tuple[search.SearchedKey, ...]
     goal: TuningGoal
-    tuned: Tuned
-    around: Neighbourhood | None = None
+    tuned: search.Tuned
+    around: search.Neighbourhood | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -145,7 +137,15 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         LawError: If `law` is not a law.
         ScenarioError: If the scenario does not exist, or the ranges contain no valid scenario.
     """
-    goal = _read_goal(minimise, maximise, subject_to)
+    if (minimise is None) == (maximise is None):
+        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
+    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
+    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
+    goal = TuningGoal(
+        objective=parse_expression(str(text), source=name),
+        is_maximised=maximise is not None,
+        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
+    )
     texts = [*_list_ranges(ranges)]
     most = FOR_EACH_KEY * len(texts) if evaluations is None else evaluations
     for name, number in (("evaluations", most), ("seed", seed)):
@@ -161,7 +161,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         [one.key for one in keys],
         goal,
         jobs=jobs,
-        expected=most + NEIGHBOURS * len(keys),
+        expected=most + search.NEIGHBOURS * len(keys),
         step_budget_s=step_budget_s,
         source="ranges",
     )
@@ -169,7 +169,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
 
 def tune_candidates(
-    candidates: Candidates, keys: tuple[SearchedKey, ...], *, evaluations: int, seed: int = 0
+    candidates: Candidates, keys: tuple[search.SearchedKey, ...], *, evaluations: int, seed: int = 0
 ) -> TunedScenario:
     """Search for the best candidate, and for the range of each key around it.
 
@@ -185,16 +185,16 @@ def tune_candidates(
     """
     candidates.require_bounds([tuple(one.low for one in keys), tuple(one.high for one in keys)])
     goal, around = candidates.goal, None
-    tuned = search_best(candidates, keys, evaluations=evaluations, seed=seed)
+    tuned = search.search_best(candidates, keys, evaluations=evaluations, seed=seed)
     if tuned.best.is_feasible:
-        tuned, around = explore_best(candidates, keys, tuned)
+        tuned, around = search.explore_best(candidates, keys, tuned)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 
 
 def complete_searched(
     scenario: Scenario, texts: Sequence[str], *, source: str, trust_law: bool = False
-) -> tuple[Scenario, tuple[SearchedKey, ...]]:
+) -> tuple[Scenario, tuple[search.SearchedKey, ...]]:
     """Return the keys, and the scenario with a value for each key, because laws may lack defaults.
 
     Args:
@@ -204,7 +204,7 @@ def complete_searched(
         trust_law: Whether a law named in a recording may run too.
     """
     known = flatten_scenario(scenario)
-    keys = parse_searched_keys(texts, known, source=source)
+    keys = search.parse_searched_keys(texts, known, source=source)
     names = tuple(one.key for one in keys)
     if KP in names:
         gains = declare_scenario(resolve_scenario(scenario, trust_law=trust_law)).list_gains()
@@ -213,49 +213,30 @@ def complete_searched(
     whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
     scenario = override_scenario(scenario, whole, source=source)
     resolved = flatten_scenario(resolve_scenario(scenario, trust_law=trust_law))
-    return scenario, parse_searched_keys(texts, resolved, source=source)
+    return scenario, search.parse_searched_keys(texts, resolved, source=source)
 
 
-def _read_goal(minimise: str | None, maximise: str | None, subject_to: Sequence[str]) -> TuningGoal:
-    if (minimise is None) == (maximise is None):
-        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
-    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
-    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
-    return TuningGoal(
-        objective=parse_expression(str(text), source=name),
-        is_maximised=maximise is not None,
-        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
-    )
-
-
-def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> list[str]:
+def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
     example = '{"law.kp_linear": (1, 6)}'
     if not isinstance(ranges, Mapping) or not ranges:
         raise TuneError(f"ranges: expected bounds by key, as in {example}, found {ranges!r:.60}")
-    return [_write_range(key, bounds, example) for key, bounds in ranges.items()]
-
-
-def _write_range(key: str, bounds: Any, example: str) -> str:
-    try:
-        low, high = (unwrap_number(one) for one in bounds)
-        is_sound = math.isfinite(low) and math.isfinite(high)
-    except (TypeError, ValueError):
-        is_sound = False
-    if not is_sound:
-        expected = f"two finite numbers, as in {example}"
-        raise TuneError(f"ranges: {key}: expected {expected}, found {bounds!r:.60}")
-    return f"{key}={low!r}:{high!r}"
+    for key, bounds in ranges.items():
+        try:
+            low, high = (unwrap_number(one) for one in bounds)
+            is_sound = math.isfinite(low) and math.isfinite(high)
+        except (TypeError, ValueError):
+            is_sound = False
+        if not is_sound:
+            expected = f"two finite numbers, as in {example}"
+            raise TuneError(f"ranges: {key}: expected {expected}, found {bounds!r:.60}")
+        yield f"{key}={low!r}:{high!r}"
 
 
 _DELAY: Final = "loop.transport_delay_ticks"
 _SEED: Final = "seed"
 
-_PARTS: Final = {
-    **{
-        name: name for name in ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
-    },
-    "rate_limit": "acceleration",
-}
+_SAME: Final = ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
+_PARTS: Final = {**{name: name for name in _SAME}, "rate_limit": "acceleration"}
 _AXES: Final = {"speed": "speed", "turn_rate": "turn"}
 _MOST_BYTES: Final = 2**24
 """Largest output of `identify --json` that is read [bytes]; one robot has a few kB."""
@@ -361,10 +342,8 @@ def read_intervals(path: Path, scenario: Scenario) -> tuple[Variation, ...]:
         if _is_number(low) and _is_number(high) and key in parameters
     }
     if not known:
-        expected = (
-            "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
-        )
-        raise TuneError(f"{path}: has no {expected}")
+        what = "intervals of a robot that the scenario drives, as `identify --scenario` writes it"
+        raise TuneError(f"{path}: has no {what}")
     # The interval around a dead time of 0 is cut at 0, because a dead time is never negative.
     return tuple(
         Variation(key=key, low=max(low, 0.0), high=max(high, 0.0))
@@ -398,7 +377,16 @@ def simulate_variants(
         more: Further options, as in `Candidates`.
     """
     generator = np.random.default_rng(seed)
-    columns = [_draw(one, runs, generator) for one in variations]
+    columns: list[list[Any]] = []
+    for one in variations:
+        if one.key == _SEED:
+            first, count = int(one.low), round(one.high - one.low + 1)
+            columns.append([first + number % count for number in range(runs)])
+        elif one.is_whole:
+            drawn = generator.integers(int(one.low), int(one.high) + 1, runs)
+            columns.append(drawn.tolist())
+        else:
+            columns.append(generator.uniform(one.low, one.high, runs).tolist())
     points = [*zip(*columns, strict=True)]
     candidates = Candidates(
         scenario, [one.key for one in variations], goal, jobs=jobs, expected=runs, **more
@@ -419,12 +407,3 @@ def simulate_variants(
         worst=worst(values, default=None),
         varied=tuple(variations),
     )
-
-
-def _draw(one: Variation, count: int, generator: np.random.Generator) -> list[Any]:
-    if one.key == _SEED:
-        return [int(one.low) + number % round(one.high - one.low + 1) for number in range(count)]
-    if one.is_whole:
-        drawn: list[Any] = generator.integers(int(one.low), int(one.high) + 1, count).tolist()
-        return drawn
-    return generator.uniform(one.low, one.high, count).tolist()  # type: ignore[no-any-return]

@@ -1,0 +1,372 @@
+"""Templates for authors of specifications: a first text from a good run, and the JSON Schema."""
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, get_args
+
+import numpy as np
+
+from turtlelog.check.formula_trace import RunEnding, find_ending
+from turtlelog.check.spec import ASSOCIATIONS, FORMAT, READ_TEXTS
+from turtlelog.compare import ALIGNMENTS
+from turtlelog.compare.trajectory_comparison import ALIGN_IN
+from turtlelog.display import format_number
+from turtlelog.log import ReadChoice
+from turtlelog.log.read_choice import TimeSource
+from turtlelog.measure import (
+    ANY_LOOP,
+    METRICS,
+    SIGNALS,
+    Metric,
+    MetricKind,
+    SignalKind,
+    find_signal,
+    list_essential_metrics,
+    list_metrics,
+    measure_run,
+)
+from turtlelog.plants import TURTLESIM, find_plant
+from turtlelog.run import Run
+from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
+
+_OF_LOOP: Final = ("overshoot", "settling_time", "rms_error", "largest_error", "saturated_share")
+_OF_RUN: Final = (
+    *("final.heading_error", "final.position_error"),
+    *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
+)
+"""Essential metrics that a specification bounds."""
+
+_SHARE: Final = 0.1
+"""Smallest margin of a bound as a share of the value, which includes the scatter of repeated runs.
+
+The margin is a first guess, marked as observed, until a user decides on the bound."""
+
+_MOST: Final = 0.2
+"""Largest margin: two digits are readable, but round up by as much as 21 %; then three digits are
+used."""
+
+_GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad/s": 1e-6}
+"""Smallest margin by unit, for values near zero. Poses differ by up to 1e-6 m and rad between
+platforms, which is 1e-4 % of an angle of a radian. For times, the margin is a tick."""
+
+
+def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = None) -> str:
+    """Return a specification that a run passes; each reason gives the distance to the bound.
+
+    `reference` is the run's file as the specification names it; `read` are the settings with which
+    the run was read, so that other recordings are read equally.
+    """
+    head = (
+        f"# What runs like {_comment(run.name)} are held to: turtlelog check SPEC RUN...",
+        "# Bounds marked observed = true were read off that run. Ask of each what it should be,",
+        "# change it, and take the mark away.",
+        "format = 1",
+        f"reference = {_quote(reference)}",
+    )
+    checks = _list_of_motion(run) if run.is_lawless else _list_of_law(run)
+    return "\n".join([*head, *_list_read(read or ReadChoice()), *checks]) + "\n"
+
+
+def name_reference(path: Path, target: Path | None) -> str:
+    """Return the name by which a specification in `target` finds the reference."""
+    folder = Path.cwd() if target is None else target.resolve().parent
+    try:
+        return Path(os.path.relpath(path.resolve(), folder)).as_posix()
+    except ValueError:  # on Windows, for two different drives
+        return path.resolve().as_posix()
+
+
+def _list_read(read: ReadChoice) -> Iterator[str]:
+    texts = {name: getattr(read, name) for name in READ_TEXTS}
+    lines = [f"{name} = {_quote(text)}" for name, text in texts.items() if text is not None]
+    for name, numbers in (("goal", read.goal), ("wheels", read.wheels)):
+        if numbers is not None:
+            lines.append(f"{name} = [{', '.join(map(repr, numbers))}]")
+    if read.wheelbase is not None:
+        lines.append(f"wheelbase = {read.wheelbase!r}")
+    if read.time != ReadChoice().time:
+        lines.append(f"time = {_quote(read.time)}")
+    if read.columns:
+        columns = (f"{_quote(name)} = {_quote(text)}" for name, text in read.columns.items())
+        lines.append(f"columns = {{ {', '.join(columns)} }}")
+    if lines:
+        yield from ("", "[read]", *lines)
+
+
+_COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_steps"})
+"""Metrics of the driving style, which a good run limits on both sides."""
+
+
+def _list_of_law(run: Run) -> Iterator[str]:
+    kinds, essential = list_metrics(run.declaration), list_essential_metrics(run.declaration)
+    asked = [name for name in essential if name in _OF_RUN or name.rpartition(".")[2] in _OF_LOOP]
+    for metric in measure_run(run, only=asked).values():
+        if not all(part.isidentifier() for part in metric.id.split(".")):  # a loop `my-loop`
+            yield ""
+            yield f"# {metric.id}: no formula can name it: - stands for minus"
+        elif metric.value is None:
+            yield ""
+            yield f"# {metric.id}: no value here: {metric.status.value} ({_comment(metric.reason)})"
+        else:
+            tick_s = find_plant(run).period_s
+            yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
+    if run.goal_xy_m is None or not len(run.samples):
+        return
+    metric = measure_run(run, only=["run.cross_track_max"])["run.cross_track_max"]
+    if metric.value is not None and find_ending(run) in {RunEnding.CUT, RunEnding.LOST}:
+        yield ""
+        yield "# always(abs(cross_track) <= ...): not read off, as how the run went on is unknown"
+    elif metric.value is not None:
+        meaning = ": how far beside the line, at any time"
+        yield from _list_bound("track", "cross_track", metric.value, metric.unit, meaning)
+
+
+def _list_of_motion(run: Run) -> Iterator[str]:
+    """Yield checks for a third-party bag, on the metrics that have a value and on its commands."""
+    kinds = list_metrics(run.declaration)
+    steps_s = np.diff(run.poses.time_ns) / 1e9
+    tick_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    for metric in measure_run(run, only=list_essential_metrics(run)).values():
+        if metric.value is not None and metric.id not in _COUNTS:
+            yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
+    if not len(run.commands):
+        return
+    if find_ending(run) is RunEnding.LOST:
+        yield ""
+        yield "# always(abs(speed) <= ...): not read off, as part of the run is lost"
+        return
+    for name in ("speed", "turn_rate"):
+        signal = find_signal(run, name)
+        assert signal is not None
+        largest, meaning = float(np.abs(signal.values).max()), ": as it was commanded, at any time"
+        yield from _list_bound(name, name, largest, signal.kind.unit, meaning)
+
+
+def _list_bound(title: str, name: str, largest: float, unit: str, meaning: str) -> Iterator[str]:
+    bound, spare = choose_bound(largest, unit, up=True)
+    formula = f'holds = "always(abs({name}) <= {bound:.10g})"'
+    yield from _write_check(title, formula, format_number(largest, unit), spare, meaning)
+
+
+def _write_check(
+    title: str, formula: str, here: str, spare: str, meaning: str = ""
+) -> Iterator[str]:
+    yield ""
+    yield f"[checks.{title}]"
+    yield f"{formula}  # here {here}"
+    yield "observed = true"
+    yield f'reason = "observed, and {spare} to spare{meaning}"'
+
+
+def _list_check(metric: Metric, value: float, kind: MetricKind, tick_s: float) -> Iterator[str]:
+    is_higher = kind.better == "higher"
+    base = value if kind.floor is None or is_higher else max(value, kind.floor)
+    operator = ">=" if is_higher else "<="
+    bound, spare = choose_bound(base, metric.unit, up=not is_higher, tick_s=tick_s)
+    formula = f'expect = "{metric.id} {operator} {bound:.10g}"'
+    yield from _write_check(f'"{metric.id}"', formula, format_number(value, metric.unit), spare)
+
+
+def choose_bound(
+    value: float, unit: str, *, up: bool, tick_s: float = TURTLESIM.period_s
+) -> tuple[float, str]:
+    """Return a bound beyond an observed value, and its margin in words."""
+    spare = abs(value) * _SHARE
+    grain = tick_s if unit == "s" else _GRAIN.get(unit, 0.0)
+    if spare < grain:
+        words = f"{grain:.3g}" if unit == "1" else f"{grain:.3g} {unit}"
+        return _round(value + grain if up else value - grain, digits=3, up=up), words
+    bound = value
+    for digits in (2, 3):
+        bound = _round(value + spare if up else value - spare, digits=digits, up=up)
+        if abs(bound - value) <= _MOST * abs(value):
+            break
+    return bound, f"{abs(bound - value) / abs(value):.0%}".replace("%", " %")
+
+
+def _round(value: float, *, digits: int, up: bool) -> float:
+    """Return a value with the given number of digits, rounded away from the observed value."""
+    if value == 0.0:
+        return 0.0
+    step = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
+    steps = value / step
+    if not math.isclose(steps, round(steps), rel_tol=1e-9):  # 0.1 has no more digits
+        steps = math.ceil(steps) if up else math.floor(steps)
+    return float(f"{steps * step:.{digits + 1}g}")
+
+
+def _quote(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
+
+
+def _comment(text: str) -> str:
+    return "".join(character if character.isprintable() else "?" for character in text)
+
+
+_TEXT: Final = {"type": "string", "pattern": "\\S"}
+
+_REASON: Final = {**_TEXT, "description": "Why so much and no more."}
+
+_NOT_NEGATIVE: Final = {"type": "number", "minimum": 0}
+
+_LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
+"""Pattern of loop names. The run's law determines the loops and phases."""
+
+
+def build_schema() -> dict[str, Any]:
+    """Return the schema, draft 2020-12. Formulas are texts that `turtlelog check` parses."""
+    signals = {name: _describe("signal", kind) for name, kind in SIGNALS.items()}
+    metrics = {name: _describe("metric", kind) for name, kind in METRICS.items()}
+    # Ids of loops are valid for any law, and any law may have further states.
+    of_loop = {name: name.partition(f"{ANY_LOOP}.")[2] for name in METRICS if ANY_LOOP in name}
+    ids = {f"^{_LOOP}[.]{plain}$": metrics.pop(name) for name, plain in of_loop.items()}
+    states = {f"^{STATE_PATTERN}$": {"$ref": "#/$defs/signal"}}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "turtlelog specification and tolerance file",
+        "type": "object",
+        "required": ["format"],
+        "anyOf": [{"required": [key]} for key in ("checks", "signals", "metrics")],
+        "additionalProperties": False,
+        "properties": {
+            "format": {"const": FORMAT, "description": "Of this file."},
+            "reference": {
+                **_TEXT,
+                "description": "Recording that tolerances are taken from, relative to this file.",
+            },
+            "alignment": {
+                "type": "string",
+                "pattern": f"^(?:{'|'.join(ALIGNMENTS).replace('NAME', NAME_PATTERN)})$",
+                "description": "How runs and reference are brought together in time.",
+            },
+            "trajectory": _build_trajectory(),
+            "read": _build_read(),
+            "checks": {
+                "type": "object",
+                "additionalProperties": _build_check(),
+                "description": "What is to hold, by a name of your own.",
+            },
+            "signals": _build_table(signals, patternProperties=states),
+            "metrics": _build_table(metrics, patternProperties=ids),
+        },
+        "$defs": {
+            "signal": _build_tolerance(has_time=True),
+            "metric": _build_tolerance(has_time=False),
+        },
+    }
+
+
+def _build_table(
+    properties: Mapping[str, Any], *, description: str = "", **more: Any
+) -> dict[str, Any]:
+    """Return the schema of a table with these keys and no others."""
+    told = {"description": description} if description else {}
+    head = {"type": "object", "additionalProperties": False, **told}
+    return {**head, "properties": properties, **more}
+
+
+def _build_trajectory() -> dict[str, Any]:
+    return _build_table(
+        {
+            "align": {"enum": [*ALIGN_IN], "description": "Transformation that is fitted."},
+            "associate": {
+                "enum": [*ASSOCIATIONS],
+                "description": "Poses of one moment: nearest in time, or linearly interpolated.",
+            },
+            "max_difference_s": {
+                **_NOT_NEGATIVE,
+                "description": "Largest difference in time between poses that belong together [s].",
+            },
+            "time_offset_s": {
+                "anyOf": [{"type": "number"}, {"const": "start"}],
+                "description": "Added to times of a recording [s]; start: first poses together.",
+            },
+            "rpe": {**_TEXT, "description": "Length of relative motions, as in 1m or 30deg."},
+            "all_pairs": {
+                "type": "boolean",
+                "description": "A relative motion begins at every pose.",
+            },
+        },
+        description="How ate.* and rpe.* are measured beside the reference.",
+    )
+
+
+def _build_read() -> dict[str, Any]:
+    positive = {"type": "number", "exclusiveMinimum": 0}
+    return _build_table(
+        {
+            **{name: {**_TEXT, "description": text} for name, text in READ_TEXTS.items()},
+            "goal": {
+                "type": "array",
+                "items": {"type": "number"},
+                "minItems": 2,
+                "maxItems": 3,
+                "description": "x, y [m] and perhaps the heading [rad].",
+            },
+            "wheels": {
+                "type": "array",
+                "items": positive,
+                "minItems": 2,
+                "maxItems": 2,
+                "description": "Radius of the wheels, and the distance between them [m].",
+            },
+            "wheelbase": {
+                **positive,
+                "description": "Distance of the axles [m], for Ackermann commands.",
+            },
+            "time": {
+                "enum": [*get_args(TimeSource)],
+                "description": "What times poses: the recorder, their stamps, or as is best.",
+            },
+            "columns": {
+                "type": "object",
+                "additionalProperties": _TEXT,
+                "description": "Of a plain table: the column of t, x, y, heading ...",
+            },
+        },
+        description="What is read of third-party files, also of the reference.",
+    )
+
+
+def _build_check() -> dict[str, Any]:
+    return _build_table(
+        {
+            "expect": {**_TEXT, "description": "Formula over metrics and parameters."},
+            "holds": {**_TEXT, "description": "Formula over signals and time."},
+            "phase": {
+                "type": "string",
+                "pattern": f"^(?!{DONE}$){NAME_PATTERN}$",
+                "description": "Stretch that holds looks at: a phase of the law, or pause.",
+            },
+            "when": {**_TEXT, "description": "Otherwise the check is skipped."},
+            "reason": _REASON,
+            "observed": {
+                "type": "boolean",
+                "description": "The bound was read off a good run; nobody has thought about it.",
+            },
+        },
+        oneOf=[{"required": ["expect"]}, {"required": ["holds"]}],
+        dependentRequired={"phase": ["holds"]},
+    )
+
+
+def _describe(kind: str, found: SignalKind | MetricKind) -> dict[str, Any]:
+    return {"$ref": f"#/$defs/{kind}", "description": f"[{found.unit}] {found.meaning}"}
+
+
+def _build_tolerance(*, has_time: bool) -> dict[str, Any]:
+    share = {**_NOT_NEGATIVE, "maximum": 1}
+    properties = {
+        "abs": {
+            **_NOT_NEGATIVE,
+            "description": "How far from the reference, in the unit of the name.",
+        },
+        "rel": {**share, "description": "As a share of the reference."},
+        "reason": _REASON,
+    }
+    if has_time:
+        properties["time_s"] = {**_NOT_NEGATIVE, "description": "How far in time [s]."}
+    return {"type": "object", "required": ["reason"], **_build_table(properties)}
