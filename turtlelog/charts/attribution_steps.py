@@ -8,7 +8,7 @@ from typing import Final, Literal
 from turtlelog.charts import palette
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Contribution, ExplainedDifference
-from turtlelog.explain.answers import SEED, THIS_SEED, Side
+from turtlelog.explain.answers import SEED, THIS_SEED
 
 _SAME: Final = 1e-6
 """Share of the largest value below which a step counts as 0: two platforms differ by less."""
@@ -44,7 +44,7 @@ class AttributionStep:
 
     kind: Literal["total", "contribution", "left"]
     cause: str = ""
-    start: float
+    start: float = 0.0
     end: float
     name: str
     text: str
@@ -138,29 +138,19 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
     if found.withheld or total is None or left is None:
         return ()
     scale = choose_step_scale(found)
-    steps = [
-        AttributionStep(
-            kind="total",
-            start=0.0,
-            end=total,
-            name="as simulated" if found.as_logged is None else "as logged",
-            text=f"{scale.format_value(total)}{_explain_little(found, total)}",
-            color=palette.MAIN,
-        )
-    ]
-    steps += _list_contributions(found, total, scale)
+    name = "as simulated" if found.as_logged is None else "as logged"
+    text = f"{scale.format_value(total)}{_explain_little(found, total)}"
+    first = AttributionStep(kind="total", end=total, name=name, text=text, color=palette.MAIN)
+    steps = [first, *_list_contributions(found, total, scale)]
+    acting = [one.cause for one in choose_acting_contributions(found)]
+    reason = _explain_little(found, left)
+    if not reason and acting:
+        few = join_words(acting) if len(acting) <= _MOST_NAMED else "all of these"
+        reason = f", without {few}"
     part = _tell_part(left, total) if len(steps) > 1 else ""
-    steps.append(
-        AttributionStep(
-            kind="left",
-            start=0.0,
-            end=left,
-            name="left",
-            text=f"{scale.format_value(left)}{part}, {_explain_left(found)}",
-            color=palette.GHOST,
-        )
-    )
-    return tuple(steps)
+    text = f"{scale.format_value(left)}{part}{reason or ', no effect changes it'}"
+    last = AttributionStep(kind="left", end=left, name="left", text=text, color=palette.GHOST)
+    return (*steps, last)
 
 
 def choose_step_scale(found: Attribution) -> StepScale:
@@ -197,17 +187,20 @@ def _list_contributions(
     acting = choose_acting_contributions(found)
     colors = palette.choose_cause_colors(found.causes)
     for one in acting:
-        end = at - (one.contribution or 0.0)
+        value = one.contribution or 0.0
+        # How removing the cause changes the value, and the cause's part of the logged value.
+        size = _tell_size(-value, one.standard_error, scale)
+        chance = "" if one.is_clear else ", may be chance"
         yield AttributionStep(
             kind="contribution",
             cause=one.cause,
             start=at,
-            end=end,
+            end=at - value,
             name=one.cause,
-            text=_describe_contribution(one, total, scale),
+            text=f"{size}{_tell_part(value, total)}{chance}",
             color=colors[one.cause],
         )
-        at = end
+        at -= value
 
 
 def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
@@ -215,14 +208,6 @@ def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
     least = _SAME * max(abs(found.divided), abs(found.without_all or 0.0))
     acting = [one for one in found.contributions if abs(one.contribution or 0.0) > least]
     return sorted(acting, key=lambda one: -abs(one.contribution or 0.0))
-
-
-def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
-    """Return how removing a cause changes the value, and the cause's part of the logged value."""
-    value = one.contribution or 0.0
-    chance = ", may be chance" if not one.is_clear else ""
-    size = _tell_size(-value, one.standard_error, scale)
-    return f"{size}{_tell_part(value, total)}{chance}"
 
 
 def _tell_size(value: float, standard_error: float | None, scale: StepScale) -> str:
@@ -236,17 +221,6 @@ def _tell_part(value: float, total: float) -> str:
     """Return the part of the logged value in brackets; empty if it is not meaningful."""
     percent = 100.0 * value / total if total else math.inf
     return f" ({percent:.0f} %)" if abs(percent) < _MOST_PERCENT else ""
-
-
-def _explain_left(found: Attribution) -> str:
-    """Return an explanation of the remainder, as far as it is known."""
-    acting = [one.cause for one in choose_acting_contributions(found)]
-    little = _explain_little(found, found.without_all or 0.0)
-    if little:
-        return little.removeprefix(", ")
-    if not acting:
-        return "no effect changes it"
-    return f"without {join_words(acting) if len(acting) <= _MOST_NAMED else 'all of these'}"
 
 
 def _explain_little(found: Attribution, value: float) -> str:
@@ -280,37 +254,30 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
         return ()
     scale = _choose_difference_scale(found)
     colors = palette.choose_cause_colors([one.name for one in found.contributions])
-    one_color, other_color = palette.choose_run_colors(2)
-    steps = [_make_total(found.first, scale, one_color)]
-    at = first
-    for one in found.contributions:
-        end = at + (one.contribution or 0.0)
-        color = palette.REFERENCE if one.name == SEED else colors[one.name]
-        steps.append(
-            AttributionStep(
-                kind="contribution",
-                cause=one.name,
-                start=at,
-                end=end,
-                name=one.name,
-                text=_tell_size(one.contribution or 0.0, one.standard_error, scale),
-                color=color,
-            )
-        )
-        at = end
-    return (*steps, _make_total(found.second, scale, other_color))
-
-
-def _make_total(side: Side, scale: StepScale, color: palette.Color) -> AttributionStep:
-    value = side.resimulated or 0.0
-    return AttributionStep(
-        kind="total",
-        start=0.0,
-        end=value,
-        name=side.name,
-        text=scale.format_value(value),
-        color=color,
+    sides = zip(
+        (found.first, found.second), palette.choose_run_colors(2), (first, second), strict=True
     )
+    begin, end = (
+        AttributionStep(
+            kind="total", end=value, name=side.name, text=scale.format_value(value), color=color
+        )
+        for side, color, value in sides
+    )
+    steps, at = [begin], first
+    for one in found.contributions:
+        change = one.contribution or 0.0
+        step = AttributionStep(
+            kind="contribution",
+            cause=one.name,
+            start=at,
+            end=at + change,
+            name=one.name,
+            text=_tell_size(change, one.standard_error, scale),
+            color=palette.REFERENCE if one.name == SEED else colors[one.name],
+        )
+        steps.append(step)
+        at = step.end
+    return (*steps, end)
 
 
 def _choose_difference_scale(found: ExplainedDifference) -> StepScale:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -103,6 +102,11 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
     is_error = luck.metric.endswith("error")
     limits = _find_limits([*columns, np.array([recorded])], is_error=is_error)
     colors = palette.choose_cause_colors(luck.causes)
+    values = luck.curves[0].values
+    told = "no value"
+    if luck.recorded is not None:
+        ends = float(np.nanmin(values)), float(np.nanmax(values))
+        told = _write_range(*ends, luck.unit, told=luck.recorded)
     lines = tuple(
         _build_line(luck, curve, values, colors, limits)
         for curve, values in zip(luck.curves, columns, strict=True)
@@ -116,7 +120,7 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
         limits=limits,
         lines=lines,
         recorded=None if luck.recorded is None else (at, recorded),
-        recorded_name=_name_recorded(luck),
+        recorded_name=f"this run: {told}",
         plane=_build_plane(luck),
     )
 
@@ -144,16 +148,20 @@ def spread_labels(
 
     `height` is that of a label; the positions are within the limits as far as there is room.
     """
+
+    def find_edge(group: Sequence[float], side: float) -> float:
+        return sum(group) / len(group) + side * len(group) * height / 2.0
+
     order = sorted(range(len(values)), key=lambda row: values[row])
     # Overlapping labels are placed around the mean of their values.
     groups: list[list[float]] = []
     for row in order:
         groups.append([values[row]])
-        while len(groups) > 1 and _bottom(groups[-1], height) < _top(groups[-2], height):
+        while len(groups) > 1 and find_edge(groups[-1], -1.0) < find_edge(groups[-2], 1.0):
             upper = groups.pop()
             groups[-1] += upper
     middles = [
-        _bottom(group, height) + (number + 0.5) * height
+        find_edge(group, -1.0) + (number + 0.5) * height
         for group in groups
         for number in range(len(group))
     ]
@@ -162,14 +170,6 @@ def spread_labels(
     places = np.maximum(np.minimum(middles, below_top), above_bottom).tolist()
     found = dict(zip(order, places, strict=True))
     return [found[row] for row in range(len(values))]
-
-
-def _bottom(group: Sequence[float], height: float) -> float:
-    return sum(group) / len(group) - len(group) * height / 2.0
-
-
-def _top(group: Sequence[float], height: float) -> float:
-    return sum(group) / len(group) + len(group) * height / 2.0
 
 
 def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
@@ -201,21 +201,12 @@ def _write_bound(most: float, unit: str) -> str:
 
 def _round(value: float, digits: int) -> str:
     """Return a value as text with the given number of digits; whole numbers have all digits."""
-    return (
-        f"{value:.0f}" if value == round(value) else f"{value:.{_count_decimals(value, digits)}f}"
-    )
+    decimals = 0 if value == round(value) else _count_decimals(value, digits)
+    return f"{value:.{decimals}f}"
 
 
 def _count_decimals(value: float, digits: int) -> int:
     return max(digits - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
-
-
-def _name_recorded(luck: Luck) -> str:
-    if luck.recorded is None:
-        return "this run: no value"
-    values = luck.curves[0].values
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return f"this run: {_write_range(low, high, luck.unit, told=luck.recorded)}"
 
 
 def _find_limits(columns: Sequence[Values], *, is_error: bool) -> tuple[float, float]:
@@ -264,15 +255,14 @@ def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tup
     rows = np.flatnonzero(np.isfinite(values)).tolist()
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     least = max(_JUMP * height, _SMOOTH * float(np.quantile(steps, 0.25)) if len(steps) else 0.0)
-    cuts = [
-        number
-        for number, (row, following) in enumerate(pairwise(rows), start=1)
-        if not is_joined or following > row + 1 or abs(values[following] - values[row]) > least
-    ]
-    bounds = [0, *cuts, len(rows)]
-    return tuple(
-        (rows[first], rows[after - 1]) for first, after in pairwise(bounds) if after > first
-    )
+    pieces: list[tuple[int, int]] = []
+    for row in rows:
+        last = pieces[-1][1] if pieces else row
+        if is_joined and pieces and row == last + 1 and abs(values[row] - values[last]) <= least:
+            pieces[-1] = (pieces[-1][0], row)
+        else:
+            pieces.append((row, row))
+    return tuple(pieces)
 
 
 def _write_sentences(luck: Luck) -> tuple[str, ...]:
@@ -305,13 +295,9 @@ def _write_dependence(luck: Luck) -> str:
         return f"It is the same {way} all {len(values)} {luck.varied}s."
     if luck.varied == "seed":
         return "Each seed gives another value."
-    if luck.dependence == "wide":
-        return "It depends on single samples."
-    if luck.dependence == "steady":
-        return "It depends little on the start."
-    if len(luck.curves) == 1:
-        return "It depends on the start."
-    return "It depends on the start; what the effects add depends little on it."
+    added = "" if len(luck.curves) == 1 else "; what the effects add depends little on it"
+    told = {"wide": "on single samples", "steady": "little on the start"}
+    return f"It depends {told.get(luck.dependence, f'on the start{added}')}."
 
 
 def _build_plane(luck: Luck) -> LuckPlane | None:
@@ -330,7 +316,11 @@ def _build_plane(luck: Luck) -> LuckPlane | None:
     furthest_m = float(np.hypot(*shown_m.T).max())
     half_m, rings_m = choose_rings(furthest_m)
     half_m = min(half_m, _AROUND * max(furthest_m, *rings_m))
-    count = len(whole.values)
+    count, note = len(whole.values), ""
+    if len(ghosts_m):
+        which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
+        within = _write_bound(float(np.hypot(*ghosts_m.T).max()), "m")
+        note = f"{_name_curve(rest)}:\n{which} within {within}"
     return LuckPlane(
         title=f"where {count} {luck.varied}s end",
         half_m=half_m,
@@ -339,13 +329,5 @@ def _build_plane(luck: Luck) -> LuckPlane | None:
         ends_m=ends_m,
         ghosts_m=ghosts_m,
         recorded_m=recorded_m,
-        note=_write_note(rest, ghosts_m),
+        note=note,
     )
-
-
-def _write_note(rest: LuckCurve, ghosts_m: Values) -> str:
-    if not len(ghosts_m):
-        return ""
-    count, furthest_m = len(rest.values), float(np.hypot(*ghosts_m.T).max())
-    which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
-    return f"{_name_curve(rest)}:\n{which} within {_write_bound(furthest_m, 'm')}"

@@ -192,7 +192,6 @@ _OF_EVERY_LAW: Final[Mapping[str, Color]] = {
     DONE: (90, 90, 90),
 }
 
-
 _BY_ORDER: Final = (
     (46, 96, 148),
     (20, 110, 84),
@@ -258,7 +257,6 @@ def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
 
 MAIN: Final[Color] = choose_run_colors(1)[0]
 """Colour of a single run."""
-
 
 Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
 Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]

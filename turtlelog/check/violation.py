@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.curve_marks import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.violated_signal import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.check.decisive_band import BandReader, find_scale, list_leaves, names_signals
 from turtlelog.check.formula import check_run
 from turtlelog.check.formula_trace import FormulaTrace, find_span, find_window, read_signals

@@ -37,7 +37,7 @@ from turtlelog.errors import ExplainError, TurtlelogError
 
 if TYPE_CHECKING:
     from turtlelog import Run
-    from turtlelog.charts.violated_signal import ViolatedSignal
+    from turtlelog.charts.curve_marks import ViolatedSignal
     from turtlelog.check import CheckResult
     from turtlelog.draw.report import CheckLine, Explanation
 

@@ -16,7 +16,7 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.identify.robots import Log, make_run
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.robot_curves import find_command_changes
+from turtlelog.charts.plotted_curves import find_command_changes
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
 from turtlelog.draw.figures.attribution_figure import (

@@ -15,8 +15,7 @@ from matplotlib.patches import Circle
 from turtlelog import explain
 from turtlelog.charts import attribution_steps
 from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
-from turtlelog.charts.curves import Values, find_unit, list_levels, read_curve
-from turtlelog.charts.ideal_curves import find_steps
+from turtlelog.charts.curves import Values, find_steps, find_unit, list_levels, read_curve
 from turtlelog.charts.palette import SUPPOSED_DASH
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.draw.figures import page, run_styles

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 
 from turtlelog.charts.attribution_steps import draw_up_difference
-from turtlelog.charts.robot_curves import label_error
-from turtlelog.charts.time_plots import TIME_PLOTS
+from turtlelog.charts.time_plots import TIME_PLOTS, label_error
 from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.compare.trajectory_errors import Values

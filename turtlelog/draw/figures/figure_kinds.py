@@ -8,12 +8,11 @@ from typing import Final
 
 from matplotlib.axes import Axes
 
-from turtlelog.charts.characteristics import Characteristic, list_characteristics
-from turtlelog.charts.close_up import ARRIVED_M, format_length
-from turtlelog.charts.curves import read_curve
-from turtlelog.charts.plane_scene import ON_PATH_M, list_paths, read_along_error
+from turtlelog.charts.close_up import ARRIVED_M, ON_PATH_M, format_length
+from turtlelog.charts.curve_marks import Characteristic, list_characteristics
+from turtlelog.charts.curves import lack_samples, read_along_error, read_curve
+from turtlelog.charts.plane_scene import list_paths
 from turtlelog.charts.plotted_curves import Scale, group_states
-from turtlelog.charts.robot_curves import lack_samples
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.display import NamedValues

@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog import theory
-from turtlelog.charts.curves import Values
-from turtlelog.charts.ideal_curves import find_steps
+from turtlelog.charts.curves import Values, find_steps
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.draw.figures import strip_figure

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from turtlelog.charts.characteristics import (
+from turtlelog.charts.curve_marks import (
     Characteristic,
     MarkShape,
     list_characteristics,

@@ -7,10 +7,15 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from turtlelog.charts.curves import Command, list_loops, read_curve, require_near
-from turtlelog.charts.plane_scene import read_along_error
+from turtlelog.charts.curves import (
+    Command,
+    lack_samples,
+    list_loops,
+    read_along_error,
+    read_curve,
+    require_near,
+)
 from turtlelog.charts.plotted_curves import has_own
-from turtlelog.charts.robot_curves import lack_samples
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import fit_line
 from turtlelog.draw.figures.figure_curves import find_gains

@@ -10,20 +10,23 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from turtlelog.charts import plane_scene
+from turtlelog.charts import many_runs, plane_scene
 from turtlelog.charts.close_up import (
     CloseUp,
     Label,
     Lettering,
+    WorstPlace,
     find_close_up,
     find_tolerance,
+    find_worst_place,
+    label_worst_place,
     list_miss_labels,
     list_ring_labels,
     name_ends,
 )
-from turtlelog.charts.curves import REFERENCE as AIMED, Values
+from turtlelog.charts.curves import REFERENCE as AIMED, Values, lack_samples
 from turtlelog.charts.many_runs import MANY, cut_alike, find_restless
-from turtlelog.charts.robot_curves import find_jump_rows, lack_samples, part_path, tell_gap
+from turtlelog.charts.plane_scene import find_jump_rows, part_path, tell_gap
 from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_points, draw_thinned
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
@@ -37,9 +40,9 @@ _OF_MANY: Final = page.fix_style(color="0.8", linewidth=0.4, zorder=1.6)
 _RESTLESS: Final = page.fix_style(alpha=0.45, zorder=1.7)
 """Style of runs that never come to rest, if others do."""
 
-_OUTLINE: Final = page.fix_style(linewidth=0.8, zorder=2.96, label=plane_scene.OUTLINE_LABEL)
+_OUTLINE: Final = page.fix_style(linewidth=0.8, zorder=2.96, label=many_runs.OUTLINE_LABEL)
 _MEDIAN: Final = page.fix_style(
-    mec="white", mew=0.7, ms=5.5, zorder=2.97, label=plane_scene.MEDIAN_LABEL
+    mec="white", mew=0.7, ms=5.5, zorder=2.97, label=many_runs.MEDIAN_LABEL
 )
 
 _MOST_TICKS: Final = 5
@@ -58,7 +61,7 @@ _FAINT: Final = 0.25
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the paths from start to goal, and next to them the ends of runs that arrive."""
     close_up = find_named_close_up(runs)
-    worst = plane_scene.find_worst_place(runs) if close_up is None else None
+    worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     draw_paths(grid[0], runs)
     show_all(grid[0], runs)
@@ -83,7 +86,7 @@ def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
     """Return whether the plane is alone, because no run arrives, or leaves its path."""
-    return find_close_up(runs) is None and plane_scene.find_worst_place(runs) is None
+    return find_close_up(runs) is None and find_worst_place(runs) is None
 
 
 def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
@@ -116,7 +119,7 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
 
 def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     """Return runs with path styles: grey for very many runs, faint for a run that never rests."""
-    if plane_scene.has_grey_paths(runs):
+    if many_runs.has_grey_paths(runs):
         return [(run, {**looks, **_OF_MANY}) for run, looks in run_styles.style_runs(runs)]
     restless = find_restless(runs)
     return [
@@ -129,7 +132,7 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the ends of runs above all paths; for many per gain, also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
     colors = run_styles.color_runs(runs)
-    is_many = plane_scene.has_grey_paths(runs)
+    is_many = many_runs.has_grey_paths(runs)
     # Random order, because in the order of gains the last runs would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
     for number in order:
@@ -138,7 +141,7 @@ def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
         (end,) = axes.plot(*ends_m[number], "o", zorder=2.95, **looks)
         if lack_samples(runs) and len(runs) == 1:
             end.set_label("end")
-    for group in plane_scene.find_gain_ends(runs) if is_many else ():
+    for group in many_runs.find_gain_ends(runs) if is_many else ():
         color = colors[group.middle_run]
         axes.plot(*group.around_xy_m.T, color=color, **_OUTLINE)
         axes.plot(*group.median_xy_m, "D", color=color, **_MEDIAN)
@@ -212,15 +215,13 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     axes.locator_params(nbins=5)
 
 
-def _show_worst(
-    axes: Axes, runs: Sequence[Run], worst: plane_scene.WorstPlace, lettering: Lettering
-) -> None:
+def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
     """Show the largest deviation from the path, with its size."""
     center, color = np.array(worst.center_xy_m), run_styles.color_runs(runs)[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
     ends = np.array([worst.path_xy_m, worst.xy_m])
     axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
-    _write(axes, plane_scene.label_worst_place(worst, lettering), color)
+    _write(axes, label_worst_place(worst, lettering), color)
     axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
 

@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from turtlelog import identify
 from turtlelog.charts.curves import Command, Curve, Values, read_applied, read_command
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
-from turtlelog.charts.plotted_curves import label_time
-from turtlelog.charts.robot_curves import CommandChange, find_command_changes, read_measured
-from turtlelog.charts.time_plots import TIME_PLOTS
+from turtlelog.charts.plotted_curves import CommandChange, find_command_changes, label_time
+from turtlelog.charts.time_plots import TIME_PLOTS, read_measured
 from turtlelog.display import describe_count
 from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned

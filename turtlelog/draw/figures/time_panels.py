@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs
-from turtlelog.charts.curves import Curve, find_disturbance
+from turtlelog.charts.curves import Curve, find_disturbance, lack_samples
 from turtlelog.charts.palette import LIMIT_DASH, Color, choose_curve_color, choose_dash
-from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
+from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import (
     POINTS,
     CurveKind,
@@ -29,7 +29,6 @@ from turtlelog.charts.plotted_curves import (
     list_plotted,
     take_magnitude,
 )
-from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
 from turtlelog.charts.time_plots import find_plot
 from turtlelog.draw.figures import page, run_styles
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points

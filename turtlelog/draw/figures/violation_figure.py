@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts import palette
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Values
 from turtlelog.charts.plotted_curves import label_time
-from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.draw.figures.page import STROKES, fix_style

@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts import characteristics
+from turtlelog.charts import curve_marks
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
 from turtlelog.charts.palette import ALLOWED, DEAD_TIME, MAIN, VIOLATION, Color, to_hex
-from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.draw.report.drawing import RING, Drawn, Plots, make_figure, store, thin
 from turtlelog.libraries import load_library
 
@@ -26,7 +26,7 @@ _LATE: Final = 0.6
 """Share of the width from which text is on the left of dots, because it would leave the plot on the
 right."""
 
-_SHAPES: Final[Mapping[characteristics.MarkShape, str]] = {
+_SHAPES: Final[Mapping[curve_marks.MarkShape, str]] = {
     "disc": "circle",
     "square": "square",
     "cross": "x",
@@ -39,7 +39,7 @@ def mark_plots(
     figure: Any,
     drawn: Sequence[Drawn],
     signals: Collection[str],
-    found: Sequence[Sequence[characteristics.Characteristic]],
+    found: Sequence[Sequence[curve_marks.Characteristic]],
 ) -> None:
     """Mark the characteristics of a plot's signals, and pauses, for each of the first runs drawn.
 
@@ -51,7 +51,7 @@ def mark_plots(
     dots = []
     for number, marks in enumerate(found):
         run = drawn[number].run
-        if all(characteristics.read_marked_curve(run, signal) is None for signal in signals):
+        if all(curve_marks.read_marked_curve(run, signal) is None for signal in signals):
             continue
         color = to_hex(drawn[number].color)
         own = [mark for mark in marks if mark.signal in signals and mark.level is not None]
@@ -71,7 +71,7 @@ def mark_plots(
 
 
 def _shade_pauses(
-    figure: Any, marks: Sequence[characteristics.Characteristic], color: str
+    figure: Any, marks: Sequence[curve_marks.Characteristic], color: str
 ) -> Iterator[Any]:
     for mark in marks:
         if mark.kind == "pause" and mark.span_s is not None:
@@ -79,7 +79,7 @@ def _shade_pauses(
 
 
 def _shade_spans(
-    figure: Any, marks: Sequence[characteristics.Characteristic], color: str
+    figure: Any, marks: Sequence[curve_marks.Characteristic], color: str
 ) -> Iterator[Any]:
     """Shade settling bands from the start of their loop on, and dead times."""
     for mark in marks:
@@ -105,12 +105,12 @@ def _add_box(figure: Any, color: str, alpha: float, **edges: float) -> Any:
 
 def _draw_dot(
     figure: Any,
-    mark: characteristics.Characteristic,
-    others: Sequence[characteristics.Characteristic],
+    mark: curve_marks.Characteristic,
+    others: Sequence[curve_marks.Characteristic],
     whose: tuple[str, str],
 ) -> Any:
     """Draw a dot at a metric's place on the curve; return None for a metric without a dot."""
-    text = ", ".join(characteristics.list_mark_texts(mark, others))
+    text = ", ".join(curve_marks.list_mark_texts(mark, others))
     if mark.shape is None or not text:
         return None
     name, color = whose
@@ -124,12 +124,12 @@ def _draw_dot(
 
 
 def _write_words(
-    plots: Plots, figure: Any, marks: Sequence[characteristics.Characteristic]
+    plots: Plots, figure: Any, marks: Sequence[curve_marks.Characteristic]
 ) -> Iterator[Any]:
     """Write the name of each dot next to it. The names of close dots form a column."""
     end_s = float(plots.config["end_s"])
     known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
-    told = [(mark, ", ".join(characteristics.list_mark_texts(mark, marks))) for mark in known]
+    told = [(mark, ", ".join(curve_marks.list_mark_texts(mark, marks))) for mark in known]
     words = [(mark, text) for mark, text in told if text]
     levels = [float(mark.level or 0.0) for mark, _ in words]
     cluster: list[int] = []
@@ -155,7 +155,7 @@ def _write_words(
         yield word
 
 
-def _find_middle(figure: Any, mark: characteristics.Characteristic) -> float:
+def _find_middle(figure: Any, mark: curve_marks.Characteristic) -> float:
     """Return the middle of the range of a plot's curves."""
     values = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
     known = [float(end) for found in values for end in (np.nanmin(found), np.nanmax(found))]

@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.charts import plotted_curves
-from turtlelog.charts.characteristics import Characteristic, list_characteristics
 from turtlelog.charts.close_up import find_close_up
+from turtlelog.charts.curve_marks import Characteristic, list_characteristics
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import SUPPOSED_DASH, Dash, choose_curve_color, choose_dash, to_hex
-from turtlelog.charts.robot_curves import list_seen_gaps
+from turtlelog.charts.plane_scene import list_seen_gaps
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.draw.report import drawing
 from turtlelog.draw.report.marked_plots import RED, draw_violations, mark_plots

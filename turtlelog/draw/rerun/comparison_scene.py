@@ -10,7 +10,8 @@ import rerun as rr
 
 from turtlelog.charts import many_runs, palette
 from turtlelog.charts.close_up import name_ends
-from turtlelog.charts.plane_scene import has_grey_paths, move_near
+from turtlelog.charts.many_runs import has_grey_paths
+from turtlelog.charts.plane_scene import move_near
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.draw.documents import document_runs
 from turtlelog.draw.rerun import entities, plane, plots, world

@@ -9,8 +9,7 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
-from turtlelog.charts.curves import Values
-from turtlelog.charts.ideal_curves import find_steps
+from turtlelog.charts.curves import Values, find_steps
 from turtlelog.charts.plotted_curves import TIMELINE, locate_run
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path, name_part

@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
-from turtlelog.charts.plane_scene import has_own_way, read_way_to_reference
-from turtlelog.charts.robot_curves import find_break_rows, read_pace
+from turtlelog.charts.plane_scene import (
+    find_break_rows,
+    has_own_way,
+    read_pace,
+    read_way_to_reference,
+)
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.timelines import RunStream, choose_trace_rows
 from turtlelog.draw.rerun.world import UPWARD

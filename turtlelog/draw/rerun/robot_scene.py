@@ -9,8 +9,7 @@ import rerun.blueprint as rrb
 
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
-from turtlelog.charts.robot_curves import label_error
-from turtlelog.charts.time_plots import TIME_PLOTS
+from turtlelog.charts.time_plots import TIME_PLOTS, label_error
 from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.draw.rerun.content import find_corners, view_curves

@@ -12,9 +12,9 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Curve, select_curve_rows
 from turtlelog.charts.plotted_curves import TIMELINE
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import cut_name
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities
