@@ -148,7 +148,7 @@ def _bind_attribution(
     asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
 ) -> "FigureKind":
     """Explain the run, which may take seconds."""
-    from turtlelog.draw.figures.attribution_figure import draw_attribution, explain_for_figure
+    from turtlelog.draw.figures.explanation_figures import draw_attribution, explain_for_figure
 
     with show_progress("explaining", 100.0, "%") as progress:
         explained = explain_for_figure(runs, metric=asked.metric, report=progress.count)
@@ -157,7 +157,7 @@ def _bind_attribution(
 
 def _bind_luck(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
     """Simulate the run from other starts, which may take seconds."""
-    from turtlelog.draw.figures.luck_figure import draw_luck, measure_luck_for_figure
+    from turtlelog.draw.figures.explanation_figures import draw_luck, measure_luck_for_figure
     from turtlelog.explain import Work
 
     with show_progress("simulated", 100.0, "%") as progress:
@@ -183,7 +183,7 @@ def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run
     import turtlelog as tl
     from turtlelog.check.violation import find_judged_signal
     from turtlelog.cli.check import build_spec
-    from turtlelog.draw.figures.violation_figure import draw_violation
+    from turtlelog.draw.figures.time_panels import draw_violation
 
     if len(runs) != 1 or asked.expect is None:
         return kind

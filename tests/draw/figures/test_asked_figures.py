@@ -19,14 +19,14 @@ from turtlelog.charts.curves import Curve
 from turtlelog.charts.plotted_curves import find_command_changes
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
-from turtlelog.draw.figures.attribution_figure import (
+from turtlelog.draw.figures.explanation_figures import (
     Explained,
     draw_attribution,
     explain_for_figure,
 )
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
 from turtlelog.draw.figures.gain_figure import draw_gains, find_loop_gains
-from turtlelog.draw.figures.rates_figure import draw_rates
+from turtlelog.draw.figures.robot_figures import draw_rates
 from turtlelog.draw.figures.strip_figure import (
     MetricValues,
     complete_name,
@@ -36,7 +36,7 @@ from turtlelog.draw.figures.strip_figure import (
     set_ticks_at,
     set_value_scale,
 )
-from turtlelog.draw.figures.violation_figure import draw_violation
+from turtlelog.draw.figures.time_panels import draw_violation
 from turtlelog.errors import ShowError
 from turtlelog.identify import identify_robot
 from turtlelog.scenario import get_preset, override_scenario

@@ -11,8 +11,8 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.draw.robots import OUTLIER, OUTLIER_ROW, keep_no_commands, make_robot
 from tests.log.runs import find_shared
-from turtlelog.draw.figures.figure_kinds import list_left_out
 from turtlelog.draw.figures.time_panels import draw_time_plot
+from turtlelog.draw.figures.writing import list_left_out
 from turtlelog.log.ros2 import read_bag
 
 

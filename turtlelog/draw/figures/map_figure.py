@@ -59,7 +59,6 @@ GROWN: Final = "instability with the most dead time (theory)"
 OVERSHOOT: Final = "overshoot begins (theory)"
 """Names of theory's limits in a legend."""
 
-
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         STABILITY: {"color": to_hex(UNSTABLE), "linewidth": 1.2},

@@ -1,6 +1,6 @@
 """Metrics of several runs in figures, and strips: each run is a point, of many there is a box."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,9 +16,9 @@ from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.display import cut_name
+from turtlelog.draw.figures.figure_curves import choose_colors
 from turtlelog.draw.figures.page import fix_style
 from turtlelog.draw.figures.placed_words import measure_text_mm
-from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
@@ -114,7 +114,13 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     found: dict[tuple[Parameter | None, ...], list[int]] = {}
     for row, cell in enumerate(cells):
         found.setdefault(cell, []).append(row)
-    label = "Kp [1/s]" if is_one_gain else ", ".join(_name_key(key, runs) for key in by)
+    # A key has the unit of a gain; other keys contain their unit.
+    units = [find_gain_unit(runs, key) for key in by]
+    named = [
+        f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
+        for key, unit in zip(by, units, strict=True)
+    ]
+    label = "Kp [1/s]" if is_one_gain else ", ".join(named)
     if more > 0 and not is_one_gain:
         label += f" ({more} more keys differ)"
     if len(found) > _MOST_GROUPS:
@@ -122,30 +128,21 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
             f"figure strips: expected at most {_MOST_GROUPS} groups, found {len(found)} by"
             f" {label or 'what differs'}; the figure gains draws metrics against gains"
         )
-    order = sorted(found, key=lambda cell: [_rank(value) for value in cell])
+
+    def rank(value: Parameter | None) -> tuple[int, float, str]:
+        is_number = isinstance(value, int | float)
+        return (0, float(value), "") if is_number else (1 + (value is None), 0.0, str(value))
+
+    def tell(value: Parameter | None) -> str:
+        told = f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+        return "unknown" if value is None else told
+
+    order = sorted(found, key=lambda cell: [*map(rank, cell)])
     return RunGroups(
         label=label,
-        names=tuple(cut_name(", ".join(map(_tell, cell)), _MOST_LETTERS) for cell in order),
+        names=tuple(cut_name(", ".join(map(tell, cell)), _MOST_LETTERS) for cell in order),
         rows=tuple(tuple(found[cell]) for cell in order),
     )
-
-
-def _name_key(key: str, runs: Sequence[Run]) -> str:
-    """Return the last part of a key, with the unit of a gain. Other keys contain their unit."""
-    unit = find_gain_unit(runs, key)
-    return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
-
-
-def _rank(value: Parameter | None) -> tuple[int, float, str]:
-    if isinstance(value, int | float):
-        return (0, float(value), "")
-    return (1, 0.0, str(value)) if value is not None else (2, 0.0, "")
-
-
-def _tell(value: Parameter | None) -> str:
-    if value is None:
-        return "unknown"
-    return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
 
 
 def draw_strips(
@@ -303,7 +300,9 @@ def measure_for_figure(
     for patterns in [[*map(complete_name, names)]] if names else [USUAL, OF_TRACKING]:
         chosen = [choose_metrics(patterns, run.declaration) for run in runs]
         measured = [measure_run(run, only=only) for run, only in zip(runs, chosen, strict=True)]
-        found = _gather(measured)
+        ids = dict.fromkeys(name for metrics in measured for name in metrics)
+        built = [_build(name, [one.get(name) for one in measured]) for name in ids]
+        found = [one for one in built if one is not None]
         if found:
             break
     else:
@@ -320,18 +319,11 @@ def complete_name(name: str) -> str:
     return f"*.{name}" if is_bare else name
 
 
-def _gather(measured: Sequence[Mapping[str, Metric]]) -> list[MetricValues]:
-    ids = dict.fromkeys(name for metrics in measured for name in metrics)
-    found = []
-    for name in ids:
-        metrics = [one.get(name) for one in measured]
-        if any(metric is not None and metric.value is not None for metric in metrics):
-            found.append(_build(name, metrics))
-    return found
-
-
-def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues:
+def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues | None:
+    """Return a metric of several runs; None if no run has a value."""
     known = [one for one in metrics if one is not None and one.value is not None]
+    if not known:
+        return None
     values = [np.nan if one is None or one.value is None else one.value for one in metrics]
     factor, unit = choose_unit(max(abs(one.value or 0.0) for one in known), known[0].unit)
     loop, _, last = name.rpartition(".")
@@ -366,23 +358,21 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Place the ticks of the lower axis at the values that have enough room."""
-    axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
-    axes.xaxis.set_minor_locator(NullLocator())
-    formatter: Any = "{x:.4g}"
-    axes.xaxis.set_major_formatter(formatter)
+    """Place the ticks of the lower axis at the values that have enough room.
 
-
-def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
-    """Return the smallest and largest values, and values between them whose labels do not touch."""
+    The smallest and largest values have ticks, and values between them whose labels do not touch.
+    """
+    values = sorted({*values})
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
     points = points * _POINTS_PER_INCH / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()
-    letter = _LETTER_WIDTH * size
-    halves = [letter * (len(f"{value:.4g}") + 1) / 2.0 for value in values]
+    halves = [_LETTER_WIDTH * size * (len(f"{value:.4g}") + 1) / 2.0 for value in values]
     last = len(values) - 1
     chosen: list[int] = []
     for row in [0, last, *range(1, last)]:
         if all(abs(points[row] - points[one]) >= halves[row] + halves[one] for one in chosen):
             chosen.append(row)
-    return [values[row] for row in sorted(chosen)]
+    axes.xaxis.set_major_locator(FixedLocator([values[row] for row in sorted(chosen)]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    formatter: Any = "{x:.4g}"
+    axes.xaxis.set_major_formatter(formatter)

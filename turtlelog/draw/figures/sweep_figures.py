@@ -18,9 +18,8 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
 from turtlelog.display import describe_count
 from turtlelog.draw.figures import map_figure, writing
-from turtlelog.draw.figures.figure_curves import count_legend_columns
+from turtlelog.draw.figures.figure_curves import choose_colors, count_legend_columns
 from turtlelog.draw.figures.page import REFERENCE, Page, to_rgb, use_looks
-from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.sweep.gain_borders import LoopLimits, choose_limits, find_loop_limits, list_gain_keys
 from turtlelog.sweep.sensitivities import Sensitivities, Sensitivity, find_sensitivities
