@@ -287,8 +287,6 @@ _PANEL_INCH: Final = 2.4
 _AXIS_INCH: Final = 0.45
 """Height of the axis below the curves with its text [inch]."""
 
-_GHOST: Final = (0.5, 0.5, 0.5)
-
 _GHOST_COLOR: Final = (0.5, 0.5, 0.5)
 _GHOST_WORDS: Final = (0.35, 0.35, 0.35)
 """Colour of a ghost's text; a lighter grey would not be visible on paper."""
@@ -299,8 +297,6 @@ _DOT_MM: Final = 1.2
 _DASHES: Final[tuple[Any, ...]] = ((0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
 """Dash patterns of the curves without one cause, chosen so that coinciding curves are all
 visible."""
-
-_MINUS: Final = "\N{MINUS SIGN}"
 
 
 def measure_luck_for_figure(
@@ -391,7 +387,7 @@ def _draw_curves(axes: Axes, shown: luck_chart.LuckPicture, height_inch: float) 
         if abs(place - end[1]) > 0.3 * height or end[0] < right:
             axes.plot([end[0], right + 2.0 * gap], [end[1], place], **leader)
         text = axes.text(right + 2.4 * gap, place, line.name, color=words, fontsize=_WORDS_POINTS)
-        text.set_va("center_baseline")
+        text.set_verticalalignment("center_baseline")
 
 
 def _mark_recorded(

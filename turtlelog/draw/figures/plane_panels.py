@@ -238,7 +238,7 @@ class _FromOrigin(MaxNLocator):
         from_origin = super().tick_values(vmin - self._origin_m, vmax - self._origin_m)
         return [float(tick) + self._origin_m for tick in from_origin]
 
-    def tell_tick(self, value_m: float, _: int | None = None) -> str:
+    def tell_tick(self, value_m: float, _: float | None = None) -> str:
         """Return the distance of a tick from the origin as text."""
         return f"{round(value_m - self._origin_m, 6):g}"
 

@@ -129,20 +129,22 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
             f" {label or 'what differs'}; the figure gains draws metrics against gains"
         )
 
-    def rank(value: Parameter | None) -> tuple[int, float, str]:
-        is_number = isinstance(value, int | float)
-        return (0, float(value), "") if is_number else (1 + (value is None), 0.0, str(value))
-
     def tell(value: Parameter | None) -> str:
         told = f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
         return "unknown" if value is None else told
 
-    order = sorted(found, key=lambda cell: [*map(rank, cell)])
+    order = sorted(found, key=lambda cell: [*map(_rank, cell)])
     return RunGroups(
         label=label,
         names=tuple(cut_name(", ".join(map(tell, cell)), _MOST_LETTERS) for cell in order),
         rows=tuple(tuple(found[cell]) for cell in order),
     )
+
+
+def _rank(value: Parameter | None) -> tuple[int, float, str]:
+    if isinstance(value, int | float):
+        return (0, float(value), "")
+    return (1 + (value is None), 0.0, str(value))
 
 
 def draw_strips(

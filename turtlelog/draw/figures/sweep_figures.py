@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
 from turtlelog.display import describe_count
-from turtlelog.draw.figures import map_figure, writing
+from turtlelog.draw.figures import map_figure, page as pages
 from turtlelog.draw.figures.figure_curves import choose_colors, count_legend_columns
 from turtlelog.draw.figures.page import REFERENCE, Page, to_rgb, use_looks
 from turtlelog.errors import ShowError
@@ -82,9 +82,9 @@ def write_map_figure(
     Raises:
         ShowError: If the file cannot be written.
     """
-    path = writing.require_figure_path(path)
+    path = pages.require_figure_path(path)
     page = page or Page(kind="page")
-    return writing.write_figure(_draw(view, limits, kind, page), path, page)
+    return pages.write_figure(_draw(view, limits, kind, page), path, page)
 
 
 def draw_map(  # noqa: PLR0913  (all but the first have defaults)
@@ -125,7 +125,7 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
 def draw_sweep_svg(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind) -> bytes:
     """Return the content of the .svg file that `write_map_figure` writes."""
     page, data = Page(kind="page"), io.BytesIO()
-    writing.save_figure(_draw(view, limits, kind, page), data, "svg", page)
+    pages.save_figure(_draw(view, limits, kind, page), data, "svg", page)
     return data.getvalue()
 
 
@@ -142,7 +142,7 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
     most = max(len(one.keys) for one in found)
     height = _TORNADO_INCH + _BAR_INCH * most if kind == "tornado" else _PANEL_INCH
     rows, columns = _choose_grid(len(metrics), height, page)
-    figure = writing.ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
+    figure = pages.ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
     reasons = map_figure.group_reasons(metrics)
@@ -286,10 +286,10 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
         axes.text(value, number, f" {value:.2f} ", fontsize=6.2, ha=ha, va="center", color="0.25")
     axes.axvline(0.0, **REFERENCE)
     axes.set_xlim(-1.35, 1.35)
-    share = (
-        "" if found.explained is None else f";\nall together explain {100 * found.explained:.0f} %"
-    )
-    axes.set_xlabel(f"rank correlation, {found.rows} rows{share}", fontsize=7.0)
+    told = f"rank correlation, {found.rows} rows"
+    if found.explained is not None:
+        told += f";\nall together explain {100 * found.explained:.0f} %"
+    axes.set_xlabel(told, fontsize=7.0)
 
 
 _MOST_LINES: Final = 12

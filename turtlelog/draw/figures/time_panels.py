@@ -415,8 +415,8 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
     below = low * whole if violated.low is None else violated.low
     above = high * whole if violated.high is None else violated.high
     if not violated.metric:  # the moment of a metric has no span to shade
-        step = "post" if violated.curve.holds and violated.is_moving else None
-        axes.fill_between(time_s, below, above, step=step, **_BAND)
+        is_stepped = violated.curve.holds and violated.is_moving
+        axes.fill_between(time_s, below, above, step="post" if is_stepped else None, **_BAND)
     axes.set_ylim(low, high)
 
 
