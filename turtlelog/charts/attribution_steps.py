@@ -28,27 +28,15 @@ picture."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttributionStep:
-    """A bar of the waterfall, with its texts.
+    """A bar of the waterfall: the logged value, a contribution, or the value without all causes."""
 
-    Attributes:
-        kind: `total` for the logged value, `contribution` for a step down or up, `left` for the
-            remainder without all causes.
-        cause: Name of the cause; empty for total, left, and a step without a cause.
-        start: Start of the bar, in the metric's unit: 0, or the end of the previous step.
-        end: End of the bar.
-        name: Label next to the bar, in a word or two.
-        text: Size in words, with its part of the logged value.
-        color: Colour of the bar: the run's colour for the total, the colour of the ghost without
-            all causes for the remainder.
-    """
-
-    kind: Literal["total", "contribution", "left"]
-    cause: str = ""
-    start: float = 0.0
-    end: float
-    name: str
-    text: str
-    color: palette.Color
+    kind: Literal["total", "contribution", "left"]  # `left`: without all causes
+    cause: str = ""  # name of the cause; empty for total, left, and a step without a cause
+    start: float = 0.0  # start of the bar, in the metric's unit: 0, or the end of the previous step
+    end: float  # end of the bar
+    name: str  # label next to the bar, in a word or two
+    text: str  # size in words, with its part of the logged value
+    color: palette.Color  # of the run for the total, of the ghost for the value without all causes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +158,6 @@ def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
 def _list_contributions(
     found: Attribution, total: float, scale: StepScale
 ) -> Iterator[AttributionStep]:
-    """Yield the steps between the logged value and the remainder."""
     largest = max(abs(total), abs(found.divided))
     if abs(total - found.divided) > _SAME * largest:
         is_seed = found.seeds is not None
@@ -281,5 +268,4 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
 
 
 def _choose_difference_scale(found: ExplainedDifference) -> StepScale:
-    """Return the unit and the decimals for all values of a difference."""
     return _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)

@@ -95,21 +95,14 @@ class CloseUp:
 class Lettering:
     """Size of text in a picture, in half-widths of the close-up.
 
-    Attributes:
-        letter: Width of a letter.
-        line: Height of a line.
-        gap: Distance between a dot and its text.
-        reach: Distance from the goal to the left and right border of the picture, which may be
-            wide.
-        most_told: Number of ends that can all have text. Of more ends, only the furthest has text,
-            and the last run (highest gain) if runs have names.
+    Of too many ends only the furthest has text, and the last run (highest gain) if runs have names.
     """
 
-    letter: float
-    line: float
-    gap: float
-    reach: float = 1.0
-    most_told: int = _MOST_TOLD
+    letter: float  # width of a letter
+    line: float  # height of a line
+    gap: float  # distance between a dot and its text
+    reach: float = 1.0  # from the goal to the left and right border, which may be far away
+    most_told: int = _MOST_TOLD  # number of ends that can all have text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

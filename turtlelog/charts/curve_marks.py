@@ -328,18 +328,11 @@ _CLOSE_ROOM: Final = 0.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShownRange:
-    """Part of a signal's values that a plot shows.
+    """Part of a signal's values that a plot shows."""
 
-    Attributes:
-        low: Lower end of the plot, in the unit of the check.
-        high: Upper end of the plot.
-        note: Value to which the signal goes outside a close-up, as text; empty if the whole signal
-            is shown.
-    """
-
-    low: float
-    high: float
-    note: str = ""
+    low: float  # lower end of the plot, in the unit of the check
+    high: float  # upper end of the plot
+    note: str = ""  # how far the signal goes outside a close-up; empty if the whole is shown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -355,40 +348,21 @@ class ViolatedSignal:
     """A signal with the band to which a check limits it, in the unit of the check.
 
     Angles are in degrees, as in the check's message.
-
-    Attributes:
-        name: Name of the measured quantity in the check: `cross_track`, `speed - measured_speed`.
-        unit: Unit of values and limits: `m`, `deg`, `m/s`, `rad/s`; empty if it is not simple.
-        curve: The signal over the whole run, shape (n,).
-        low: Lower end of the band, shape (n,); NaN where no lower end is required. None: the band
-            has no lower end.
-        high: Upper end of the band, shape (n,); NaN where no upper end is required. None: the band
-            has no upper end.
-        reference: Values from which a tolerance counts, shape (n,); None for any other limit.
-        outside: Whether each row violates the check, shape (n,): outside the band while the band is
-            required.
-        first: First violation of the check.
-        worst: Row furthest outside; for a required value that was never reached, the nearest row.
-        worst_word: `worst` or `nearest`.
-        check: Name of the check.
-        expected: Requirement as written.
-        metric: Id of the limited metric, whose value the signal has only at the worst time. Empty
-            if the band is required over time.
     """
 
-    name: str
-    unit: str
-    curve: Curve
-    low: Values | None
-    high: Values | None
-    outside: NDArray[np.bool_]
-    first: ViolationMoment
-    worst: ViolationMoment
-    worst_word: str = "worst"
-    reference: Values | None = None
-    check: str = ""
-    expected: str = ""
-    metric: str = ""
+    name: str  # name of the measured quantity in the check: `cross_track`, `speed - measured_speed`
+    unit: str  # unit of values and limits: `m`, `deg`, `m/s`, `rad/s`; empty if it is not simple
+    curve: Curve  # the signal over the whole run, shape (n,)
+    low: Values | None  # lower end of the band, shape (n,); NaN where none is asked; None: no end
+    high: Values | None  # upper end of the band, likewise
+    outside: NDArray[np.bool_]  # whether each row is outside while the band is required, shape (n,)
+    first: ViolationMoment  # first violation of the check
+    worst: ViolationMoment  # row furthest outside; of a value never reached, the nearest row
+    worst_word: str = "worst"  # `worst` or `nearest`
+    reference: Values | None = None  # values from which a tolerance counts, shape (n,); else None
+    check: str = ""  # name of the check
+    expected: str = ""  # requirement as written
+    metric: str = ""  # limited metric, which the signal has only at the worst time; empty: a band
 
     @property
     def is_moving(self) -> bool:
@@ -449,12 +423,7 @@ class ViolatedSignal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalSearch:
-    """The violated signal of a check, or the reason why no signal is found.
+    """The violated signal of a check, or the reason why no signal is found."""
 
-    Attributes:
-        signal: Violated signal; None if the violation belongs to no signal, or has no time.
-        reason: Reason why there is no signal; empty if there is a signal.
-    """
-
-    signal: ViolatedSignal | None = None
-    reason: str = ""
+    signal: ViolatedSignal | None = None  # None if the violation has no signal, or no time
+    reason: str = ""  # reason why there is no signal; empty if there is a signal

@@ -330,7 +330,6 @@ def _read_recorded(run: Run, signal: str) -> Curve | None:
 
 
 def _read_arcs(run: Run) -> Curve | None:
-    """Return the arc length of the path's moving reference at every pose."""
     loops = [loop for loop in list_loops(run, "along_track") if loop.reference == "path"]
     values = read_reference(run, loops[0]) if loops else None
     if not isinstance(values, np.ndarray):
@@ -409,22 +408,15 @@ _ERRORS: Final = frozenset(
 class LoopStep:
     """The step of a loop that theory can model.
 
-    Attributes:
-        loop: Loop of the step.
-        kp: Proportional gain [1/s].
-        start_ns: Start of the loop's first segment, in the run's time [ns].
-        end_ns: End of this segment with its pause [ns].
-        initial: Value of the signal at the start of the segment [deg or m].
-        reference: Reference of the signal [deg or m]. A heading is shifted by full turns so that it
-            is nearest to the value at the end of the segment.
+    A heading's reference is shifted by full turns so that it is nearest to the value at the end.
     """
 
-    loop: ControlLoop
-    kp: float
-    start_ns: int
-    end_ns: int
-    initial: float
-    reference: float
+    loop: ControlLoop  # loop of the step
+    kp: float  # proportional gain [1/s]
+    start_ns: int  # start of the loop's first segment, in the run's time [ns]
+    end_ns: int  # end of this segment with its pause [ns]
+    initial: float  # value of the signal at the start of the segment [deg or m]
+    reference: float  # reference of the signal [deg or m]
 
     def respond(
         self, time_s: ArrayLike, *, initial: float | None = None, target: float | None = None

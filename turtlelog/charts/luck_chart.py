@@ -251,7 +251,6 @@ def _name_briefly(curve: LuckCurve) -> str:
 
 
 def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tuple[int, int], ...]:
-    """Return the segments of a curve in which neighbours are continuous."""
     rows = np.flatnonzero(np.isfinite(values)).tolist()
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     least = max(_JUMP * height, _SMOOTH * float(np.quantile(steps, 0.25)) if len(steps) else 0.0)

@@ -41,64 +41,35 @@ Column = Literal["turning", "moving"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurveEntry:
-    """A curve of a plot over time.
+    """A curve of a plot over time."""
 
-    Attributes:
-        kind: Kind of the curve, which determines colour and dash.
-        read: Function that returns the curve of a run, or several curves if the loop steps several
-            times.
-        label: Label in a legend. A curve's own label has priority.
-        name: Name that distinguishes the curves of a plot; empty for the run's own.
-        signal: Signal whose characteristics are marked on the curve; empty for other curves.
-    """
-
-    kind: CurveKind
-    read: Callable[[Run], Iterable[Curve]]
-    label: str = ""
-    name: str = ""
-    signal: str = ""
+    kind: CurveKind  # kind of the curve, which determines colour and dash
+    read: Callable[[Run], Iterable[Curve]]  # curves of a run, several if the loop steps repeatedly
+    label: str = ""  # label in a legend; a curve's own label has priority
+    name: str = ""  # name that distinguishes the curves of a plot; empty for the run's own
+    signal: str = ""  # signal whose characteristics are marked on the curve; empty for other curves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimePlot:
-    """A plot over time.
+    """A plot over time."""
 
-    Attributes:
-        title: Title of the plot.
-        unit: Unit of the values; empty if no unit is declared.
-        curves: Curves in the order of the legend.
-        list_levels: Function that returns the level lines of a run.
-        is_log: Whether there is also a logarithmic plot of the magnitudes.
-        scale: Scale of the axis.
-        figure: Print figure that contains the plot as a panel. If no figure has this name, one is
-            created.
-        needs: Data that a run must contain, by name in the table of needs.
-        loop: Signal that a loop of a run must control; empty: any.
-        is_usual: Whether a figure reports the plot as missing if no run has data for it.
-        pair: Name of the plot that shows x and y together if there is little room.
-        place: Column and row in a view of many plots. Plots at one place are tabs.
-        is_compared: Whether a view of several runs contains the plot.
-        report: Reports that contain the plot: always, if the reference moves, or never.
-        command: Command that the plot shows; None for any other signal.
-        is_filled: Whether a single oscillation would fill the plot from end to end.
-    """
-
-    title: str
-    unit: str
-    curves: tuple[CurveEntry, ...]
-    list_levels: Callable[[Run], Iterable[Level]] = lambda _: ()
-    is_log: bool = False
-    scale: Scale = "linear"
-    figure: str = ""
-    needs: str = "poses"
-    loop: str = ""
-    is_usual: bool = True
-    pair: str = ""
-    place: tuple[Column, int] | None = None
-    is_compared: bool = True
-    report: Literal["always", "moving", "never"] = "never"
-    command: Command | None = None
-    is_filled: bool = False
+    title: str  # title of the plot
+    unit: str  # unit of the values; empty if no unit is declared
+    curves: tuple[CurveEntry, ...]  # curves in the order of the legend
+    list_levels: Callable[[Run], Iterable[Level]] = lambda _: ()  # level lines of a run
+    is_log: bool = False  # whether there is also a logarithmic plot of the magnitudes
+    scale: Scale = "linear"  # scale of the axis
+    figure: str = ""  # print figure with the plot as a panel; it is created if it does not exist
+    needs: str = "poses"  # data that a run must contain, by name in the table of needs
+    loop: str = ""  # signal that a loop of a run must control; empty: any
+    is_usual: bool = True  # whether a figure reports the plot as missing if no run has data for it
+    pair: str = ""  # name of the plot that shows x and y together if there is little room
+    place: tuple[Column, int] | None = None  # column and row in a large view; one place: tabs
+    is_compared: bool = True  # whether a view of several runs contains the plot
+    report: Literal["always", "moving", "never"] = "never"  # moving: if a reference moves
+    command: Command | None = None  # command that the plot shows; None for any other signal
+    is_filled: bool = False  # whether a single oscillation would fill the plot from end to end
 
     @property
     def label(self) -> str:

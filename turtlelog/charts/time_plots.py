@@ -190,7 +190,6 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
 
 
 def _plot_wanted(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    """Return the plot of a law's commands before clipping."""
     return TimePlot(
         title=f"wanted {title}",
         unit=COMMAND_UNITS[command],

@@ -147,7 +147,6 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
 
 
 def _format_rows(table: Table, kind: str) -> list[list[str]]:
-    """Return the cells in a format, escaped and marked."""
     return [
         [
             _mark(table, row, index, _format(cell, column, kind), kind)
@@ -165,7 +164,6 @@ def _format(cell: Cell, column: Column, kind: str) -> str:
 
 
 def _mark(table: Table, row: int, index: int, text: str, kind: str) -> str:
-    """Return a cell's text with its mark, if any."""
     return _MARKS[kind].get(table.marks.get((row, index)), "{}").format(text)
 
 

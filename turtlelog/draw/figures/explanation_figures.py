@@ -220,7 +220,6 @@ def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
 
 
 def _draw_ends(axes: Axes, told: Explained) -> None:
-    """Draw the ends of the run and its ghost, enlarged if they arrive."""
     lines = [(told.run, choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
@@ -419,7 +418,6 @@ def _darken(color: palette.Color) -> tuple[float, ...]:
 
 
 def _draw_plane(axes: Axes, plane: luck_chart.LuckPlane, side_inch: float) -> None:
-    """Draw the ends around the goal, and rings for scale."""
     half = plane.half_m
     place = WordSpace(
         center=np.zeros(2), half=np.full(2, half), half_mm=np.full(2, 12.7 * side_inch)

@@ -49,22 +49,15 @@ Arrange = Callable[[Figure, Sequence[Run], Sequence[time_panels.Draw]], None]
 class Panel:
     """One panel of a figure.
 
-    Attributes:
-        name: Content, in a word or two.
-        needs: Data that a run must contain.
-        draw: Function that draws the panel for several runs.
-        loop: Signal that a loop of the run must control; empty: any. For a usual panel, a run with
-            unknown loops is assumed to have such a loop.
-        is_usual: Whether the panel is reported as missing if no run has data for it.
-        plot: Name of the plot over time that the panel shows; empty for another panel.
+    A run with unknown loops is assumed to have the loop of a usual panel.
     """
 
-    name: str
-    needs: str
-    draw: time_panels.Draw
-    plot: str = ""
-    loop: str = ""
-    is_usual: bool = True
+    name: str  # content, in a word or two
+    needs: str  # data that a run must contain
+    draw: time_panels.Draw  # function that draws the panel for several runs
+    plot: str = ""  # name of the plot over time that the panel shows; empty for another panel
+    loop: str = ""  # signal that a loop of the run must control; empty: any
+    is_usual: bool = True  # whether the panel is reported as missing if no run has data for it
 
     def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
         """Return the data that each run lacks for the panel; empty if nothing is missing."""
@@ -81,31 +74,18 @@ class Panel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FigureKind:
-    """One figure.
+    """One figure."""
 
-    Attributes:
-        title: Content, for captions.
-        paper: The corresponding figure of the paper; empty if the paper has none.
-        height: Height divided by width, with all usual panels of the figure.
-        needs: Data that at least one run must contain; panels have further needs.
-        draw: Function that draws the figure for several runs, if it has no panels.
-        panels: Panels; those without data in any run are left out.
-        list_more: Function that returns further panels, which depend on the declarations of laws.
-        is_usual: Whether the figure is reported as missing if no run has data for it.
-        is_extra: Whether the figure is drawn only if requested by name.
-        arrange: Function that places the panels.
-    """
-
-    title: str
-    paper: str = ""
-    height: float = 0.62
-    needs: str = "poses"
-    draw: DrawFigure | None = None
-    panels: tuple[Panel, ...] = ()
-    list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()
-    is_usual: bool = True
-    is_extra: bool = False
-    arrange: Arrange = time_panels.draw_stack
+    title: str  # content, for captions
+    paper: str = ""  # the corresponding figure of the paper; empty if the paper has none
+    height: float = 0.62  # height divided by width, with all usual panels of the figure
+    needs: str = "poses"  # data that at least one run must contain; panels have further needs
+    draw: DrawFigure | None = None  # draws the figure for several runs, if it has no panels
+    panels: tuple[Panel, ...] = ()  # panels; those without data in any run are left out
+    list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()  # panels of the laws
+    is_usual: bool = True  # whether the figure is reported as missing if no run has data for it
+    is_extra: bool = False  # whether the figure is drawn only if requested by name
+    arrange: Arrange = time_panels.draw_stack  # function that places the panels
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return the data that the figure lacks; None if it can be drawn. Theory needs no runs."""
@@ -255,7 +235,6 @@ def list_usual_figures() -> tuple[str, ...]:
 
 
 def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = None) -> Panel:
-    """Return the panel of a plot over time."""
     plot = TIME_PLOTS[name]
     return Panel(
         name=plot.title,
@@ -314,12 +293,10 @@ def list_state_panels(
 
 
 def _show(figure: str, title: str, paper: str = "9-16", height: float = 0.62) -> FigureKind:
-    """Return a figure of the paper that shows plots over time."""
     return FigureKind(title=title, paper=paper, panels=_panels(figure), height=height)
 
 
 def _ask(title: str, draw: DrawFigure, needs: str = "poses", height: float = 0.62) -> FigureKind:
-    """Return a figure that is drawn only if requested by name."""
     return FigureKind(
         title=title, draw=draw, needs=needs, height=height, is_usual=False, is_extra=True
     )

@@ -120,24 +120,18 @@ class GainLimits:
 class LoopGains:
     """A loop's gain in each run.
 
-    Attributes:
-        name: Name of the loop.
-        gains: Kp of each run [1/s]; NaN if unknown.
-        limits: Limits from theory, one for each timing, in order of dead time.
-        step: Size of the step [rad or m] and limit of the command [rad/s or m/s]. None if they
-            differ between runs, or theory does not know the loop.
+    The step is None if it differs between runs, or theory does not know the loop.
     """
 
-    name: str
-    gains: Values
-    limits: tuple[GainLimits, ...]
-    step: tuple[float, float] | None = None
+    name: str  # name of the loop
+    gains: Values  # Kp of each run [1/s]; NaN if unknown
+    limits: tuple[GainLimits, ...]  # limits from theory, one for each timing, in order of dead time
+    step: tuple[float, float] | None = None  # size [rad or m], limit of the command [rad/s or m/s]
 
 
 def _find_values(
     found: Sequence[strip_figure.MetricValues], name: str, loop: LoopGains
 ) -> strip_figure.MetricValues | None:
-    """Return a metric of a loop, or of the whole run."""
     return next((one for one in found if one.name == name and one.loop in ("", loop.name)), None)
 
 
@@ -257,7 +251,6 @@ def _draw_shown(
 
 
 def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str]]) -> None:
-    """Write the limits outside the axis on the side where they are."""
     words = {"overshoot": "overshoots", "stability": "unstable"}
     for number, (kind, limit, color) in enumerate(beyond):
         is_right = limit >= axes.get_xlim()[1]

@@ -100,21 +100,16 @@ _AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)
 
 @dataclass(slots=True, kw_only=True)
 class WordSpace:
-    """A panel with linear axes, and the points that text should not cover.
+    """A panel with linear axes, and what text should not cover.
 
-    Attributes:
-        center: Center of the panel, in data units, shape (2,).
-        half: Half of the panel's width and height, in data units, shape (2,).
-        half_mm: Half of the panel's width and height in print [mm], shape (2,).
-        taken: Points of lines and dots, shape (n, 2).
-        boxes: Boxes of placed text: left, right, bottom, top, in data units.
+    A box of placed text is its left, right, bottom and top, in data units.
     """
 
-    center: Values
-    half: Values
-    half_mm: Values
-    taken: list[Values] = field(default_factory=list)
-    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+    center: Values  # center of the panel, in data units, shape (2,)
+    half: Values  # half of the panel's width and height, in data units, shape (2,)
+    half_mm: Values  # half of the panel's width and height in print [mm], shape (2,)
+    taken: list[Values] = field(default_factory=list)  # points of lines and dots, shape (n, 2)
+    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)  # placed text
 
     @property
     def points(self) -> Values:

@@ -203,7 +203,6 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
 
 
 def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
-    """Show the largest deviation from the path, with its size."""
     center, color = np.array(worst.center_xy_m), color_runs(runs)[worst.run]
     _show_square(axes, center - worst.half_m, center + worst.half_m)
     ends = np.array([worst.path_xy_m, worst.xy_m])
@@ -220,7 +219,6 @@ def _write(axes: Axes, label: Label, color: Any) -> None:
 
 
 def _list_aims(runs: Sequence[Run]) -> list[Values]:
-    """Return the reference positions of each run that records them."""
     found = [run.samples.reference_xy_m for run in runs]
     known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
     return [xy_m for xy_m in known if len(xy_m)]
@@ -264,7 +262,6 @@ _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
 
 def _draw_tracked_paths(axes: Axes, runs: Sequence[Run]) -> None:
-    """Draw each tracked path once, below the driven paths."""
     for number, path in enumerate(plane_scene.list_paths(runs)):
         name = {} if number else {"label": _PATH["label"]}
         axes.plot(*plane_scene.outline_path(path).T, **{**_PATH, "label": None, **name})

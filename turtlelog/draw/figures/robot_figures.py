@@ -62,23 +62,14 @@ _LAG: Final = fix_style(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnAxis:
-    """Data drawn for one axis.
+    """Data drawn for one axis."""
 
-    Attributes:
-        model: Result of the identification, or the reason why it is missing.
-        brackets: Meaning of the values in brackets.
-        command: Held command.
-        measured: Measured rate of the robot; None if unknown.
-        traces: Measured rate and model, if a model is known.
-        outliers_s: End times of steps that the fit left out, shape (m,).
-    """
-
-    model: identify.AxisModel
-    brackets: str
-    command: Curve
-    measured: tuple[Values, Values] | None
-    traces: identify.AxisTraces | None
-    outliers_s: Values = field(default_factory=lambda: np.empty(0))
+    model: identify.AxisModel  # result of the identification, or the reason why it is missing
+    brackets: str  # meaning of the values in brackets
+    command: Curve  # held command
+    measured: tuple[Values, Values] | None  # measured rate of the robot; None if unknown
+    traces: identify.AxisTraces | None  # measured rate and model, if a model is known
+    outliers_s: Values = field(default_factory=lambda: np.empty(0))  # ends of steps left out [s]
 
 
 def draw_rates(
@@ -165,7 +156,6 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 
 def _hold_to_end(command: Curve, run: Run) -> Curve:
-    """Return a command that is held until the last pose."""
     end_ns = int(run.poses.time_ns[-1]) if len(run.poses) else int(command.time_ns[-1])
     if end_ns <= command.time_ns[-1]:
         return command
@@ -174,7 +164,6 @@ def _hold_to_end(command: Curve, run: Run) -> Curve:
 
 
 def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
-    """Draw the residual of the model."""
     if one.traces is None:
         return
     axes.axhline(0.0, **REFERENCE)

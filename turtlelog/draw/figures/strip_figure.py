@@ -201,7 +201,6 @@ def _name_groups(groups: RunGroups) -> list[str]:
 
 
 def _tell_sizes(groups: RunGroups) -> str:
-    """Return the common number of runs per group as text; empty if the numbers differ."""
     sizes = {len(rows) for rows in groups.rows}
     if len(sizes) > 1 or len(groups.rows) == 1:
         return ""

@@ -366,13 +366,11 @@ def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...
 
 
 def _name_value(series: SweptAxis, place: int) -> str:
-    """Return the legend text of a line: `law.kp_linear = 4`."""
     pairs = zip(series.keys, series.values[place], strict=True)
     return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
-    """Return the values of a second key that have no line, as text."""
     left = [place for place in range(len(series)) if place not in places]
     if len(left) <= _MOST_TOLD:
         return f"left out: {', '.join(series.tell_place(place) for place in left)}"

@@ -327,7 +327,6 @@ def _name_loops(
 
 
 def _tell_margins(found: theory.PidLoop) -> str:
-    """Return the margins as short legend text."""
     margins = found.margins
     if margins is None:
         return "unstable"
@@ -340,7 +339,6 @@ def _tell_margins(found: theory.PidLoop) -> str:
 
 
 def _tell_step(found: theory.PidLoop) -> str:
-    """Return overshoot and settling time as short legend text."""
     if not found.stable:
         return "unstable"
     if found.overshoot_percent is None or found.settling_time_s is None:
@@ -370,7 +368,6 @@ def _to_db(size: Any) -> Any:
 
 
 def _name_margins(axes: Axes) -> None:
-    """Add legend entries for the marks of all loops, without colour."""
     for marker, name in (("o", "phase margin (PM)"), ("s", "gain margin (GM)")):
         axes.plot([], [], marker, ms=3.5, color="0.35", label=name)
 
@@ -412,7 +409,6 @@ def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
 
 
 def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str]) -> None:
-    """Draw the poles for increasing Kp, up to 1.5 times the largest relevant Kp."""
     first = group[0]
     gains, settings = first.model.require()
     limit = first.found.stable_gains[-1][1] if first.found.stable_gains else 0.0

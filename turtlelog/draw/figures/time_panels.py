@@ -210,7 +210,6 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
 
 
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
-    """Shade disturbances of the plant, and gaps without poses with their length."""
     if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
         axes.axvspan(*pushed_s, **page.PUSHED)
     for start_s, end_s, words in list_seen_gaps(run):
@@ -290,7 +289,6 @@ def count_plane_rows(panels: Sequence[object]) -> int:
 
 
 def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
-    """Label the axes of a panel over time."""
     axes.set(xlabel=plotted_curves.label_time(runs), ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)

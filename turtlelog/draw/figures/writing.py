@@ -193,7 +193,6 @@ def _draw_files(
     page: Page,
     kinds: Mapping[str, FigureKind] | None,
 ) -> list[bytes]:
-    """Return one figure in each format."""
     figure = draw_figure(name, runs, page=page, kinds=kinds)
     with use_looks():
         pages.arrange_panels(figure)
