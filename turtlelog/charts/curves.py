@@ -275,10 +275,7 @@ def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
 
 
 def choose_rows(
-    values: Values,
-    most: int = MOST_POINTS,
-    *,
-    always: NDArray[np.int64] | None = None,
+    values: Values, most: int = MOST_POINTS, *, always: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64] | None:
     """Return the rows of a curve to draw, about `most`; None if all rows are few enough.
 
@@ -453,12 +450,7 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
             reference += round((last - reference) / (2.0 * np.pi)) * 2.0 * np.pi
             initial, reference = float(np.degrees(initial)), float(np.degrees(reference))
         yield LoopStep(
-            loop=loop,
-            kp=kp,
-            start_ns=start_ns,
-            end_ns=end_ns,
-            initial=initial,
-            reference=reference,
+            loop=loop, kp=kp, start_ns=start_ns, end_ns=end_ns, initial=initial, reference=reference
         )
 
 

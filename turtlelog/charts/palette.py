@@ -187,10 +187,7 @@ def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
 
-_OF_EVERY_LAW: Final[Mapping[str, Color]] = {
-    PAUSE: (140, 70, 20),
-    DONE: (90, 90, 90),
-}
+_OF_EVERY_LAW: Final[Mapping[str, Color]] = {PAUSE: (140, 70, 20), DONE: (90, 90, 90)}
 
 _BY_ORDER: Final = (
     (46, 96, 148),

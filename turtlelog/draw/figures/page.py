@@ -82,9 +82,7 @@ _DRAWING: Final = RLock()
 if hasattr(os, "register_at_fork"):
     # A process forked while another thread draws would wait for that thread for ever.
     os.register_at_fork(
-        before=_DRAWING.acquire,
-        after_in_parent=_DRAWING.release,
-        after_in_child=_DRAWING.release,
+        before=_DRAWING.acquire, after_in_parent=_DRAWING.release, after_in_child=_DRAWING.release
     )
 
 

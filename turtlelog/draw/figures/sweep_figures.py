@@ -428,12 +428,7 @@ def _draw_sample(
 
 
 def _draw_limits(
-    axes: Axes,
-    found: LoopLimits,
-    metric: SweptMetric,
-    along: SweptAxis,
-    place: int,
-    color: Any,
+    axes: Axes, found: LoopLimits, metric: SweptMetric, along: SweptAxis, place: int, color: Any
 ) -> dict[str, Any]:
     """Draw theory's limits of one column as vertical lines, in the colour of its curve."""
     column = found.columns[place if len(found.columns) > 1 else 0]
