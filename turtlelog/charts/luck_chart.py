@@ -95,7 +95,8 @@ class LuckPicture:
 
 def build_luck_picture(luck: Luck) -> LuckPicture:
     """Return the content of the picture of chance in a run."""
-    factor, unit = _choose_unit([curve.values for curve in luck.curves], luck.unit)
+    sizes = [float(np.nanmax(np.abs(curve.values), initial=0.0)) for curve in luck.curves]
+    factor, unit = choose_unit(max(sizes), luck.unit)
     order, places, label, at = _place_starts(luck)
     columns = [curve.values[order] * factor for curve in luck.curves]
     recorded = math.nan if luck.recorded is None else luck.recorded * factor
@@ -172,18 +173,12 @@ def spread_labels(
     return [found[row] for row in range(len(values))]
 
 
-def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
-    """Return the factor and unit for showing values: mm below 1 m."""
-    largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
-    return choose_unit(largest, unit)
-
-
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
     """Return two values with enough digits to distinguish them; if they are equal, one value.
 
     The value `told` is written instead, with the same number of digits.
     """
-    factor, name = _choose_unit([np.array([low, high])], unit)
+    factor, name = choose_unit(max(abs(low), abs(high)), unit)
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
         least, most = _round(low * factor, digits), _round(high * factor, digits)
         if least != most:
@@ -194,7 +189,7 @@ def _write_range(low: float, high: float, unit: str, *, told: float | None = Non
 
 def _write_bound(most: float, unit: str) -> str:
     """Return a value with two digits, rounded up."""
-    factor, name = _choose_unit([np.array([most])], unit)
+    factor, name = choose_unit(abs(most), unit)
     step = 10.0 ** -_count_decimals(most * factor, _DIGITS)
     return f"{_round(math.ceil(most * factor / step - 1e-9) * step, _DIGITS)} {name}".strip()
 

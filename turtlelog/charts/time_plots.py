@@ -119,10 +119,17 @@ def _list_limits(run: Run, command: Command) -> Iterator[Level]:
             yield Level(label="limit", value=sign * limit, kind="limit")
 
 
-def _signal(signal: str, label: str) -> CurveEntry:
-    return CurveEntry(
-        kind="run", read=partial(_read_signal, signal=signal), label=label, signal=signal
-    )
+def _signal(
+    signal: str,
+    label: str,
+    read: Callable[[Run], Iterable[Curve]] | None = None,
+    *,
+    kind: CurveKind = "run",
+    name: str = "",
+) -> CurveEntry:
+    """Return a curve on which the characteristics of its signal are marked."""
+    read = read or partial(_read_signal, signal=signal)
+    return CurveEntry(kind=kind, read=read, label=label, name=name, signal=signal)
 
 
 def _add(
@@ -163,18 +170,13 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
     # The plant publishes its speed without a sign.
     label = "|applied|" if command == "speed" else "applied"
     applied = partial(_read_one, partial(curves.read_applied, command=command))
+    commanded = partial(_read_one, partial(curves.read_command, command=command))
     rate = partial(_read_rate, command=command)
     return TimePlot(
         title=title,
         unit=COMMAND_UNITS[command],
         curves=(
-            CurveEntry(
-                kind="run",
-                name="commanded",
-                label="commanded",
-                signal=command,
-                read=partial(_read_one, partial(curves.read_command, command=command)),
-            ),
+            _signal(command, "commanded", commanded, name="commanded"),
             _add("applied", "applied", applied, label),
             _add("measured", "measured", partial(rate, is_outlier=False)),
             _add("outlier", "outliers", partial(rate, is_outlier=True), label="outlier"),
@@ -266,11 +268,10 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
             title="along-track error",
             unit="m",
             curves=(
-                CurveEntry(
-                    kind="run",
-                    label="reference - along-track",
-                    signal="along_track_error",
-                    read=partial(_read_one, curves.read_along_error),
+                _signal(
+                    "along_track_error",
+                    "reference - along-track",
+                    partial(_read_one, curves.read_along_error),
                 ),
             ),
             list_levels=_list_zero,
@@ -308,12 +309,12 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
             title="distance",
             unit="m",
             curves=(
-                CurveEntry(
+                _signal(
+                    "distance_to_reference",
+                    "to the reference",
+                    partial(_read_one, curves.read_distance_to_reference),
                     kind="beside",
                     name="to_reference",
-                    label="to the reference",
-                    signal="distance_to_reference",
-                    read=partial(_read_one, curves.read_distance_to_reference),
                 ),
                 *_follow("distance", "distance"),
             ),

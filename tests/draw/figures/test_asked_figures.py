@@ -278,9 +278,7 @@ def test_of_many_runs_a_box_stands_beside_the_points(count: int, has_box: bool) 
 def test_values_that_are_nearly_equal_stand_clear_of_the_edge(sign: float) -> None:
     axes = make_figure().subplots()
     values = sign * np.array([5.77, 5.7701, 5.7702])
-    found = MetricValues(
-        id="settling_time", label="settling time [s]", values=values, reasons=("",) * 3, factor=1.0
-    )
+    found = MetricValues(id="settling_time", label="settling time [s]", values=values)
     set_value_scale(axes, found)
     low, high = axes.get_ylim()
     assert min(high - values.max(), values.min() - low) > 0.1 * (high - low)

@@ -88,9 +88,10 @@ def draw_gains(
     grid = figure.subplots(*shape, squeeze=False)
     for column, loop in enumerate(columns):
         own_axes = grid[column * len(rows) :, 0] if is_stacked else grid[:, column]
-        values = [_find_values(found, name, loop) for name in rows]
         # A metric of the whole run is shown once, over the first gain.
-        shown = [one if one and (one.loop or column == 0) else None for one in values]
+        allowed = (loop.name, "") if column == 0 else (loop.name,)
+        own_values = {one.name: one for one in reversed(found) if one.loop in allowed}
+        shown = [own_values.get(name) for name in rows]
         last = max(row for row, one in enumerate(shown) if one is not None)
         for row, (axes, one) in enumerate(zip(own_axes, shown, strict=False)):
             if one is None:
@@ -109,7 +110,6 @@ class GainLimits:
     """Theory's limits of Kp for one timing."""
 
     dead_time_s: float  # total dead time of the loop [s]
-    period_s: float  # sampling period of the loop [s]
     overshoot: float | None  # Kp above which it overshoots [1/s]; None: not proportional
     stability: float | None  # Kp above which it is unstable [1/s]; None: no Kp is stable
     design: LoopDesign  # loop for computing responses
@@ -127,12 +127,6 @@ class LoopGains:
     gains: Values  # Kp of each run [1/s]; NaN if unknown
     limits: tuple[GainLimits, ...]  # limits from theory, one for each timing, in order of dead time
     step: tuple[float, float] | None = None  # size [rad or m], limit of the command [rad/s or m/s]
-
-
-def _find_values(
-    found: Sequence[strip_figure.MetricValues], name: str, loop: LoopGains
-) -> strip_figure.MetricValues | None:
-    return next((one for one in found if one.name == name and one.loop in ("", loop.name)), None)
 
 
 def _name_loop(loop: LoopGains) -> str:
@@ -317,7 +311,7 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
             key = (round(process.dead_time_s, 4), round(period_s, 4), replace(pid, kp=1.0))
             if key not in limits:
                 limits[key] = _compute_limits(pid, process, period_s)
-    order = sorted(limits.values(), key=lambda one: (one.dead_time_s, one.period_s))
+    order = sorted(limits.values(), key=lambda one: (one.dead_time_s, one.design.period_s))
     return LoopGains(
         name=name, gains=np.array(gains), limits=tuple(order), step=_find_step(name, runs)
     )
@@ -350,7 +344,6 @@ def _compute_limits(pid: theory.PidGains, process: theory.Process, period_s: flo
         stability = ranges[-1][1] if ranges else None
     return GainLimits(
         dead_time_s=process.dead_time_s,
-        period_s=period_s,
         overshoot=overshoot,
         stability=stability,
         design=design,

@@ -208,7 +208,12 @@ def _place_in_order(
             placed = _Placed(word=word, middle=middle, cost=cost, is_upright=True)
         else:
             at = dot if word.span_s is None else np.array([dot[0], 0.5])
-            placed = _place_beside(place, word, at)
+            middle, cost = place.find_room(at, _measure(word), _MARK_AWAY_MM)
+            leader = np.stack([at, np.clip(at, middle - half, middle + half)])
+            away_mm = np.diff(leader, axis=0)[0] * (place.half_mm / place.half)
+            is_far = float(np.hypot(*away_mm)) > _LEADER_MM
+            ends = leader if is_far else None
+            placed = _Placed(word=word, middle=middle, cost=cost, leader=ends)
         found.append(placed)
         if placed.cost < _NO_ROOM:
             place.take_box(placed.middle, half)
@@ -251,16 +256,6 @@ def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
         left, top = middle[0] - half[0], middle[1] + half[1]
         at = np.array([left, top - (number + 0.5) * line])
         _write(axes, Word(text=text, at=(0.0, 0.0), color=color), at, side="left")
-
-
-def _place_beside(place: WordSpace, word: Word, dot: Values) -> _Placed:
-    size_mm = _measure(word)
-    middle, cost = place.find_room(dot, size_mm, _MARK_AWAY_MM)
-    scale_mm = place.half_mm / place.half
-    half = size_mm / 2.0 / scale_mm
-    leader = np.stack([dot, np.clip(dot, middle - half, middle + half)])
-    is_far = float(np.hypot(*(np.diff(leader, axis=0)[0] * scale_mm))) > _LEADER_MM
-    return _Placed(word=word, middle=middle, cost=cost, leader=leader if is_far else None)
 
 
 def _measure(word: Word) -> Values:

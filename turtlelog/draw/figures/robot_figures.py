@@ -138,7 +138,11 @@ def _read_axis(axis: identify.AxisModel, model: identify.RobotModel, run: Run) -
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.axhline(0.0, color="0.8", linewidth=0.5)
-    draw_curve(axes, _hold_to_end(one.command, run), **_COMMAND, label="command")
+    command = one.command  # held until the last pose
+    if len(run.poses) and (end_ns := int(run.poses.time_ns[-1])) > command.time_ns[-1]:
+        values = np.append(command.values, command.values[-1])
+        command = replace(command, time_ns=np.append(command.time_ns, end_ns), values=values)
+    draw_curve(axes, command, **_COMMAND, label="command")
     if one.measured is not None:
         time_s, values = one.measured
         draw_thinned(axes, time_s, values, values, **pages.MEASURED, label="motion")
@@ -153,14 +157,6 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
         reason = f"not identified: {one.model.reason}"
         told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))
         axes.set_title(told, fontsize=7.0, color="0.35")
-
-
-def _hold_to_end(command: Curve, run: Run) -> Curve:
-    end_ns = int(run.poses.time_ns[-1]) if len(run.poses) else int(command.time_ns[-1])
-    if end_ns <= command.time_ns[-1]:
-        return command
-    values = np.append(command.values, command.values[-1])
-    return replace(command, time_ns=np.append(command.time_ns, end_ns), values=values)
 
 
 def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
@@ -204,7 +200,12 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
         until_s = min(change.end_s + longest_s, change.half_s + after_s)
         # Before that time the robot still follows the previous change.
         from_s = min(change.begin_s + dead_s, change.half_s)
-        _draw_command(axes, one.command, change, min(change.end_s, until_s))
+        command, last_s = one.command, min(change.end_s, until_s)
+        rows = (command.time_s >= change.begin_s) & (command.time_s <= last_s)
+        held_s = np.array([change.half_s - _BEFORE_S, *command.time_s[rows], last_s])
+        held = np.array([change.before, *command.values[rows], command.values[rows][-1]])
+        looks: dict[str, Any] = {**_COMMAND, "drawstyle": "steps-post"}
+        axes.plot(held_s - change.half_s, change.scale(held), **looks)
         if one.measured is not None:
             # Not averaged over tenths of a second like the whole run: delays are shorter.
             _draw_followed(axes, change, *_read_fine(one, run), (from_s, until_s), **_EACH)
@@ -218,15 +219,6 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.set_xlabel("time from the change [s]")
     axes.set_ylabel("part of\nthe change")
     axes.locator_params(axis="x", nbins=5)
-
-
-def _draw_command(axes: Axes, command: Curve, change: CommandChange, until_s: float) -> None:
-    """Draw a commanded change, from the level before it."""
-    rows = (command.time_s >= change.begin_s) & (command.time_s <= until_s)
-    time_s = [change.half_s - _BEFORE_S, *command.time_s[rows], until_s]
-    values = [change.before, *command.values[rows], command.values[rows][-1]]
-    looks = {**_COMMAND, "drawstyle": "steps-post"}
-    axes.plot(np.array(time_s) - change.half_s, change.scale(np.array(values)), **looks)
 
 
 def _draw_followed(

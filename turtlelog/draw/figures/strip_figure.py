@@ -62,8 +62,6 @@ class MetricValues:
     id: str  # id of the metric
     label: str  # label of an axis, with the unit
     values: Values  # value of each run in this unit; NaN for a missing value
-    reasons: tuple[str, ...]  # reason for each missing value, if measured; otherwise empty
-    factor: float = 1.0  # factor from the metric's unit to the unit of the label
 
     @property
     def loop(self) -> str:
@@ -322,21 +320,18 @@ def complete_name(name: str) -> str:
 
 def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues | None:
     """Return a metric of several runs; None if no run has a value."""
-    known = [one for one in metrics if one is not None and one.value is not None]
-    if not known:
+    values = np.array(
+        [np.nan if one is None or one.value is None else one.value for one in metrics]
+    )
+    known = ~np.isnan(values)
+    if not known.any():
         return None
-    values = [np.nan if one is None or one.value is None else one.value for one in metrics]
-    factor, unit = choose_unit(max(abs(one.value or 0.0) for one in known), known[0].unit)
+    measured = next(one for one in metrics if one is not None and one.value is not None)
+    factor, unit = choose_unit(float(np.abs(values[known]).max()), measured.unit)
     loop, _, last = name.rpartition(".")
     words = last if loop != "final" or last.startswith("final") else f"final {last}"
-    words = words.replace("_", " ")
-    return MetricValues(
-        id=name,
-        label=f"{words} [{unit}]" if unit else words,
-        values=factor * np.array(values),
-        reasons=tuple("" if one is None else one.reason for one in metrics),
-        factor=factor,
-    )
+    label = words.replace("_", " ") + (f" [{unit}]" if unit else "")
+    return MetricValues(id=name, label=label, values=factor * values)
 
 
 def set_value_scale(axes: Axes, found: MetricValues) -> None:

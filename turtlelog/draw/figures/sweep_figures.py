@@ -174,11 +174,7 @@ def _write_below(figure: Figure, words: Sequence[str]) -> None:
 
 
 def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
-    """Return rows and columns of panels.
-
-    Raises:
-        ShowError: If a slide has no room for the panels.
-    """
+    """Return rows and columns of panels; more than a slide has room for are refused."""
     columns = min(count, max(int(page.width_inch / _NARROWEST_INCH), 1))
     rows = -(-count // columns)
     room = page.height_inch / (height_inch * _SQUEEZED)

@@ -99,11 +99,6 @@ class _LoopCurve:
     run_looks: Mapping[str, Any]  # colour and marker of the run
 
     @property
-    def color(self) -> Any:
-        """Colour of the loop's run."""
-        return self.run_looks["color"]
-
-    @property
     def looks(self) -> dict[str, Any]:
         """Colour and marker of the run, dashes and width of the loop."""
         width = (0.8 if self.is_many else 1.1) + _WIDER * self.layer
@@ -118,7 +113,7 @@ class _LoopCurve:
     @property
     def mark(self) -> dict[str, Any]:
         """Style of a single point; a ring for a lower loop."""
-        looks: dict[str, Any] = {"color": self.color, "ms": 3.5 + _LARGER * self.layer, "zorder": 3}
+        looks = {"color": self.run_looks["color"], "ms": 3.5 + _LARGER * self.layer, "zorder": 3}
         return looks | ({"mfc": "none", "mew": 0.9} if self.layer else {})
 
     def label(self, tell: Callable[[theory.PidLoop], str]) -> str:
@@ -144,8 +139,7 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     phase.axhline(-180.0, **REFERENCE)
     curves = _style_loops(runs)
     for curve, label in zip(curves, _name_loops(size, curves, _tell_margins), strict=True):
-        frequencies = _list_frequencies(curve.found)
-        values = _respond(curve.model, frequencies)
+        frequencies, values = _respond(curve)
         turned = np.degrees(np.unwrap(np.angle(values)))
         turned -= 360.0 * np.ceil(turned[0] / 360.0)  # begins between -360 and 0 deg
         size.semilogx(frequencies, _to_db(np.abs(values)), label=label, **curve.looks)
@@ -178,10 +172,10 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     curves = _style_loops(runs)
     furthest = np.zeros(2)
     for curve, label in zip(curves, _name_loops(axes, curves, _tell_margins), strict=True):
-        values = _respond(curve.model, _list_frequencies(curve.found))
+        _, values = _respond(curve)
         furthest = np.maximum(furthest, [values.real.max(), values.imag.max()])
         axes.plot(values.real, values.imag, label=label, **curve.looks)
-        axes.plot(values.real, -values.imag, color=curve.color, **_MIRRORED)
+        axes.plot(values.real, -values.imag, color=curve.run_looks["color"], **_MIRRORED)
         margins = curve.found.margins
         if margins is not None and margins.phase_margin_rad is not None:
             at = -np.exp(1j * margins.phase_margin_rad)
@@ -208,16 +202,14 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
     styled = zip(runs, names.values(), choose_run_lines(runs), strict=True)
-    ideal = [
-        Pole(values=np.array([-kp]), looks=looks, label=name)
+    ideal: list[_Poles] = [
+        (np.array([-kp]), looks, name)
         for run, name, looks in styled
         for kp in (find_gains([run]) if find_plant(run).name != LAGGED else ())
     ]
     if not runs:
         gains = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)
-        ideal = [
-            Pole(values=np.array([-kp]), looks=looks, label=f"Kp = {kp:g}") for kp, looks in gains
-        ]
+        ideal = [(np.array([-kp]), looks, f"Kp = {kp:g}") for kp, looks in gains]
     draw = [partial(_draw_ideal_locus, poles=ideal)] if ideal else []
     draw += [partial(_draw_locus, group=group, names=names) for group in _group_loci(curves)]
     if len(draw) > _MOST_LOCI:
@@ -245,14 +237,9 @@ def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, 
     """Return the legend text of each run's poles by the name of the run: its gains."""
     found: dict[str, str] = {}
     for name in _name_styled(runs):
-        told = [
-            (
-                one.model.loop.name,
-                f"Kp = {one.found.gains.kp:g}{'' if one.found.stable else ' (unstable)'}",
-            )
-            for one in curves
-            if one.run == name
-        ]
+        told = []
+        for loop, own in ((one.model.loop.name, one.found) for one in curves if one.run == name):
+            told.append((loop, f"Kp = {own.gains.kp:g}{'' if own.stable else ' (unstable)'}"))
         gains = {gain for _, gain in told}
         words = ", ".join([*gains] if len(gains) == 1 else [f"{loop} {kp}" for loop, kp in told])
         is_short = len(runs) > MANY or not words
@@ -278,9 +265,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
         count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
         values = theory.compute_pid_step_response(gains, count, **settings)
         beyond = np.abs(values - 1.0) > _FAR
-        values = np.where(
-            np.cumsum(beyond) > beyond, np.nan, values
-        )  # cut where it leaves the axes
+        values = np.where(np.cumsum(beyond) > beyond, np.nan, values)  # cut outside the axes
         time_s = np.arange(count) * curve.found.period_s
         axes.plot(time_s, values, label=label, **curve.looks)
         highest = max(highest, min(float(np.nanmax(values)), 1.0 + _FAR))
@@ -294,6 +279,7 @@ def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
     known = [theory.list_known(model_run_loops(run)) for run in runs]
     loops = dict.fromkeys(model.loop.name for models in known for model in models)
     layers = {name: layer for layer, name in enumerate(loops)}
+    styled = zip(_name_styled(runs), known, choose_run_lines(runs), strict=True)
     return [
         _LoopCurve(
             run=name,
@@ -303,9 +289,7 @@ def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
             found=model.analyse(),
             run_looks=looks,
         )
-        for name, models, looks in zip(
-            _name_styled(runs), known, choose_run_lines(runs), strict=True
-        )
+        for name, models, looks in styled
         for model in models
     ]
 
@@ -348,19 +332,15 @@ def _tell_step(found: theory.PidLoop) -> str:
     return f"{overshoot}, settles in {found.settling_time_s:.3g} s"
 
 
-def _list_frequencies(found: theory.PidLoop) -> Values:
-    """Return frequencies [rad/s] around the crossover, up to pi / T."""
-    highest = math.pi / found.period_s
-    crossover = found.gains.kp * found.process.gain
+def _respond(curve: _LoopCurve) -> tuple[Values, NDArray[np.complex128]]:
+    """Return frequencies around the crossover, up to pi / T [rad/s], and the open loop at them."""
+    found, (gains, settings) = curve.found, curve.model.require()
+    highest, crossover = math.pi / found.period_s, found.gains.kp * found.process.gain
     if found.margins is not None and found.margins.crossover_rad_s is not None:
         crossover = found.margins.crossover_rad_s
     lowest = min(crossover, highest) / 10.0**_DECADES_BELOW
-    return np.geomspace(lowest, highest, _POINTS)
-
-
-def _respond(model: theory.LoopModel, frequencies: Values) -> NDArray[np.complex128]:
-    gains, settings = model.require()
-    return theory.compute_open_loop(gains, frequencies, **settings)
+    frequencies = np.geomspace(lowest, highest, _POINTS)
+    return frequencies, theory.compute_open_loop(gains, frequencies, **settings)
 
 
 def _to_db(size: Any) -> Any:
@@ -421,11 +401,7 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
         poles = theory.compute_pid_poles(replace(gains, kp=end), **settings)
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
-    marked = [
-        Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
-        for curve in group
-    ]
-    _draw_poles(axes, marked)
+    _draw_poles(axes, [(one.found.poles, one.run_looks, names[one.run]) for one in group])
     axes.set_title(f"{first.model.loop.name}\ndead time {1e3 * first.found.dead_time_s:.4g} ms")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
@@ -443,14 +419,8 @@ PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 
 _LAST_S: Final = 5.0
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pole:
-    """The poles of a closed loop, drawn as dots."""
-
-    values: NDArray[np.complex128]  # poles in the s plane [1/s] or the z plane, shape (n,)
-    looks: Mapping[str, Any]  # colour and marker of the run
-    label: str  # label in the legend
+_Poles = tuple[NDArray[np.complex128], Mapping[str, Any], str]
+"""Poles of a closed loop in the s plane [1/s] or the z plane, shape (n,), their style and label."""
 
 
 def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
@@ -487,9 +457,9 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
 
 
-def _draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
+def _draw_ideal_locus(axes: Axes, poles: Sequence[_Poles]) -> None:
     """Draw the poles s = -Kp of the ideal closed loops, from the plant's pole at 0 to the left."""
-    left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
+    left = 1.25 * min(float(values.real.min()) for values, _, _ in poles)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
     branch = theory.compute_root_locus([0.0, -left])
@@ -500,14 +470,14 @@ def _draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
     axes.set_ylim(-1.0, 1.0)
 
 
-def _draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
+def _draw_poles(axes: Axes, poles: Sequence[_Poles]) -> None:
     """Draw poles. Of equal poles, the first are larger discs below the others."""
-    for number, pole in enumerate(poles):
-        later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
-        looks = {"marker": "o", "ms": 4.5, **pole.looks, "markevery": None, "linestyle": ""}
+    for number, (values, run_looks, label) in enumerate(poles):
+        later = sum(np.array_equal(values, other[0]) for other in poles[number + 1 :])
+        looks = {"marker": "o", "ms": 4.5, **run_looks, "markevery": None, "linestyle": ""}
         looks["ms"] += _POLE_LARGER + _RING_POINTS * min(later, _MOST_RINGS)
         looks["zorder"] = 2.9 - 0.001 * later
-        axes.plot(pole.values.real, pole.values.imag, label=pole.label, **looks)
+        axes.plot(values.real, values.imag, label=label, **looks)
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
