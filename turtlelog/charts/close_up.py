@@ -216,11 +216,10 @@ def _gather(close_up: CloseUp, lettering: Lettering) -> list[list[End]]:
     """Return groups of ends whose dots are too close for separate text."""
     groups: list[list[End]] = []
     for end in close_up.ends:
-        for group in groups:
-            x_m, y_m = np.subtract(group[0].xy_m, end.xy_m)
-            if np.hypot(x_m, y_m) < lettering.gap * close_up.half_m:
-                group.append(end)
-                break
+        ways_m = [np.hypot(*np.subtract(group[0].xy_m, end.xy_m)) for group in groups]
+        near = [way_m < lettering.gap * close_up.half_m for way_m in ways_m]
+        if any(near):
+            groups[near.index(True)].append(end)
         else:
             groups.append([end])
     return groups

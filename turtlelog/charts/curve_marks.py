@@ -139,10 +139,6 @@ class _Place(NamedTuple):
     word: str
     loop: ControlLoop | None = None
 
-    @property
-    def kind(self) -> str:
-        return self.metric.rpartition(".")[2]
-
 
 _OF_RUN: Final = (
     _Place("run.time_to_goal", "distance", "near the goal"),
@@ -199,7 +195,8 @@ def _place(
     run: Run, place: _Place, metric: Metric, curve: Curve | None, response: Response | None
 ) -> Characteristic | None:
     """Return a metric with its position; None if the metric has no position."""
-    at_s = _find_dead_start(run, place.loop) if place.kind == "dead_time" else metric.at_s
+    is_dead_time = place.metric.endswith(".dead_time")
+    at_s = _find_dead_start(run, place.loop) if is_dead_time else metric.at_s
     if metric.value is None or at_s is None or curve is None:
         return None
     time_ns = curve.start_ns + round(at_s * 1e9)
@@ -218,7 +215,7 @@ def _place(
         loop="" if place.loop is None else place.loop.name,
         start_s=0.0 if response is None else response.start_s,
     )
-    if place.kind in {"dead_time", "longest_saturation"}:
+    if mark.kind in {"dead_time", "longest_saturation"}:
         return replace(mark, span_s=(at_s, at_s + metric.value))
     return mark if response is None else _add_step(mark, response)
 

@@ -210,8 +210,7 @@ def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
 def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
     """Return the values of a parameter in all runs, rising, without infinite values."""
     found = {run.parameters.get(key) for run in runs}
-    numbers = [value for value in found if isinstance(value, int | float)]
-    return sorted(float(value) for value in numbers if is_limit(value))
+    return sorted(float(one) for one in found if isinstance(one, int | float) and is_limit(one))
 
 
 def is_limit(value: float) -> bool:
@@ -363,10 +362,7 @@ def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Value
 def _find_in_stretches(
     values: NDArray[Any], length: int, find: Callable[..., Any]
 ) -> NDArray[np.int64]:
-    """Return the row in each segment of a length that argmin or argmax finds, the first of equals.
-
-    For truth values that are all false, this is the first row.
-    """
+    """Return the row in each segment of a length that argmin or argmax finds, first of equals."""
     whole = len(values) // length * length
     rows = find(values[:whole].reshape(-1, length), axis=1)
     last = [find(values[whole:])] if whole < len(values) else []

@@ -127,10 +127,7 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
 
 
 def _place_starts(luck: Luck) -> tuple[NDArray[np.intp], Values, str, float]:
-    """Return the order of starts or seeds, their places, the axis' label, and the run's place.
-
-    Starts keep their order; seeds are sorted by the value with all effects.
-    """
+    """Return the order of starts or seeds, their places, the axis' label, and the run's place."""
     values = luck.curves[0].values
     if luck.varied == "seed":
         below = 0 if luck.recorded is None else int((values <= luck.recorded).sum())
@@ -174,10 +171,7 @@ def spread_labels(
 
 
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
-    """Return two values with enough digits to distinguish them; if they are equal, one value.
-
-    The value `told` is written instead, with the same number of digits.
-    """
+    """Return two values, or `told` instead, with enough digits to distinguish the two."""
     factor, name = choose_unit(max(abs(low), abs(high)), unit)
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
         least, most = _round(low * factor, digits), _round(high * factor, digits)

@@ -208,10 +208,8 @@ def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
     The colours are dark enough for the viewer's white letters, and are used nowhere else.
     """
     own = [name for name in names if name not in _OF_EVERY_LAW]
-    by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(
-        _OF_EVERY_LAW
-    )
-    return tuple(by_name[name] for name in names)
+    by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)}
+    return tuple((by_name | {**_OF_EVERY_LAW})[name] for name in names)
 
 
 def tint(color: Color) -> Color:

@@ -41,9 +41,6 @@ class _Column:
             return min(self.width, _LEAST_TEXT)
         return min(self.width, max(_LEAST_NUMBER, len(self.unit), *map(len, self.cells)))
 
-    def place(self, line: str) -> str:
-        return f"{line:>{self.width}}" if self.is_numeric else f"{line:<{self.width}}"
-
 
 def format_text(table: Table, width: int | None = None) -> str:
     """Return a table for a terminal: aligned columns, units in the second line, notes below.
@@ -309,7 +306,8 @@ def _format_block(columns: Sequence[_Column], breaks: Collection[int]) -> list[s
 def _join(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield the lines of a row from the lines of its cells."""
     for parts in zip_longest(*cells, fillvalue=""):
-        placed = (column.place(part) for column, part in zip(columns, parts, strict=True))
+        named = zip(columns, parts, strict=True)
+        placed = (f"{part:{'>' if one.is_numeric else '<'}{one.width}}" for one, part in named)
         yield _GAP.join(placed).rstrip()
 
 

@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -62,6 +62,13 @@ class Explained:
     found: explain.Attribution  # attribution, with contributions or with nothing to divide
     ghost: Run | None  # the run without all acting causes; None if no cause acts
     ghost_name: str = ""  # causes that the ghost does not have, in words
+
+    @property
+    def lines(self) -> list[tuple[Run, Mapping[str, Any], str]]:
+        """Run and ghost, with the styles of their lines and their names."""
+        lines = [(self.run, choose_lines(1)[0], "recorded")]
+        ghost = f"ghost: without {self.ghost_name}"
+        return lines if self.ghost is None else [*lines, (self.ghost, _GHOST, ghost)]
 
 
 def explain_for_figure(
@@ -178,13 +185,10 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
     """Draw a signal of the run and of its ghost, from the approach to its reference on."""
     for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
         axes.axhline(level, **pages.REFERENCE)
-    lines = [(told.run, choose_lines(1)[0], "recorded")]
-    if told.ghost is not None:
-        lines.append((told.ghost, _GHOST, f"ghost: without {told.ghost_name}"))
     window_s = _find_arrival(told, signal)
     start_s, end_s = window_s or (-np.inf, np.inf)
     shown: list[Values] = []
-    for run, looks, name in lines:
+    for run, looks, name in told.lines:
         curve = read_curve(run, signal)
         if curve is not None:
             draw_curve(axes, curve, **looks, label=name)
@@ -201,11 +205,7 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
 
 
 def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
-    """Return the time from which a loop's signal stays visibly near its reference, and its end [s].
-
-    Near means within a tenth of the step. The result is None if the signal has no step or never
-    comes near.
-    """
+    """Return from when on a signal is within a tenth of its step, and its end [s]; None: never."""
     curve = read_curve(told.run, signal)
     name = told.found.metric.rpartition(".")[0]
     step = next((one for one in find_steps(told.run, signal) if one.loop.name == name), None)
@@ -220,15 +220,12 @@ def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
 
 
 def _draw_ends(axes: Axes, told: Explained) -> None:
-    lines = [(told.run, choose_lines(1)[0], "recorded")]
-    if told.ghost is not None:
-        lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
-    close_up = find_close_up([run for run, _, _ in lines])
+    close_up = find_close_up([run for run, _, _ in told.lines])
     if close_up is not None and all(end.run for end in close_up.ends):
         close_up = None  # the first run, the recorded one, ends elsewhere
     goal = None if told.run.goal_xy_m is None else np.array(told.run.goal_xy_m)
     place = _choose_place(axes, told, close_up)
-    for run, looks, _ in lines:
+    for run, looks, _ in told.lines:
         xy_m = run.poses.xy_m
         draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks)
         place.avoid_line(xy_m)
@@ -240,13 +237,14 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
     is_shown = told.found.metric == "final.position_error"
     scale = attribution_steps.choose_step_scale(told.found)
     tell = scale.format_value if is_shown else format_length
-    for run, looks, name in lines:
+    for run, looks, name in told.lines:
         end = run.poses.xy_m[-1]
         axes.plot(*end, "o", ms=4.5, color=looks["color"], zorder=3, mec="white", mew=0.5)
         if (np.abs(end - place.center) <= place.half).all():
             miss = "" if goal is None else f"\n{tell(float(np.hypot(*(end - goal))))} off"
             color = looks["color"] if run is told.run else "0.35"
-            place_words(axes, place, f"{name}{miss}", end, color, _WORDS_POINTS)
+            text = name.replace("without ", "without\n", 1) + miss
+            place_words(axes, place, text, end, color, _WORDS_POINTS)
     for ring_m in () if close_up is None else close_up.rings_m:
         axes.add_patch(Circle((place.center[0], place.center[1]), ring_m, **_RING))
         name_ring(axes, place, format_length(ring_m), ring_m)

@@ -149,10 +149,7 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 
 
 def _find_lack_of_locus(run: Run) -> str:
-    """Return the data that a root locus lacks. An ideal or a sampled loop is sufficient.
-
-    For a loop that is not proportional, the result is the reason why theory has no model.
-    """
+    """Return what a root locus lacks of an ideal or a sampled loop, or why theory has no model."""
     lack = find_lack_of_gain([run])
     if lack == PYTHON_CONTROL:
         return lack

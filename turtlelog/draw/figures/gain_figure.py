@@ -223,11 +223,7 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
 def _draw_shown(
     axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], *, is_left: bool, is_told: bool
 ) -> None:
-    """Draw a line for each limit, or a band for many, with the values above if they are told.
-
-    Several values at the left are written beside the last line. In a column figure, the least and
-    greatest limits of overshoot would touch those of stability.
-    """
+    """Draw a line for each limit, or a band for many, with the values above if they are told."""
     color = looks["color"]
     if len(limits) > _MOST_LINES:
         band = {"color": color, "alpha": 0.25, "linewidth": 0.0, "label": looks["label"]}
@@ -237,6 +233,7 @@ def _draw_shown(
             axes.axvline(limit, **looks, zorder=1.5)
     if is_told:
         told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
+        # In a column, several limits of overshoot would touch those of stability above the middle.
         ends = is_left and limits[0] < limits[-1]
         at = limits[-1] if ends else math.sqrt(limits[0] * limits[-1])
         ha = "right" if ends else "center"

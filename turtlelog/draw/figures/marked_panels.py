@@ -238,14 +238,12 @@ _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Character
 def _guide(
     panel: _Marked, mark: Characteristic, from_s: float | None, at_s: float | None = None
 ) -> None:
-    """Draw a mark on the curve, with dotted lines to the time axis and along the curve's level.
-
-    For several runs, only settling times have a line, because the times differ.
-    """
+    """Draw a mark on the curve, with dotted lines to the time axis and along the curve's level."""
     at_s = mark.marked_s if at_s is None else at_s
     axes, level = panel.axes, panel.read(at_s)
     color = "0.35" if panel.is_alone else panel.color
     bottom = axes.get_ylim()[0]
+    # For several runs, only settling times have a line, because the times differ.
     if panel.has_guides and (panel.is_alone or mark.kind == "settling_time"):
         axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
     if panel.is_alone and from_s is not None:

@@ -255,13 +255,10 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
 
 
 def _spread(values: Values) -> Values:
-    """Return sideways offsets of points, so that close values do not hide each other.
-
-    Offsets follow the golden ratio in the order of the values: neighbouring values are far apart,
-    and equal runs give equal pictures.
-    """
+    """Return sideways offsets of points, so that close values do not hide each other."""
     if len(values) < 3:
         return np.zeros(len(values))
+    # By the golden ratio, neighbouring values are far apart, and equal runs give equal pictures.
     ranks = np.argsort(np.argsort(values, kind="stable"), kind="stable")
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     return np.asarray(_HALF_WIDTH * (2.0 * ((ranks * golden) % 1.0) - 1.0))

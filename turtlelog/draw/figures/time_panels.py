@@ -376,15 +376,12 @@ def _draw_band(axes: Axes, violated: ViolatedSignal) -> None:
 
 
 def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
-    """Draw the part outside in red, with stripes where it is too short to be visible.
-
-    For a held value, the next row is included.
-    """
+    """Draw the part outside in red, with stripes where it is too short to be visible."""
     outside, curve, time_s = violated.outside, violated.curve, violated.curve.time_s
     if not outside.any():
         return
     before, after = np.r_[False, outside[:-1]], np.r_[outside[1:], False]
-    shown = outside | before if curve.holds else outside
+    shown = outside | before if curve.holds else outside  # a value is held until the next row
     # The duration outside; for a single row, also how long the value is held.
     told = f"{float(np.append(np.diff(time_s), 0.0)[outside].sum()):.3g} s"
     told = f"one row, {told}" if outside.sum() == 1 else told
