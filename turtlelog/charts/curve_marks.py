@@ -54,40 +54,25 @@ the viewer."""
 class Characteristic:
     """A metric on its curve.
 
-    Attributes:
-        signal: Signal of the curve for `read_marked_curve`; empty for a pause, which belongs to the
-            whole run.
-        metric: Id of the metric; `run.pause` for a pause.
-        word: Word for a label: `rise`, `settled`, `overshoot`.
-        value: Value in `unit`.
-        unit: Unit of the metric.
-        at_s: Time of the metric, from the first sample [s]. A pause or a saturation has the time of
-            its start. A dead time has the time of the pose that the loop answers by its largest
-            change of command; the robot follows that change after the dead time.
-        level: Value of the curve at that time, in the unit of the curve (headings in deg); None for
-            a pause, which has no curve.
-        span_s: Start and end of the metric's interval [s]. A rise lasts from 10 % to 90 %. A
-            settling time lasts from when the curve stays in its band to the end of the loop's
-            segment. Pause, dead time and saturation have their whole interval. None if the metric
-            has a single time.
-        levels: Two related levels in the unit of the curve: for a rise, 10 % and 90 % of the step;
-            for a settling time, the ends of the band; for peak and overshoot, the reference and the
-            peak. None for other metrics.
-        loop: Name of the metric's loop; empty if the metric belongs to the whole run.
-        start_s: Start of the loop's segment, from the first sample [s].
+    A pause or a saturation has the time of its start. A dead time has the time of the pose that the
+    loop answers by its largest change of command; the robot follows that change after the dead
+    time. These have their whole interval. A rise lasts from 10 % to 90 % of its step. A settling
+    time lasts from when the curve stays in its band to the end of the loop's segment. The two
+    levels of a settling time are the ends of the band, those of peak and overshoot the reference
+    and the peak.
     """
 
-    signal: str
-    metric: str
-    word: str
-    value: float
-    unit: str
-    at_s: float
-    level: float | None
-    span_s: tuple[float, float] | None = None
-    levels: tuple[float, float] | None = None
-    loop: str = ""
-    start_s: float = 0.0
+    signal: str  # signal of the curve for `read_marked_curve`; empty for a pause of the whole run
+    metric: str  # id of the metric; `run.pause` for a pause
+    word: str  # word for a label: `rise`, `settled`, `overshoot`
+    value: float  # value in `unit`
+    unit: str  # unit of the metric
+    at_s: float  # time of the metric, from the first sample [s]
+    level: float | None  # value of the curve at that time, headings in deg; None for a pause
+    span_s: tuple[float, float] | None = None  # interval [s]; None if the metric has a single time
+    levels: tuple[float, float] | None = None  # related levels in the unit of the curve, if any
+    loop: str = ""  # name of the metric's loop; empty if the metric belongs to the whole run
+    start_s: float = 0.0  # start of the loop's segment, from the first sample [s]
 
     @property
     def kind(self) -> str:

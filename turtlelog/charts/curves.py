@@ -93,11 +93,12 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
     error.
     """
     if signal_name.startswith("world_velocity_"):
-        velocity = read_world_velocity(run)
-        if velocity is None:
+        time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
+        known = np.zeros(0, bool) if velocity is None else np.isfinite(velocity).all(axis=1)
+        if velocity is None or not known.any():
             return None
-        values = velocity[1][:, "xy".index(signal_name[-1])]
-        return Curve(start_ns=run.start_ns, time_ns=velocity[0], values=values, holds=True)
+        values = velocity[known, "xy".index(signal_name[-1])]
+        return Curve(start_ns=run.start_ns, time_ns=time_ns[known], values=values, holds=True)
     is_known = signal_name in list_signals(run.declaration)
     signal = find_signal(run, signal_name) if is_known else None
     if signal is None or not len(signal.values):
@@ -259,18 +260,6 @@ def find_end_of_turn(run: Run) -> int | None:
         if own:
             return own[-1]
     return None
-
-
-def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
-    """Return gain times error along x and y [m/s], with the times of the samples that have it [ns].
-
-    The result is None if no sample has these values.
-    """
-    time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
-    known = None if velocity is None else np.isfinite(velocity).all(axis=1)
-    if velocity is None or known is None or not known.any():
-        return None
-    return (time_ns, velocity) if known.all() else (time_ns[known], velocity[known])
 
 
 def choose_rows(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import choose_unit, label_metric
-from turtlelog.charts.close_up import choose_rings, format_length
+from turtlelog.charts.close_up import choose_rings
 from turtlelog.charts.curves import Values
 from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Luck, LuckCurve
@@ -63,7 +63,6 @@ class LuckPlane:
     title: str  # title of the picture
     half_m: float  # half of the picture's width and height [m]
     rings_m: tuple[float, ...]  # radii of the rings, round lengths, rising [m]
-    names: tuple[str, ...]  # labels of the rings
     ends_m: Values  # ends with all effects, relative to the goal [m], shape (n, 2)
     ghosts_m: Values  # ends without all acting causes, shape (n, 2); empty without such ends
     recorded_m: Values  # end of the run itself [m], shape (2,)
@@ -313,7 +312,6 @@ def _build_plane(luck: Luck) -> LuckPlane | None:
         title=f"where {count} {luck.varied}s end",
         half_m=half_m,
         rings_m=rings_m,
-        names=tuple(format_length(ring_m) for ring_m in rings_m),
         ends_m=ends_m,
         ghosts_m=ghosts_m,
         recorded_m=recorded_m,

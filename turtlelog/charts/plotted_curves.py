@@ -288,11 +288,10 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
     For commands, the range ends slightly beyond their extremes, whether these are limits or not.
     The result is None if no value is known.
     """
-    known = [values[np.isfinite(values)] for values in curves]
-    spans = [(float(values.min()), float(values.max())) for values in known if len(values)]
-    if not spans:
+    known = np.concatenate([*(values[np.isfinite(values)] for values in curves), np.empty(0)])
+    if not len(known):
         return None
-    low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+    low, high = float(known.min()), float(known.max())
     limits = [level.value for level in levels if level.kind == "limit"]
     if limits:
         least = _LEAST_SIDE * max(limits)

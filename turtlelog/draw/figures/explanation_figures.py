@@ -395,18 +395,11 @@ def _mark_recorded(
     axes.plot(*recorded, "o", ms=6.0, color=color, mec="white", mew=0.6, zorder=3.5)
     low, high = shown.limits
     is_high = recorded[1] > (low + high) / 2.0
-    words = axes.annotate(
-        shown.recorded_name,
-        recorded,
-        xytext=(0.0, -16.0 if is_high else 16.0),
-        textcoords="offset points",
-        color=_darken(shown.lines[0].color),
-        fontsize=_WORDS_POINTS,
-        ha="center",
-        va="top" if is_high else "bottom",
-        arrowprops={"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0.5, "shrinkB": 2.0},
-        zorder=4.0,
-    )
+    away, va = (-16.0, "top") if is_high else (16.0, "bottom")
+    arrow = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0.5, "shrinkB": 2.0}
+    looks: dict[str, Any] = {"textcoords": "offset points", "arrowprops": arrow, "zorder": 4.0}
+    looks |= {"color": _darken(shown.lines[0].color), "fontsize": _WORDS_POINTS}
+    words = axes.annotate(shown.recorded_name, recorded, (0.0, away), ha="center", va=va, **looks)
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
 
 
@@ -436,8 +429,8 @@ def _draw_plane(axes: Axes, plane: luck_chart.LuckPlane, side_inch: float) -> No
     if plane.note:
         middle = np.median(plane.ghosts_m, axis=0)
         place_words(axes, place, plane.note, middle, _GHOST_WORDS, _WORDS_POINTS)
-    for ring_m, name in zip(plane.rings_m, plane.names, strict=True):
-        name_ring(axes, place, name, ring_m)
+    for ring_m in plane.rings_m:
+        name_ring(axes, place, format_length(ring_m), ring_m)
     axes.set(aspect="equal", xlim=(-half, half), ylim=(-half, half), title=plane.title)
     axes.set_axis_off()
 

@@ -71,7 +71,6 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
 
 
 _LINE_HEIGHT: Final = 1.45
-_POINTS_PER_INCH: Final = 72.0
 
 _OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, curves.REFERENCE, curves.BEARING_NOW})
 """Labels of lines that have each run's colour, and are therefore colourless in a legend."""
@@ -114,10 +113,10 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
     labels = [", ".join(label for label, _ in keys) for keys in groups.values()]
     handles = [named[keys[0]] for keys in groups.values()]
     width, height = figure.get_size_inches()
-    columns = count_legend_columns(labels, width * _POINTS_PER_INCH)
+    columns = count_legend_columns(labels, width * 72.0)
     lines = ceil(len(labels) / columns)
     line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
-    figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
+    figure.set_size_inches(width, height + (lines + 0.5) * line_points / 72.0)
     place = "outside upper center"
     legend = figure.legend(handles, labels, loc=place, ncols=ceil(len(labels) / lines))
     for label, entry in zip(labels, legend.legend_handles, strict=True):
@@ -177,14 +176,8 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _BAR_INCH)
-    bar = figure.colorbar(
-        ScalarMappable(norm, colors),
-        ax=figure.axes,
-        location="top",
-        fraction=0.04,
-        aspect=width / 0.09,
-        pad=0.02,
-    )
+    place: dict[str, Any] = {"ax": figure.axes, "location": "top", "fraction": 0.04, "pad": 0.02}
+    bar = figure.colorbar(ScalarMappable(norm, colors), aspect=width / 0.09, **place)
     bar.outline.set_visible(False)
     bar.ax.minorticks_off()
     scale = find_color_scale(runs)

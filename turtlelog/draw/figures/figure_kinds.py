@@ -153,7 +153,7 @@ def _find_lack_of_locus(run: Run) -> str:
     lack = find_lack_of_gain([run])
     if lack == PYTHON_CONTROL:
         return lack
-    unknown = theory_figures.find_lack_of_theory([run])
+    unknown = theory_figures.find_lack_of_theory(run)
     return unknown if lack == _PROPORTIONAL or not unknown else lack
 
 
@@ -175,7 +175,7 @@ def _reads(signal: str) -> Callable[[Run], bool]:
 
 
 _LACKS: Final[Mapping[str, Callable[[Run], str]]] = {
-    "theory": lambda run: theory_figures.find_lack_of_theory([run]),
+    "theory": theory_figures.find_lack_of_theory,
     "gain": lambda run: find_lack_of_gain([run]),
     "locus": _find_lack_of_locus,
     "integrator": _has(

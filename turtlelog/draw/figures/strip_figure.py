@@ -46,6 +46,8 @@ _SIDE_INCH: Final = 0.65
 """Width of a panel for the numbers and the two lines next to its axis [inch]."""
 
 _BOX: Final = fix_style(
+    widths=0.26,
+    manage_ticks=False,
     showfliers=False,
     patch_artist=True,
     medianprops={"color": "black", "linewidth": 1.2},
@@ -237,16 +239,11 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
         return
     beside = 0.2 if is_boxed else 0.0
     across = place + beside + _spread(known)
-    size = (
-        5.0 if len(known) == 1 else 3.6 if len(known) <= 40 else 2.4 if len(known) <= 200 else 1.5
-    )
+    size = (5.0, 3.6, 2.4, 1.5)[sum(len(known) > most for most in (1, 40, 200))]
     faint = 0.9 if len(known) <= 40 else 0.55
     axes.plot(across, known, "o", ms=size, mew=0.0, color=color, alpha=faint, zorder=2.5)
     if len(known) >= _BOX_FROM:
-        box = axes.boxplot(
-            [known], positions=[place - 0.2], widths=0.26, manage_ticks=False, **_BOX
-        )
-        for patch in box["boxes"]:
+        for patch in axes.boxplot([known], positions=[place - 0.2], **_BOX)["boxes"]:
             patch.set(facecolor=(*color, 0.35), edgecolor=color, linewidth=0.8)
     elif len(known) > 2:
         median, half = float(np.median(known)), _HALF_WIDTH + 0.06
@@ -276,7 +273,6 @@ _LEAST_PERCENT: Final = 0.5
 """Smallest height of a percentage axis [%], a quarter of the settling band. On a smaller axis, the
 last digits of a run without overshoot would look like an overshoot."""
 
-_POINTS_PER_INCH: Final = 72.0
 _LETTER_WIDTH: Final = 0.65
 """Width of a digit as a share of the font size. DejaVu Sans, the widest font in use, has 0.636."""
 
@@ -357,7 +353,7 @@ def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
     """
     values = sorted({*values})
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
-    points = points * _POINTS_PER_INCH / axes.figure.dpi
+    points = points * 72.0 / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()
     halves = [_LETTER_WIDTH * size * (len(f"{value:.4g}") + 1) / 2.0 for value in values]
     last = len(values) - 1

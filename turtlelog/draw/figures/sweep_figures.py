@@ -84,7 +84,7 @@ def write_map_figure(
     """
     path = pages.require_figure_path(path)
     page = page or Page(kind="page")
-    return pages.write_figure(_draw(view, limits, kind, page), path, page)
+    return pages.write_figure(lay_out(view, limits, kind, page), path, page)
 
 
 def draw_map(  # noqa: PLR0913  (all but the first have defaults)
@@ -119,24 +119,20 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
         results = read_swept_results(table, metrics)
     view = choose_view(results, x=x, y=y, at=at, gains=list_gain_keys(results))
     require_values(view)
-    return _draw(view, find_loop_limits(view), kind, page or Page(kind="page"))
+    return lay_out(view, find_loop_limits(view), kind, page or Page(kind="page"))
 
 
 def draw_sweep_svg(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind) -> bytes:
     """Return the content of the .svg file that `write_map_figure` writes."""
     page, data = Page(kind="page"), io.BytesIO()
-    pages.save_figure(_draw(view, limits, kind, page), data, "svg", page)
+    pages.save_figure(lay_out(view, limits, kind, page), data, "svg", page)
     return data.getvalue()
 
 
-def _draw(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
-    """Return the drawn figure; of a single axis, a map is drawn as curves."""
-    with use_looks():
-        return lay_out(view, limits, "curves" if view.y is None and kind == "map" else kind, page)
-
-
+@use_looks()
 def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
-    """Return the drawn figure of a sweep."""
+    """Return the drawn figure of a sweep; of a single axis, a map is drawn as curves."""
+    kind = "curves" if view.y is None and kind == "map" else kind
     metrics = view.results.metrics
     found = [find_sensitivities(view.results, one, dict(view.held)) for one in metrics]
     most = max(len(one.keys) for one in found)
@@ -299,7 +295,6 @@ _ALIKE: Final = 0.005
 """Difference below which curves are one line in print: a third of a millimetre, as a share of a
 panel's height."""
 
-_RAMP_COLORS: Final = 256
 
 _MOST_MARKED: Final = 40
 """Largest number of key values with a dot on the line: one per 2 mm of a panel."""
@@ -356,9 +351,8 @@ def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...
     if series is None or not series.is_number or count == 1:
         return choose_colors(count)
     # The ramp is that of more runs than hues; its ends are the least and the greatest value.
-    ramp = choose_run_colors(_RAMP_COLORS)
-    rows = np.linspace(0, _RAMP_COLORS - 1, count).round().astype(int)
-    return [to_rgb(ramp[row]) for row in rows]
+    ramp = choose_run_colors(256)
+    return [to_rgb(ramp[row]) for row in np.linspace(0, len(ramp) - 1, count).round().astype(int)]
 
 
 def _name_value(series: SweptAxis, place: int) -> str:

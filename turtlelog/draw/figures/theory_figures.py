@@ -123,13 +123,14 @@ class _LoopCurve:
         return f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
 
 
-def find_lack_of_theory(runs: Sequence[Run]) -> str:
-    """Return why theory has no loop; empty if it has a loop."""
-    models = [model for run in runs for model in model_run_loops(run)]
+def find_lack_of_theory(run: Run) -> str:
+    """Return why theory has no loop of a run; empty if it has one."""
+    models = model_run_loops(run)
     if theory.list_known(models):
         return ""
-    reasons = [model.reason for model in models]
-    return f"a loop that theory knows ({reasons[0]})" if reasons else "a law that declares a loop"
+    return (
+        f"a loop that theory knows ({models[0].reason})" if models else "a law that declares a loop"
+    )
 
 
 def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
@@ -417,7 +418,6 @@ _POLE_LARGER: Final = 1.0
 
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 
-_LAST_S: Final = 5.0
 
 _Poles = tuple[NDArray[np.complex128], Mapping[str, Any], str]
 """Poles of a closed loop in the s plane [1/s] or the z plane, shape (n,), their style and label."""
@@ -425,11 +425,11 @@ _Poles = tuple[NDArray[np.complex128], Mapping[str, Any], str]
 
 def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
     """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
-    time_s = np.linspace(0.0, _LAST_S, 201)
+    time_s = np.linspace(0.0, 5.0, 201)
     for axes, kind in zip(figure.subplots(1, 3), theory.PLANT_INPUTS, strict=True):
         axes.plot(time_s, theory.compute_plant_response(kind, time_s), **choose_lines(1)[0])
         end = "unbounded" if theory.find_plant_final_value(kind).value is None else "bounded"
-        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
+        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, 5.0), ylim=(0.0, None))
     figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
 
 

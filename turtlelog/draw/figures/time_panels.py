@@ -269,8 +269,7 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
     plane = figure.add_subplot(grid[:rows, 0])
     draw_paths(plane, runs)
     show_all(plane, runs)
-    places = [(row, column) for row in range(grid.nrows) for column in (0, 1)]
-    places = [(row, column) for row, column in places if column or row >= rows]
+    places = [(row, column) for row in range(grid.nrows) for column in range(row < rows, 2)]
     shared: Axes | None = None
     for panel, (row, column) in zip(panels, places, strict=True):
         shared = axes = figure.add_subplot(grid[row, column], sharex=shared)
