@@ -224,7 +224,7 @@ def draw_up_difference(found: ExplainedDifference) -> Waterfall:
     steps = list_difference_steps(found)
     return Waterfall(
         steps=steps,
-        scale=_choose_difference_scale(found),
+        scale=_choose_scale([found.first.resimulated, found.second.resimulated], found.unit),
         metric=found.metric,
         notes=_note_averages("the changes", found.seeds, is_average=len(steps) > 3),
     )
@@ -239,7 +239,7 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
     first, second = found.first.resimulated, found.second.resimulated
     if not found.contributions or first is None or second is None:
         return ()
-    scale = _choose_difference_scale(found)
+    scale = _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
     colors = palette.choose_cause_colors([one.name for one in found.contributions])
     sides = zip(
         (found.first, found.second), palette.choose_run_colors(2), (first, second), strict=True
@@ -265,7 +265,3 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
         steps.append(step)
         at = step.end
     return (*steps, end)
-
-
-def _choose_difference_scale(found: ExplainedDifference) -> StepScale:
-    return _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)

@@ -207,7 +207,12 @@ def list_ring_labels(
         way = np.subtract(labels[0].xy_m, close_up.goal_xy_m)
         return hidden + 0.5 * bool(way @ away < 0.0)
 
-    labels = min((_name_rings(close_up, angle) for angle in _ANGLES_RAD), key=count_hidden)
+    (x_m, y_m), rings_m = close_up.goal_xy_m, close_up.rings_m
+    named = (
+        tuple(Label(text=format_length(m), xy_m=(x_m + m * cos, y_m + m * sin)) for m in rings_m)
+        for cos, sin in zip(np.cos(_ANGLES_RAD).tolist(), np.sin(_ANGLES_RAD).tolist(), strict=True)
+    )
+    labels = min(named, key=count_hidden)
     crowded = any(_overlap(one, other, close_up, lettering) for one, other in pairwise(labels))
     return labels[-1:] if crowded else labels
 
@@ -269,14 +274,6 @@ def _join(lengths_m: Sequence[float], word: str) -> str:
     if len(units) > 1:
         return word.join(texts)
     return f"{word.join(text.rpartition(' ')[0] for text in texts)} {units.pop()}"
-
-
-def _name_rings(close_up: CloseUp, angle_rad: float) -> tuple[Label, ...]:
-    (x_m, y_m), cos, sin = close_up.goal_xy_m, float(np.cos(angle_rad)), float(np.sin(angle_rad))
-    return tuple(
-        Label(text=format_length(ring_m), xy_m=(x_m + ring_m * cos, y_m + ring_m * sin))
-        for ring_m in close_up.rings_m
-    )
 
 
 def _overlap(one: Label, other: Label, close_up: CloseUp, lettering: Lettering) -> bool:

@@ -227,7 +227,6 @@ def _find_dead_start(run: Run, loop: ControlLoop | None) -> float | None:
 
 
 def _add_step(mark: Characteristic, response: Response) -> Characteristic:
-    """Return a metric of a step with its related levels."""
     unit = 180.0 / np.pi if response.loop.signal == "heading" else 1.0
     initial, reference = response.initial * unit, response.reference * unit
     step = reference - initial

@@ -294,7 +294,6 @@ def choose_rows(
 
 
 def _read_recorded(run: Run, signal: str) -> Curve | None:
-    """Return the reference poses of the samples, as values of a signal."""
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
     if xy_m is None or heading_rad is None:

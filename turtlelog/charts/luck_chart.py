@@ -215,11 +215,11 @@ def _build_line(
     limits: tuple[float, float],
 ) -> LuckLine:
     kind = "run" if not curve.without else "ghost" if curve is luck.curves[-1] else "cause"
-    is_constant = bool(np.ptp(values) == 0.0)
-    is_joined = luck.varied == "start" or is_constant
+    is_known = bool(np.isfinite(values).any())
+    is_joined = luck.varied == "start" or bool(np.ptp(values) == 0.0)
     own = {"run": palette.MAIN, "ghost": palette.GHOST}
     return LuckLine(
-        name=_name_briefly(curve) + ("" if np.isfinite(values).any() else ": no value"),
+        name=_name_curve(curve, is_brief=True) + ("" if is_known else ": no value"),
         color=own.get(kind) or colors[curve.without[0]],
         kind=kind,
         values=values,
@@ -228,14 +228,10 @@ def _build_line(
     )
 
 
-def _name_curve(curve: LuckCurve) -> str:
+def _name_curve(curve: LuckCurve, *, is_brief: bool = False) -> str:
+    if is_brief and len(curve.without) > 1:
+        return "without both" if len(curve.without) == 2 else f"without all {len(curve.without)}"
     return f"without {join_words(curve.without)}" if curve.without else WITH_ALL
-
-
-def _name_briefly(curve: LuckCurve) -> str:
-    if len(curve.without) < 2:
-        return _name_curve(curve)
-    return "without both" if len(curve.without) == 2 else f"without all {len(curve.without)}"
 
 
 def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tuple[int, int], ...]:
@@ -253,7 +249,6 @@ def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tup
 
 
 def _write_sentences(luck: Luck) -> tuple[str, ...]:
-    """Return sentences on the values, and on whether they depend on chance."""
     whole, rest = luck.curves[0], luck.curves[-1]
     first = f"{luck.metric}: {_write_values(luck, whole)} {WITH_ALL}"
     if len(luck.curves) == 1:

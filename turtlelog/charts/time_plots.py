@@ -166,7 +166,6 @@ def _follow(signal: str, label: str) -> tuple[CurveEntry, ...]:
 
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    """Return the plot of a command: commanded, applied and measured values."""
     # The plant publishes its speed without a sign.
     label = "|applied|" if command == "speed" else "applied"
     applied = partial(_read_one, partial(curves.read_applied, command=command))

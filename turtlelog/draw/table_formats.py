@@ -173,7 +173,6 @@ def _mark(table: Table, row: int, index: int, text: str, kind: str) -> str:
 
 
 def _list_notes(table: Table, kind: str) -> list[str]:
-    """Return the notes below a table, with the legend of its marks first."""
     legend = [_LEGENDS[kind]] if table.marks else []
     escape = partial(escape_markdown, starts_line=True) if kind == "md" else _escape_latex
     return [*legend, *map(escape, table.notes)]
@@ -304,7 +303,6 @@ def _format_block(columns: Sequence[_Column], breaks: Collection[int]) -> list[s
 
 
 def _join(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a row from the lines of its cells."""
     for parts in zip_longest(*cells, fillvalue=""):
         named = zip(columns, parts, strict=True)
         placed = (f"{part:{'>' if one.is_numeric else '<'}{one.width}}" for one, part in named)

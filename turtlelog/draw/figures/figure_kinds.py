@@ -244,7 +244,6 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
 
 
 def _panels(figure: str) -> tuple[Panel, ...]:
-    """Return the panels of a figure, which are the plots that list this figure."""
     return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 

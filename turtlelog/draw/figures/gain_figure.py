@@ -130,7 +130,6 @@ class LoopGains:
 
 
 def _name_loop(loop: LoopGains) -> str:
-    """Return a loop's name with the dead times of its limits."""
     if not loop.limits:
         return f"{loop.name}: no theory"
     times_ms = sorted({round(1e3 * one.dead_time_s, 1) for one in loop.limits})
@@ -252,7 +251,6 @@ def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str]]) -> None:
 
 
 def _draw_theory(axes: Axes, loop: LoopGains, found: strip_figure.MetricValues) -> None:
-    """Draw theory's metric at each gain, if it is known."""
     left, right = axes.get_xlim()
     gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)
     if found.name == "settling_time":

@@ -342,10 +342,8 @@ def find_shown_times(runs: Sequence[Run], page: Page) -> tuple[float, float] | N
     if page.from_s is None and page.to_s is None:
         return None
     first_s, last_s = _find_span(runs)
-    return (
-        first_s if page.from_s is None else page.from_s,
-        last_s if page.to_s is None else page.to_s,
-    )
+    from_s = first_s if page.from_s is None else page.from_s
+    return from_s, last_s if page.to_s is None else page.to_s
 
 
 def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:

@@ -10,16 +10,10 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from turtlelog.charts import close_up as close_ups, many_runs, plane_scene
-from turtlelog.charts.close_up import CloseUp, Label, Lettering, WorstPlace, find_worst_place
+from turtlelog.charts.close_up import CloseUp, Label, Lettering, find_worst_place
 from turtlelog.charts.curves import REFERENCE as AIMED, Values, lack_samples
-from turtlelog.draw.figures import page
-from turtlelog.draw.figures.figure_curves import (
-    color_runs,
-    draw_points,
-    draw_thinned,
-    label_runs,
-    style_runs,
-)
+from turtlelog.draw.figures import figure_curves, page
+from turtlelog.draw.figures.figure_curves import draw_thinned, label_runs
 from turtlelog.draw.figures.page import fix_style
 from turtlelog.draw.figures.placed_words import WORDS_POINTS
 from turtlelog.run import Run
@@ -68,7 +62,13 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
         _close_up(grid[1], runs, close_up, lettering)
     if worst is not None:
         draw_paths(grid[1], runs)
-        _show_worst(grid[1], runs, worst, lettering)
+        center, color = np.array(worst.center_xy_m), figure_curves.color_runs(runs)[worst.run]
+        _show_square(grid[1], center - worst.half_m, center + worst.half_m)
+        ends = np.array([worst.path_xy_m, worst.xy_m])
+        grid[1].plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
+        _write(grid[1], close_ups.label_worst_place(worst, lettering), color)
+        grid[1].set(title="furthest off the path", ylabel="")
+        grid[1].locator_params(nbins=5)
 
 
 def find_named_close_up(runs: Sequence[Run]) -> CloseUp | None:
@@ -92,7 +92,7 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         driven_m = plane_scene.part_path(run)
         draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
         if len(runs) == 1 and run.poses.sensed_xy_m is not None:
-            draw_points(axes, *run.poses.sensed_xy_m.T, **page.SENSED)
+            figure_curves.draw_points(axes, *run.poses.sensed_xy_m.T, **page.SENSED)
         for aims_m in _list_aims([run]) if plane_scene.has_own_way(run) else ():
             aim = {**looks, **page.AIM, "label": AIMED}
             draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **aim)
@@ -117,14 +117,14 @@ def _style_paths(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     is_grey, restless = many_runs.has_grey_paths(runs), many_runs.find_restless(runs)
     return [
         (run, {**looks, **(_OF_MANY if is_grey else _RESTLESS if number in restless else {})})
-        for number, (run, looks) in enumerate(style_runs(runs))
+        for number, (run, looks) in enumerate(figure_curves.style_runs(runs))
     ]
 
 
 def _draw_ends(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the ends of runs above all paths; for many per gain, also the median and an outline."""
     ends_m = np.array([run.poses.xy_m[-1] for run in runs])
-    colors = color_runs(runs)
+    colors = figure_curves.color_runs(runs)
     is_many = many_runs.has_grey_paths(runs)
     # Random order, because in the order of gains the last runs would cover the others.
     order = np.random.default_rng(0).permutation(len(runs)) if is_many else range(len(runs))
@@ -177,7 +177,6 @@ def show_all(axes: Axes, runs: Sequence[Run]) -> None:
 
 
 def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
-    """Show the region around the goal: rings, and the distance of each run's end."""
     goal = np.array(close_up.goal_xy_m)
     _show_square(axes, goal - close_up.half_m, goal + close_up.half_m)
     for run in runs:
@@ -191,7 +190,7 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for ring_m in close_up.rings_m:
         axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
     misses = close_ups.list_miss_labels(close_up, lettering)
-    colors = color_runs(runs)
+    colors = figure_curves.color_runs(runs)
     for label in misses:
         color = colors[label.runs[0]] if len(label.runs) == 1 else "0.2"
         _write(axes, label, color)
@@ -199,16 +198,6 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for label in close_ups.list_ring_labels(close_up, start_m, misses, lettering):
         _write(axes, label, "0.45")
     axes.set(title=f"how each run ends{close_up.count_outside()}", ylabel="")
-    axes.locator_params(nbins=5)
-
-
-def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
-    center, color = np.array(worst.center_xy_m), color_runs(runs)[worst.run]
-    _show_square(axes, center - worst.half_m, center + worst.half_m)
-    ends = np.array([worst.path_xy_m, worst.xy_m])
-    axes.plot(*ends.T, color=color, linewidth=0.8, marker=".", markersize=4.0, zorder=3)
-    _write(axes, close_ups.label_worst_place(worst, lettering), color)
-    axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
 
 

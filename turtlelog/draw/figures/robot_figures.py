@@ -3,8 +3,7 @@
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -69,7 +68,7 @@ class DrawnAxis:
     command: Curve  # held command
     measured: tuple[Values, Values] | None  # measured rate of the robot; None if unknown
     traces: identify.AxisTraces | None  # measured rate and model, if a model is known
-    outliers_s: Values = field(default_factory=lambda: np.empty(0))  # ends of steps left out [s]
+    outliers_s: Values  # end times of steps that the fit left out [s], shape (m,)
 
 
 def draw_rates(
@@ -125,15 +124,20 @@ def _read_axis(axis: identify.AxisModel, model: identify.RobotModel, run: Run) -
     command = read_command(run, axis.axis)
     if command is None or not np.any(command.values):
         return None
-    drawn = partial(DrawnAxis, model=axis, brackets=model.brackets, command=command)
-    if axis.is_known:
-        traces = identify.trace_axis(axis, run)
-        measured = (traces.time_s - run.start_ns / 1e9, traces.measured)
-        outliers = [event.time_s for event in model.events if event.axis == axis.axis]
-        return drawn(measured=measured, traces=traces, outliers_s=np.array(outliers))
-    reported = read_measured(run, axis.axis)
-    curve = read_applied(run, axis.axis) if reported is None else reported.curve
-    return drawn(measured=None if curve is None else (curve.time_s, curve.values), traces=None)
+    traces = identify.trace_axis(axis, run) if axis.is_known else None
+    measured = None if traces is None else (traces.time_s - run.start_ns / 1e9, traces.measured)
+    if traces is None:
+        reported = read_measured(run, axis.axis)
+        curve = read_applied(run, axis.axis) if reported is None else reported.curve
+        measured = None if curve is None else (curve.time_s, curve.values)
+    return DrawnAxis(
+        model=axis,
+        brackets=model.brackets,
+        command=command,
+        measured=measured,
+        traces=traces,
+        outliers_s=np.array([one.time_s for one in model.events if one.axis == axis.axis]),
+    )
 
 
 def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
@@ -401,21 +405,18 @@ def write_trajectory_figure(
         height = page.width_inch * _ROW_HEIGHT * (_PLANE_ROWS + rows)
         figure = Figure(figsize=(page.width_inch, height), layout="constrained")
         grid = figure.add_gridspec(rows + 1, 1, height_ratios=(_PLANE_ROWS, *(1.0,) * rows))
-        _draw_aligned(figure.add_subplot(grid[0]), found)
+        axes = figure.add_subplot(grid[0])
+        for one, looks, label in _list_paths(found):
+            draw_thinned(axes, one[:, 0], one[:, 1], one[:, 1], **looks, label=label)
+        worst = int(found.absolute.position_m.argmax())
+        both = np.array([found.reference.xyz_m[worst], found.estimate.xyz_m[worst]])
+        axes.plot(both[:, 0], both[:, 1], color="0.15", linewidth=1.0)
+        axes.plot(*both[1, :2], ".", color="0.15", label="largest position error")
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        axes.set_aspect("equal", adjustable="datalim")
         _draw_over_time(figure, grid, found)
         add_legend(figure)
     return pages.write_figure(figure, path, page)
-
-
-def _draw_aligned(axes: Axes, found: TrajectoryComparison) -> None:
-    for one, looks, label in _list_paths(found):
-        draw_thinned(axes, one[:, 0], one[:, 1], one[:, 1], **looks, label=label)
-    worst = int(found.absolute.position_m.argmax())
-    both = np.array([found.reference.xyz_m[worst], found.estimate.xyz_m[worst]])
-    axes.plot(both[:, 0], both[:, 1], color="0.15", linewidth=1.0)
-    axes.plot(*both[1, :2], ".", color="0.15", label="largest position error")
-    axes.set(xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal", adjustable="datalim")
 
 
 def _list_paths(found: TrajectoryComparison) -> list[tuple[Values, dict[str, Any], str]]:

@@ -160,7 +160,11 @@ def draw_strips(
     groups = group_runs(runs)
     found = measure_for_figure("strips", runs, metrics)
     width = figure.get_figwidth()
-    columns = _choose_columns(groups, len(found), width)
+    most, widest = max(1, int(width / _NARROW_INCH)), _measure_widest(_name_groups(groups))
+    most = min(len(found), most)
+    # Fewer columns if names would be slanted.
+    fitting = (n for n in range(most, 0, -1) if widest <= _find_room(groups, width / n))
+    columns = next(fitting, most)
     rows = -(-len(found) // columns)
     figure.set_size_inches(width, rows * _PANEL_INCH + 0.2)
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -173,14 +177,6 @@ def draw_strips(
         if number + columns >= len(found):
             axes.set_xlabel("; ".join(filter(None, [groups.label, _tell_sizes(groups)])))
     figure.align_ylabels()
-
-
-def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
-    """Return the number of panel columns that fit, or fewer if names would be slanted."""
-    most = max(1, min(count, int(width_inch / _NARROW_INCH)))
-    widest = _measure_widest(_name_groups(groups))
-    fitting = [n for n in range(most, 0, -1) if widest <= _find_room(groups, width_inch / n)]
-    return fitting[0] if fitting else most
 
 
 def _find_room(groups: RunGroups, panel_inch: float) -> float:

@@ -21,12 +21,8 @@ from turtlelog import theory
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
-from turtlelog.draw.figures.figure_curves import (
-    choose_lines,
-    choose_run_lines,
-    label_runs,
-    name_some,
-)
+from turtlelog.draw.figures import figure_curves
+from turtlelog.draw.figures.figure_curves import choose_lines, choose_run_lines, label_runs
 from turtlelog.draw.figures.page import REFERENCE, STROKES, fix_style
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
@@ -305,7 +301,7 @@ def _name_loops(
     """Return the legend text of each loop; for many runs, only the dashes of each loop."""
     labels = [curve.label(tell) for curve in curves]
     if not any(curve.is_many for curve in curves):
-        return name_some(axes, labels)
+        return figure_curves.name_some(axes, labels)
     for curve in {curve.layer: curve for curve in curves}.values():
         axes.plot([], [], **{**curve.looks, "color": "0.35"}, label=curve.model.loop.name)
     return list(labels)
@@ -440,7 +436,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     time_s = np.linspace(0.0, last_s, 601)
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
-    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
+    names = figure_curves.name_some(axes, [f"Kp = {gain:g}" for gain in gains])
     # A gain has the colour of its first run, and dashes if it is not the first gain of that run.
     styled: dict[float, Mapping[str, Any]] = {}
     for run, looks in zip(runs, choose_run_lines(runs), strict=True):

@@ -13,7 +13,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs, palette, plotted_curves
 from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
-from turtlelog.charts.curves import Curve, find_disturbance, lack_samples
+from turtlelog.charts.curves import find_disturbance, lack_samples
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
@@ -129,7 +129,6 @@ def _scale(axes: Axes, scale: Scale) -> None:
 
 
 def _draw_levels(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale) -> None:
-    """Draw level lines with their names, each name once."""
     levels = plotted_curves.list_plot_levels(runs, plot, scale)
     if any(level.kind == "limit" for level in levels) or plot.command is not None:
         draw_level(axes, [0.0], **_GRID)
@@ -143,7 +142,7 @@ def _draw_curves(
 ) -> None:
     """Draw the curves of all runs; a reference that several share is drawn once."""
     is_alone, is_many = len(runs) == 1, len(runs) > many_runs.MANY
-    aims: list[Curve] = []
+    aims: set[tuple[bytes, bytes]] = set()
     colors = many_runs.choose_colors_by_value(runs)
     for number, (run, looks) in enumerate(figure_curves.style_runs(runs)):
         if number in restless and plotted_curves.leaves_out(len(runs), plot):
@@ -152,9 +151,11 @@ def _draw_curves(
         is_answered = any(one.kind == "measured" for one in listed) and not is_alone
         for found in (one for one in listed if one.kind != "outlier"):
             if found.kind == "aim":
-                if any(_are_alike(found.curve, other) for other in aims):
+                # Runs that track one path by time have equal references.
+                aim = (found.curve.time_s.tobytes(), found.curve.values.tobytes())
+                if aim in aims:
                     continue
-                aims.append(found.curve)
+                aims.add(aim)
             own = {
                 **_choose_looks(found, looks, colors[number], is_alone=is_alone),
                 **(_COMMANDED if found.kind == "run" and is_answered else {}),
@@ -170,12 +171,6 @@ def _draw_curves(
                 figure_curves.draw_points(axes, curve.time_s, curve.values, **own)
             else:
                 draw_curve(axes, curve, **own)
-
-
-def _are_alike(one: Curve, other: Curve) -> bool:
-    """Return whether two references are equal, for example of runs that track one path by time."""
-    is_in_time = np.array_equal(one.time_s, other.time_s)
-    return is_in_time and np.array_equal(one.values, other.values, equal_nan=True)
 
 
 def _choose_looks(
@@ -220,7 +215,6 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
 
 
 def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
-    """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
     colors = many_runs.choose_colors_by_value(runs)
     for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
