@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.draw.laws import simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
-from turtlelog.charts.characteristics import Characteristic, list_characteristics, read_marked_curve
+from turtlelog.charts.curve_marks import Characteristic, list_characteristics, read_marked_curve
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.scenario import get_preset
 
@@ -134,6 +134,6 @@ def test_a_bag_without_a_controller_has_what_its_poses_tell() -> None:
 
 def test_characteristics_need_neither_rerun_nor_matplotlib() -> None:
     loaded = "print({'rerun', 'matplotlib'} & {*sys.modules})"
-    code = f"import sys, turtlelog.charts.characteristics; {loaded}"
+    code = f"import sys, turtlelog.charts.curve_marks; {loaded}"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "set()\n"

@@ -8,6 +8,7 @@ from tests.known import known
 from tests.lucky_runs import METRIC, NOISY, attribute_lucky, measure_lucky
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import list_attribution_steps
+from turtlelog.charts.close_up import format_length
 from turtlelog.charts.luck_chart import LuckPicture, build_luck_picture, spread_labels
 from turtlelog.explain import Luck
 
@@ -152,7 +153,7 @@ def test_the_plane_shows_every_end_and_its_rings(kp10: LuckPicture) -> None:
     assert len(shown_m) == 131
     assert np.hypot(*shown_m.T).max() < plane.half_m
     assert plane.rings_m == (0.2, 0.4)
-    assert plane.names == ("200 mm", "400 mm")
+    assert [*map(format_length, plane.rings_m)] == ["200 mm", "400 mm"]
 
 
 @given(

@@ -17,7 +17,7 @@ from turtlelog.charts.palette import (
     choose_run_colors,
     choose_shades,
 )
-from turtlelog.draw.figures.run_styles import choose_lines
+from turtlelog.draw.figures.figure_curves import choose_lines
 from turtlelog.scenario import PAPER_RUNS
 
 LEAST_CONTRAST = 3.0

@@ -8,9 +8,9 @@ import pytest
 
 import turtlelog as tl
 from tests.draw.rerun.rrds import read_static
+from turtlelog.charts.many_runs import MANY_PATHS, find_gain_ends, outline_points
 from turtlelog.charts.palette import choose_run_colors
-from turtlelog.charts.plane_scene import MANY_PATHS, find_gain_ends, outline_points
-from turtlelog.draw.figures.run_styles import color_runs
+from turtlelog.draw.figures.figure_curves import color_runs
 from turtlelog.draw.report.drawing import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
 

@@ -8,13 +8,12 @@ import pytest
 
 import turtlelog as tl
 from tests.draw.laws import SQUARE, simulate_law, simulate_tracker, simulate_untimed
+from turtlelog.charts.close_up import ON_PATH_M, find_worst_place
+from turtlelog.charts.curves import read_along_error
 from turtlelog.charts.plane_scene import (
-    ON_PATH_M,
-    find_worst_place,
     has_own_way,
     list_paths,
     outline_path,
-    read_along_error,
     read_way_to_reference,
 )
 from turtlelog.measure import read_signal

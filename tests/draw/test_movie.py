@@ -14,7 +14,7 @@ from tests.fresh_process import run_command
 from turtlelog import Run, read_run
 from turtlelog.charts.plotted_curves import locate_run
 from turtlelog.draw import movie_file, write_movie
-from turtlelog.draw.figures.run_styles import label_runs
+from turtlelog.draw.figures.figure_curves import label_runs
 from turtlelog.draw.movie_file import plan_film
 from turtlelog.draw.movie_picture import _set_stage, draw_pictures
 from turtlelog.errors import ShowError

@@ -24,7 +24,7 @@ from turtlelog.charts.palette import (
     darken,
     to_hex,
 )
-from turtlelog.draw.figures.rates_figure import _DEAD
+from turtlelog.draw.figures.robot_figures import _DEAD
 from turtlelog.draw.report.drawing import Drawn
 from turtlelog.draw.report.page_plots import draw_plots
 from turtlelog.draw.rerun.marks import _LINE_LETTERS

@@ -8,7 +8,7 @@ from typing import Final, Literal
 from turtlelog.charts import palette
 from turtlelog.display import join_words
 from turtlelog.explain import Attribution, Contribution, ExplainedDifference
-from turtlelog.explain.answers import SEED, THIS_SEED, Side
+from turtlelog.explain.answers import SEED, THIS_SEED
 
 _SAME: Final = 1e-6
 """Share of the largest value below which a step counts as 0: two platforms differ by less."""
@@ -28,27 +28,15 @@ picture."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttributionStep:
-    """A bar of the waterfall, with its texts.
+    """A bar of the waterfall: the logged value, a contribution, or the value without all causes."""
 
-    Attributes:
-        kind: `total` for the logged value, `contribution` for a step down or up, `left` for the
-            remainder without all causes.
-        cause: Name of the cause; empty for total, left, and a step without a cause.
-        start: Start of the bar, in the metric's unit: 0, or the end of the previous step.
-        end: End of the bar.
-        name: Label next to the bar, in a word or two.
-        text: Size in words, with its part of the logged value.
-        color: Colour of the bar: the run's colour for the total, the colour of the ghost without
-            all causes for the remainder.
-    """
-
-    kind: Literal["total", "contribution", "left"]
-    cause: str = ""
-    start: float
-    end: float
-    name: str
-    text: str
-    color: palette.Color
+    kind: Literal["total", "contribution", "left"]  # `left`: without all causes
+    cause: str = ""  # name of the cause; empty for total, left, and a step without a cause
+    start: float = 0.0  # start of the bar, in the metric's unit: 0, or the end of the previous step
+    end: float  # end of the bar
+    name: str  # label next to the bar, in a word or two
+    text: str  # size in words, with its part of the logged value
+    color: palette.Color  # of the run for the total, of the ghost for the value without all causes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,29 +126,19 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
     if found.withheld or total is None or left is None:
         return ()
     scale = choose_step_scale(found)
-    steps = [
-        AttributionStep(
-            kind="total",
-            start=0.0,
-            end=total,
-            name="as simulated" if found.as_logged is None else "as logged",
-            text=f"{scale.format_value(total)}{_explain_little(found, total)}",
-            color=palette.MAIN,
-        )
-    ]
-    steps += _list_contributions(found, total, scale)
+    name = "as simulated" if found.as_logged is None else "as logged"
+    text = f"{scale.format_value(total)}{_explain_little(found, total)}"
+    first = AttributionStep(kind="total", end=total, name=name, text=text, color=palette.MAIN)
+    steps = [first, *_list_contributions(found, total, scale)]
+    acting = [one.cause for one in choose_acting_contributions(found)]
+    reason = _explain_little(found, left)
+    if not reason and acting:
+        few = join_words(acting) if len(acting) <= _MOST_NAMED else "all of these"
+        reason = f", without {few}"
     part = _tell_part(left, total) if len(steps) > 1 else ""
-    steps.append(
-        AttributionStep(
-            kind="left",
-            start=0.0,
-            end=left,
-            name="left",
-            text=f"{scale.format_value(left)}{part}, {_explain_left(found)}",
-            color=palette.GHOST,
-        )
-    )
-    return tuple(steps)
+    text = f"{scale.format_value(left)}{part}{reason or ', no effect changes it'}"
+    last = AttributionStep(kind="left", end=left, name="left", text=text, color=palette.GHOST)
+    return (*steps, last)
 
 
 def choose_step_scale(found: Attribution) -> StepScale:
@@ -180,7 +158,6 @@ def _choose_scale(values: Sequence[float | None], unit: str) -> StepScale:
 def _list_contributions(
     found: Attribution, total: float, scale: StepScale
 ) -> Iterator[AttributionStep]:
-    """Yield the steps between the logged value and the remainder."""
     largest = max(abs(total), abs(found.divided))
     if abs(total - found.divided) > _SAME * largest:
         is_seed = found.seeds is not None
@@ -197,17 +174,20 @@ def _list_contributions(
     acting = choose_acting_contributions(found)
     colors = palette.choose_cause_colors(found.causes)
     for one in acting:
-        end = at - (one.contribution or 0.0)
+        value = one.contribution or 0.0
+        # How removing the cause changes the value, and the cause's part of the logged value.
+        size = _tell_size(-value, one.standard_error, scale)
+        chance = "" if one.is_clear else ", may be chance"
         yield AttributionStep(
             kind="contribution",
             cause=one.cause,
             start=at,
-            end=end,
+            end=at - value,
             name=one.cause,
-            text=_describe_contribution(one, total, scale),
+            text=f"{size}{_tell_part(value, total)}{chance}",
             color=colors[one.cause],
         )
-        at = end
+        at -= value
 
 
 def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
@@ -215,14 +195,6 @@ def choose_acting_contributions(found: Attribution) -> Sequence[Contribution]:
     least = _SAME * max(abs(found.divided), abs(found.without_all or 0.0))
     acting = [one for one in found.contributions if abs(one.contribution or 0.0) > least]
     return sorted(acting, key=lambda one: -abs(one.contribution or 0.0))
-
-
-def _describe_contribution(one: Contribution, total: float, scale: StepScale) -> str:
-    """Return how removing a cause changes the value, and the cause's part of the logged value."""
-    value = one.contribution or 0.0
-    chance = ", may be chance" if not one.is_clear else ""
-    size = _tell_size(-value, one.standard_error, scale)
-    return f"{size}{_tell_part(value, total)}{chance}"
 
 
 def _tell_size(value: float, standard_error: float | None, scale: StepScale) -> str:
@@ -236,17 +208,6 @@ def _tell_part(value: float, total: float) -> str:
     """Return the part of the logged value in brackets; empty if it is not meaningful."""
     percent = 100.0 * value / total if total else math.inf
     return f" ({percent:.0f} %)" if abs(percent) < _MOST_PERCENT else ""
-
-
-def _explain_left(found: Attribution) -> str:
-    """Return an explanation of the remainder, as far as it is known."""
-    acting = [one.cause for one in choose_acting_contributions(found)]
-    little = _explain_little(found, found.without_all or 0.0)
-    if little:
-        return little.removeprefix(", ")
-    if not acting:
-        return "no effect changes it"
-    return f"without {join_words(acting) if len(acting) <= _MOST_NAMED else 'all of these'}"
 
 
 def _explain_little(found: Attribution, value: float) -> str:
@@ -263,7 +224,7 @@ def draw_up_difference(found: ExplainedDifference) -> Waterfall:
     steps = list_difference_steps(found)
     return Waterfall(
         steps=steps,
-        scale=_choose_difference_scale(found),
+        scale=_choose_scale([found.first.resimulated, found.second.resimulated], found.unit),
         metric=found.metric,
         notes=_note_averages("the changes", found.seeds, is_average=len(steps) > 3),
     )
@@ -278,41 +239,29 @@ def list_difference_steps(found: ExplainedDifference) -> tuple[AttributionStep, 
     first, second = found.first.resimulated, found.second.resimulated
     if not found.contributions or first is None or second is None:
         return ()
-    scale = _choose_difference_scale(found)
+    scale = _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
     colors = palette.choose_cause_colors([one.name for one in found.contributions])
-    one_color, other_color = palette.choose_run_colors(2)
-    steps = [_make_total(found.first, scale, one_color)]
-    at = first
-    for one in found.contributions:
-        end = at + (one.contribution or 0.0)
-        color = palette.REFERENCE if one.name == SEED else colors[one.name]
-        steps.append(
-            AttributionStep(
-                kind="contribution",
-                cause=one.name,
-                start=at,
-                end=end,
-                name=one.name,
-                text=_tell_size(one.contribution or 0.0, one.standard_error, scale),
-                color=color,
-            )
-        )
-        at = end
-    return (*steps, _make_total(found.second, scale, other_color))
-
-
-def _make_total(side: Side, scale: StepScale, color: palette.Color) -> AttributionStep:
-    value = side.resimulated or 0.0
-    return AttributionStep(
-        kind="total",
-        start=0.0,
-        end=value,
-        name=side.name,
-        text=scale.format_value(value),
-        color=color,
+    sides = zip(
+        (found.first, found.second), palette.choose_run_colors(2), (first, second), strict=True
     )
-
-
-def _choose_difference_scale(found: ExplainedDifference) -> StepScale:
-    """Return the unit and the decimals for all values of a difference."""
-    return _choose_scale([found.first.resimulated, found.second.resimulated], found.unit)
+    begin, end = (
+        AttributionStep(
+            kind="total", end=value, name=side.name, text=scale.format_value(value), color=color
+        )
+        for side, color, value in sides
+    )
+    steps, at = [begin], first
+    for one in found.contributions:
+        change = one.contribution or 0.0
+        step = AttributionStep(
+            kind="contribution",
+            cause=one.name,
+            start=at,
+            end=at + change,
+            name=one.name,
+            text=_tell_size(change, one.standard_error, scale),
+            color=palette.REFERENCE if one.name == SEED else colors[one.name],
+        )
+        steps.append(step)
+        at = step.end
+    return (*steps, end)

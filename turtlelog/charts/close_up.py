@@ -1,4 +1,4 @@
-"""The close-up of the goal: ends of the runs with their distances, and rings for scale."""
+"""Close-ups: the ends of runs around their goal, and where a run is furthest off its path."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from turtlelog.charts.curves import Values
+from turtlelog.charts.plane_scene import Point, list_paths
 from turtlelog.display import cut_name
+from turtlelog.measure import find_signal
 from turtlelog.run import Run
 
 ARRIVED_M: Final = 1.0
@@ -52,8 +54,6 @@ _ANGLES_RAD: Final = np.radians([90.0, -90.0, 60.0, 120.0, -60.0, -120.0, 45.0, 
 _RING_POINTS: Final = 97
 """Number of points of a ring: one per 4 degrees."""
 
-Point = tuple[float, float]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class End:
@@ -95,21 +95,14 @@ class CloseUp:
 class Lettering:
     """Size of text in a picture, in half-widths of the close-up.
 
-    Attributes:
-        letter: Width of a letter.
-        line: Height of a line.
-        gap: Distance between a dot and its text.
-        reach: Distance from the goal to the left and right border of the picture, which may be
-            wide.
-        most_told: Number of ends that can all have text. Of more ends, only the furthest has text,
-            and the last run (highest gain) if runs have names.
+    Of too many ends only the furthest has text, and the last run (highest gain) if runs have names.
     """
 
-    letter: float
-    line: float
-    gap: float
-    reach: float = 1.0
-    most_told: int = _MOST_TOLD
+    letter: float  # width of a letter
+    line: float  # height of a line
+    gap: float  # distance between a dot and its text
+    reach: float = 1.0  # from the goal to the left and right border, which may be far away
+    most_told: int = _MOST_TOLD  # number of ends that can all have text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,9 +120,12 @@ def find_close_up(runs: Sequence[Run]) -> CloseUp | None:
     if len(goals) != 1:
         return None
     (goal,) = goals
-    found = [
-        _find_end(number, run, goal) for number, run in enumerate(runs) if run.goal_xy_m is not None
-    ]
+    found = []
+    for number, run in enumerate(runs):
+        if run.goal_xy_m is not None:
+            x_m, y_m = run.poses.xy_m[-1].tolist()
+            miss_m = float(np.hypot(goal[0] - x_m, goal[1] - y_m))
+            found.append(End(run=number, xy_m=(x_m, y_m), miss_m=miss_m))
     arrived_m = [end.miss_m for end in found if end.miss_m < ARRIVED_M]
     if not arrived_m:
         return None
@@ -146,9 +142,15 @@ def find_close_up(runs: Sequence[Run]) -> CloseUp | None:
 
 
 def choose_rings(furthest_m: float) -> tuple[float, tuple[float, ...]]:
-    """Return the round half-width that includes a given distance, and its rings [m]."""
-    half_m, step_m = _round_up(max(_ROOM * furthest_m, _LEAST_HALF_M))
-    return half_m, tuple(float(ring) for ring in np.arange(1, half_m / step_m - 1e-9) * step_m)
+    """Return the next round half-width beyond a given distance, and its rings [m]."""
+    least_m = max(_ROOM * furthest_m, _LEAST_HALF_M)
+    decade = 10.0 ** np.floor(np.log10(least_m / _HALVES[-1][0]))
+    scaled = [
+        (half * unit, step * unit) for unit in (decade, 10.0 * decade) for half, step in _HALVES
+    ]
+    half_m, step_m = next(found for found in scaled if found[0] >= least_m * (1.0 - 1e-12))
+    rings_m = np.arange(1, half_m / step_m - 1e-9) * step_m
+    return float(half_m), tuple(rings_m.tolist())
 
 
 def name_ends(close_up: CloseUp, names: Sequence[str]) -> CloseUp:
@@ -205,36 +207,24 @@ def list_ring_labels(
         way = np.subtract(labels[0].xy_m, close_up.goal_xy_m)
         return hidden + 0.5 * bool(way @ away < 0.0)
 
-    labels = min((_name_rings(close_up, angle) for angle in _ANGLES_RAD), key=count_hidden)
+    (x_m, y_m), rings_m = close_up.goal_xy_m, close_up.rings_m
+    named = (
+        tuple(Label(text=format_length(m), xy_m=(x_m + m * cos, y_m + m * sin)) for m in rings_m)
+        for cos, sin in zip(np.cos(_ANGLES_RAD).tolist(), np.sin(_ANGLES_RAD).tolist(), strict=True)
+    )
+    labels = min(named, key=count_hidden)
     crowded = any(_overlap(one, other, close_up, lettering) for one, other in pairwise(labels))
     return labels[-1:] if crowded else labels
-
-
-def _find_end(number: int, run: Run, goal_xy_m: Point) -> End:
-    x_m, y_m = (float(value) for value in run.poses.xy_m[-1])
-    miss_m = float(np.hypot(goal_xy_m[0] - x_m, goal_xy_m[1] - y_m))
-    return End(run=number, xy_m=(x_m, y_m), miss_m=miss_m)
-
-
-def _round_up(length_m: float) -> tuple[float, float]:
-    """Return the next larger round half-width and the distance between its rings."""
-    decade = 10.0 ** np.floor(np.log10(length_m / _HALVES[-1][0]))
-    scales = [
-        (half * scale, step * scale) for scale in (decade, 10.0 * decade) for half, step in _HALVES
-    ]
-    half_m, step_m = next(found for found in scales if found[0] >= length_m * (1.0 - 1e-12))
-    return float(half_m), float(step_m)
 
 
 def _gather(close_up: CloseUp, lettering: Lettering) -> list[list[End]]:
     """Return groups of ends whose dots are too close for separate text."""
     groups: list[list[End]] = []
     for end in close_up.ends:
-        for group in groups:
-            x_m, y_m = np.subtract(group[0].xy_m, end.xy_m)
-            if np.hypot(x_m, y_m) < lettering.gap * close_up.half_m:
-                group.append(end)
-                break
+        ways_m = [np.hypot(*np.subtract(group[0].xy_m, end.xy_m)) for group in groups]
+        near = [way_m < lettering.gap * close_up.half_m for way_m in ways_m]
+        if any(near):
+            groups[near.index(True)].append(end)
         else:
             groups.append([end])
     return groups
@@ -286,25 +276,98 @@ def _join(lengths_m: Sequence[float], word: str) -> str:
     return f"{word.join(text.rpartition(' ')[0] for text in texts)} {units.pop()}"
 
 
-def _name_rings(close_up: CloseUp, angle_rad: float) -> tuple[Label, ...]:
-    (x_m, y_m), cos, sin = close_up.goal_xy_m, float(np.cos(angle_rad)), float(np.sin(angle_rad))
-    return tuple(
-        Label(text=format_length(ring_m), xy_m=(x_m + ring_m * cos, y_m + ring_m * sin))
-        for ring_m in close_up.rings_m
-    )
-
-
 def _overlap(one: Label, other: Label, close_up: CloseUp, lettering: Lettering) -> bool:
     across_m, up_m = abs(one.xy_m[0] - other.xy_m[0]), abs(one.xy_m[1] - other.xy_m[1])
     (letters, lines), (others, more) = _measure(one.text), _measure(other.text)
-    width_m, height_m = (
-        (letters + others) / 2 * lettering.letter,
-        (lines + more) / 2 * lettering.line,
-    )
-    return across_m < width_m * close_up.half_m and up_m < height_m * close_up.half_m
+    width_m = (letters + others) / 2 * lettering.letter * close_up.half_m
+    return across_m < width_m and up_m < (lines + more) / 2 * lettering.line * close_up.half_m
 
 
 def _measure(text: str) -> tuple[int, int]:
     """Return the number of letters in the longest line, and the number of lines."""
     lines = text.split("\n")
     return max(map(len, lines)), len(lines)
+
+
+ON_PATH_M: Final = 1e-3
+"""Largest deviation from a path that is not shown [m]. Corners of a path are drawn sharp, and in
+print a millimetre of a path of metres is thinner than the path's line."""
+
+_SHARE: Final = 0.1
+"""Share of the largest deviation from which poses around it are in view: the whole excursion."""
+
+_ROOM_AROUND: Final = 1.15
+"""Half-width of the view, as a multiple of half of the excursion's size."""
+
+_MOST_HALVES: Final = 10.0
+"""Largest half-width of the view, as a multiple of the largest deviation, which must stay visible
+next to a long segment."""
+
+_LEAST_HALVES: Final = 1.5
+"""Smallest half-width of the view, as such a multiple, so that both robot and path are in view."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorstPlace:
+    """Position of the largest deviation from the tracked path, and the region to show."""
+
+    run: int  # number of the run with the largest deviation
+    xy_m: Point  # position of the robot's pose [m]
+    path_xy_m: Point  # nearest point of the path [m]
+    offset_m: float  # distance between the pose and this point [m]
+    center_xy_m: Point  # centre of the region: the whole excursion, or its worst part [m]
+    half_m: float  # half of the region's width and height [m]
+
+
+def find_worst_place(runs: Sequence[Run]) -> WorstPlace | None:
+    """Return the position of the runs' largest deviation from their common path.
+
+    The result is None if the runs track no path or several paths, or if no deviation exceeds
+    `ON_PATH_M`.
+    """
+    paths = list_paths(runs)
+    if len(paths) != 1:
+        return None
+    signals = {
+        number: find_signal(run, "cross_track") for number, run in enumerate(runs) if run.path
+    }
+    offsets = {n: np.abs(one.values) for n, one in signals.items() if one is not None}
+    number = max(offsets, key=lambda one: float(offsets[one].max(initial=0.0)), default=0)
+    offsets_m = offsets.get(number, np.zeros(0))
+    if not len(offsets_m) or not offsets_m.max() > ON_PATH_M:
+        return None
+    row, run = int(offsets_m.argmax()), runs[number]
+    along = find_signal(run, "along_track")
+    point = paths[0].locate(0.0 if along is None else float(along.values[row]))
+    path_xy_m, xy_m = (
+        (point.x_m, point.y_m),
+        (float(run.poses.xy_m[row, 0]), float(run.poses.xy_m[row, 1])),
+    )
+    offset_m = float(offsets_m[row])
+    # The excursion: the rows around the worst one in which the offset exceeds a share of its value.
+    near = np.flatnonzero(offsets_m <= _SHARE * offset_m)
+    place = int(np.searchsorted(near, row))
+    first, after = [-1, *near.tolist(), len(offsets_m)][place : place + 2]
+    shown = np.vstack([run.poses.xy_m[first + 1 : after], path_xy_m])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    center, half_m = (low + high) / 2.0, _ROOM_AROUND * float((high - low).max()) / 2.0
+    if half_m > _MOST_HALVES * offset_m:
+        center, half_m = np.add(xy_m, path_xy_m) / 2.0, _MOST_HALVES * offset_m
+    return WorstPlace(
+        run=number,
+        xy_m=xy_m,
+        path_xy_m=path_xy_m,
+        offset_m=offset_m,
+        center_xy_m=(float(center[0]), float(center[1])),
+        half_m=max(half_m, _LEAST_HALVES * offset_m),
+    )
+
+
+def label_worst_place(worst: WorstPlace, lettering: Lettering) -> Label:
+    """Return the label of the largest deviation, beyond the robot as seen from the path."""
+    text = format_length(worst.offset_m)
+    away = np.subtract(worst.xy_m, worst.path_xy_m) / worst.offset_m
+    sides = np.abs(away) * (lettering.letter * len(text) / 2.0, lettering.line / 2.0)
+    aside_m = (lettering.gap + float(sides.sum())) * worst.half_m
+    x_m, y_m = (worst.xy_m + aside_m * away).tolist()
+    return Label(text=text, xy_m=(x_m, y_m), runs=(worst.run,))

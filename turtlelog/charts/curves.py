@@ -1,14 +1,14 @@
-"""Curves of a run for screen and print, with their levels and moving references.
+"""Curves of a run for screen and print, with their levels, moving references and ideal responses.
 
 Headings are in degrees. Long curves are thinned to rows that give the same picture.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import ShowError
 from turtlelog.measure import find_first_stretch, find_signal, list_signals, read_reference
@@ -17,6 +17,7 @@ from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
 from turtlelog.run.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, ControlLoop, read_number
+from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
@@ -92,11 +93,12 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
     error.
     """
     if signal_name.startswith("world_velocity_"):
-        velocity = read_world_velocity(run)
-        if velocity is None:
+        time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
+        known = np.zeros(0, bool) if velocity is None else np.isfinite(velocity).all(axis=1)
+        if velocity is None or not known.any():
             return None
-        values = velocity[1][:, "xy".index(signal_name[-1])]
-        return Curve(start_ns=run.start_ns, time_ns=velocity[0], values=values, holds=True)
+        values = velocity[known, "xy".index(signal_name[-1])]
+        return Curve(start_ns=run.start_ns, time_ns=time_ns[known], values=values, holds=True)
     is_known = signal_name in list_signals(run.declaration)
     signal = find_signal(run, signal_name) if is_known else None
     if signal is None or not len(signal.values):
@@ -174,16 +176,22 @@ def list_levels(run: Run, signal: str) -> list[Level]:
 
     The levels are the references of its declared loops, and the goal for `x`, `y` and the
     along-track coordinate. If the loops of a run are unknown, the level is the goal's bearing from
-    the start.
+    the start. A goal's heading is shifted by the full turns that the robot made under its loop.
     """
     if signal in ("x", "y"):
         goal = run.goal_xy_m
         return [] if goal is None else [Level(label="goal", value=goal["xy".index(signal)])]
-    levels = [
-        Level(label=REFERENCE_WORDS[loop.reference], value=_count_turns(run, loop, value))
-        for loop in list_loops(run, signal)
-        if not loop.moves and isinstance(value := read_reference(run, loop), float)
-    ]
+    levels = []
+    for loop in list_loops(run, signal):
+        value = None if loop.moves else read_reference(run, loop)
+        if not isinstance(value, float):
+            continue
+        stretch, heading = find_first_stretch(run, loop), find_signal(run, "heading")
+        if loop.reference == "goal_heading" and heading is not None and stretch:
+            row = int(np.searchsorted(heading.time_ns, stretch[-1].end_ns))
+            last = float(heading.values[min(row, len(heading.values) - 1)])
+            value += round((last - value) / (2.0 * np.pi)) * 2.0 * np.pi
+        levels.append(Level(label=REFERENCE_WORDS[loop.reference], value=value))
     line = run.goal_line
     if line is not None and signal == "along_track" and line.length_m is not None:
         levels.append(Level(label="goal", value=line.length_m))
@@ -192,16 +200,6 @@ def list_levels(run: Run, signal: str) -> list[Level]:
     if signal == "heading":
         levels = [replace(level, value=float(np.degrees(level.value))) for level in levels]
     return list(dict.fromkeys(levels))
-
-
-def _count_turns(run: Run, loop: ControlLoop, reference: float) -> float:
-    """Return a goal's heading shifted by the full turns that the robot made under its loop."""
-    stretch, signal = find_first_stretch(run, loop), find_signal(run, "heading")
-    if loop.reference != "goal_heading" or signal is None or not stretch:
-        return reference
-    row = int(np.searchsorted(signal.time_ns, stretch[-1].end_ns))
-    last = float(signal.values[min(row, len(signal.values) - 1)])
-    return reference + round((last - reference) / (2.0 * np.pi)) * 2.0 * np.pi
 
 
 def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
@@ -213,8 +211,7 @@ def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
 def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
     """Return the values of a parameter in all runs, rising, without infinite values."""
     found = {run.parameters.get(key) for run in runs}
-    numbers = [value for value in found if isinstance(value, int | float)]
-    return sorted(float(value) for value in numbers if is_limit(value))
+    return sorted(float(one) for one in found if isinstance(one, int | float) and is_limit(one))
 
 
 def is_limit(value: float) -> bool:
@@ -265,23 +262,8 @@ def find_end_of_turn(run: Run) -> int | None:
     return None
 
 
-def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
-    """Return gain times error along x and y [m/s], with the times of the samples that have it [ns].
-
-    The result is None if no sample has these values.
-    """
-    time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
-    known = None if velocity is None else np.isfinite(velocity).all(axis=1)
-    if velocity is None or known is None or not known.any():
-        return None
-    return (time_ns, velocity) if known.all() else (time_ns[known], velocity[known])
-
-
 def choose_rows(
-    values: Values,
-    most: int = MOST_POINTS,
-    *,
-    always: NDArray[np.int64] | None = None,
+    values: Values, most: int = MOST_POINTS, *, always: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64] | None:
     """Return the rows of a curve to draw, about `most`; None if all rows are few enough.
 
@@ -312,7 +294,6 @@ def choose_rows(
 
 
 def _read_recorded(run: Run, signal: str) -> Curve | None:
-    """Return the reference poses of the samples, as values of a signal."""
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
     if xy_m is None or heading_rad is None:
@@ -333,7 +314,6 @@ def _read_recorded(run: Run, signal: str) -> Curve | None:
 
 
 def _read_arcs(run: Run) -> Curve | None:
-    """Return the arc length of the path's moving reference at every pose."""
     loops = [loop for loop in list_loops(run, "along_track") if loop.reference == "path"]
     values = read_reference(run, loops[0]) if loops else None
     if not isinstance(values, np.ndarray):
@@ -370,11 +350,120 @@ def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Value
 def _find_in_stretches(
     values: NDArray[Any], length: int, find: Callable[..., Any]
 ) -> NDArray[np.int64]:
-    """Return the row in each segment of a length that argmin or argmax finds, the first of equals.
-
-    For truth values that are all false, this is the first row.
-    """
+    """Return the row in each segment of a length that argmin or argmax finds, first of equals."""
     whole = len(values) // length * length
     rows = find(values[:whole].reshape(-1, length), axis=1)
     last = [find(values[whole:])] if whole < len(values) else []
     return np.arange(0, len(values), length) + np.append(rows, last).astype(np.int64)
+
+
+def read_along_error(run: Run) -> Curve | None:
+    """Return the robot's distance behind its moving reference along the track, at every pose [m].
+
+    The result is None if no loop follows a reference along the track, or the path has no speed.
+    """
+    loops = [loop for loop in list_loops(run, "along_track") if loop.moves]
+    along = find_signal(run, "along_track")
+    reference = read_reference(run, loops[0]) if loops else None
+    if along is None or not isinstance(reference, np.ndarray):
+        return None
+    values = reference - along.values
+    return Curve(start_ns=run.start_ns, time_ns=along.time_ns, values=values)
+
+
+_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = {
+    **dict.fromkeys(("heading", "heading_error"), ("heading",)),
+    **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), ("along_track",)),
+    **dict.fromkeys(("world_velocity_x", "world_velocity_y"), ("along_track",)),
+    "distance": ("along_track", "distance"),
+}
+"""Signals of the loops that determine the ideal response of a curve; along the line, all are
+equal."""
+
+_ERRORS: Final = frozenset(
+    {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopStep:
+    """The step of a loop that theory can model.
+
+    A heading's reference is shifted by full turns so that it is nearest to the value at the end.
+    """
+
+    loop: ControlLoop  # loop of the step
+    kp: float  # proportional gain [1/s]
+    start_ns: int  # start of the loop's first segment, in the run's time [ns]
+    end_ns: int  # end of this segment with its pause [ns]
+    initial: float  # value of the signal at the start of the segment [deg or m]
+    reference: float  # reference of the signal [deg or m]
+
+    def respond(
+        self, time_s: ArrayLike, *, initial: float | None = None, target: float | None = None
+    ) -> Values:
+        """Return the ideal response at times from the start of the segment [s], shape (n,).
+
+        `initial` and `target` belong to another signal that the loop drives, and have its unit.
+        """
+        return compute_step_response(
+            self.kp,
+            time_s,
+            initial=self.initial if initial is None else initial,
+            reference=self.reference if target is None else target,
+        )
+
+
+def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
+    """Yield the step of each loop of a signal that theory can model, in declared order.
+
+    The reference is constant, the signal integrates the command, and the gain is known.
+    """
+    signal = find_signal(run, signal_name)
+    for loop in list_loops(run, signal_name):
+        if loop.moves or not loop.has_theory:
+            continue
+        kp, stretch = loop.read_gain(run.parameters), find_first_stretch(run, loop)
+        reference = read_reference(run, loop)
+        if signal is None or kp is None or not stretch or not isinstance(reference, float):
+            continue
+        start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
+        rows = np.searchsorted(signal.time_ns, [start_ns, end_ns])
+        initial, last = signal.values[np.minimum(rows, len(signal.values) - 1)].tolist()
+        if signal.kind.unit == "rad":
+            reference += round((last - reference) / (2.0 * np.pi)) * 2.0 * np.pi
+            initial, reference = float(np.degrees(initial)), float(np.degrees(reference))
+        yield LoopStep(
+            loop=loop, kp=kp, start_ns=start_ns, end_ns=end_ns, initial=initial, reference=reference
+        )
+
+
+def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
+    """Return the ideal responses of a signal for loops with the same gains.
+
+    Each response starts with the value and time of its loop. There is none if no loop of theory
+    drives the signal, the reference moves, or the gain or the goal is unknown.
+    """
+    measured = read_curve(run, signal_name)
+    final = 0.0 if signal_name in _ERRORS else None
+    if signal_name in ("x", "y") and run.goal_xy_m is not None:
+        final = run.goal_xy_m["xy".index(signal_name)]
+    if measured is None or (signal_name in ("x", "y") and final is None):
+        return []
+    found = []
+    for step in (step for one in _DRIVEN_BY.get(signal_name, ()) for step in find_steps(run, one)):
+        # An along-track loop brings others to their final values only if its aim is the goal.
+        is_elsewhere = step.loop.signal == "along_track" != signal_name
+        start_s = (step.start_ns - run.start_ns) / 1e9
+        after = measured.time_s >= start_s
+        if (is_elsewhere and step.loop.reference != "goal_distance") or not after.any():
+            continue
+        initial = float(measured.values[after][0])
+        values = step.respond(measured.time_s[after] - start_s, initial=initial, target=final)
+        found.append(Curve(start_ns=run.start_ns, time_ns=measured.time_ns[after], values=values))
+    return found
+
+
+def lack_samples(runs: Sequence[Run]) -> bool:
+    """Return whether no run has samples of a controller: only poses, and at most commands."""
+    return not any(len(run.samples) for run in runs)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import choose_unit, label_metric
-from turtlelog.charts.close_up import choose_rings, format_length
+from turtlelog.charts.close_up import choose_rings
 from turtlelog.charts.curves import Values
 from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Luck, LuckCurve
@@ -64,7 +63,6 @@ class LuckPlane:
     title: str  # title of the picture
     half_m: float  # half of the picture's width and height [m]
     rings_m: tuple[float, ...]  # radii of the rings, round lengths, rising [m]
-    names: tuple[str, ...]  # labels of the rings
     ends_m: Values  # ends with all effects, relative to the goal [m], shape (n, 2)
     ghosts_m: Values  # ends without all acting causes, shape (n, 2); empty without such ends
     recorded_m: Values  # end of the run itself [m], shape (2,)
@@ -96,13 +94,19 @@ class LuckPicture:
 
 def build_luck_picture(luck: Luck) -> LuckPicture:
     """Return the content of the picture of chance in a run."""
-    factor, unit = _choose_unit([curve.values for curve in luck.curves], luck.unit)
+    sizes = [float(np.nanmax(np.abs(curve.values), initial=0.0)) for curve in luck.curves]
+    factor, unit = choose_unit(max(sizes), luck.unit)
     order, places, label, at = _place_starts(luck)
     columns = [curve.values[order] * factor for curve in luck.curves]
     recorded = math.nan if luck.recorded is None else luck.recorded * factor
     is_error = luck.metric.endswith("error")
     limits = _find_limits([*columns, np.array([recorded])], is_error=is_error)
     colors = palette.choose_cause_colors(luck.causes)
+    values = luck.curves[0].values
+    told = "no value"
+    if luck.recorded is not None:
+        ends = float(np.nanmin(values)), float(np.nanmax(values))
+        told = _write_range(*ends, luck.unit, told=luck.recorded)
     lines = tuple(
         _build_line(luck, curve, values, colors, limits)
         for curve, values in zip(luck.curves, columns, strict=True)
@@ -116,16 +120,13 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
         limits=limits,
         lines=lines,
         recorded=None if luck.recorded is None else (at, recorded),
-        recorded_name=_name_recorded(luck),
+        recorded_name=f"this run: {told}",
         plane=_build_plane(luck),
     )
 
 
 def _place_starts(luck: Luck) -> tuple[NDArray[np.intp], Values, str, float]:
-    """Return the order of starts or seeds, their places, the axis' label, and the run's place.
-
-    Starts keep their order; seeds are sorted by the value with all effects.
-    """
+    """Return the order of starts or seeds, their places, the axis' label, and the run's place."""
     values = luck.curves[0].values
     if luck.varied == "seed":
         below = 0 if luck.recorded is None else int((values <= luck.recorded).sum())
@@ -144,16 +145,20 @@ def spread_labels(
 
     `height` is that of a label; the positions are within the limits as far as there is room.
     """
+
+    def find_edge(group: Sequence[float], side: float) -> float:
+        return sum(group) / len(group) + side * len(group) * height / 2.0
+
     order = sorted(range(len(values)), key=lambda row: values[row])
     # Overlapping labels are placed around the mean of their values.
     groups: list[list[float]] = []
     for row in order:
         groups.append([values[row]])
-        while len(groups) > 1 and _bottom(groups[-1], height) < _top(groups[-2], height):
+        while len(groups) > 1 and find_edge(groups[-1], -1.0) < find_edge(groups[-2], 1.0):
             upper = groups.pop()
             groups[-1] += upper
     middles = [
-        _bottom(group, height) + (number + 0.5) * height
+        find_edge(group, -1.0) + (number + 0.5) * height
         for group in groups
         for number in range(len(group))
     ]
@@ -164,26 +169,9 @@ def spread_labels(
     return [found[row] for row in range(len(values))]
 
 
-def _bottom(group: Sequence[float], height: float) -> float:
-    return sum(group) / len(group) - len(group) * height / 2.0
-
-
-def _top(group: Sequence[float], height: float) -> float:
-    return sum(group) / len(group) + len(group) * height / 2.0
-
-
-def _choose_unit(columns: Sequence[Values], unit: str) -> tuple[float, str]:
-    """Return the factor and unit for showing values: mm below 1 m."""
-    largest = max(float(np.nanmax(np.abs(values), initial=0.0)) for values in columns)
-    return choose_unit(largest, unit)
-
-
 def _write_range(low: float, high: float, unit: str, *, told: float | None = None) -> str:
-    """Return two values with enough digits to distinguish them; if they are equal, one value.
-
-    The value `told` is written instead, with the same number of digits.
-    """
-    factor, name = _choose_unit([np.array([low, high])], unit)
+    """Return two values, or `told` instead, with enough digits to distinguish the two."""
+    factor, name = choose_unit(max(abs(low), abs(high)), unit)
     for digits in range(_DIGITS, _MOST_DIGITS + 1):
         least, most = _round(low * factor, digits), _round(high * factor, digits)
         if least != most:
@@ -194,28 +182,19 @@ def _write_range(low: float, high: float, unit: str, *, told: float | None = Non
 
 def _write_bound(most: float, unit: str) -> str:
     """Return a value with two digits, rounded up."""
-    factor, name = _choose_unit([np.array([most])], unit)
+    factor, name = choose_unit(abs(most), unit)
     step = 10.0 ** -_count_decimals(most * factor, _DIGITS)
     return f"{_round(math.ceil(most * factor / step - 1e-9) * step, _DIGITS)} {name}".strip()
 
 
 def _round(value: float, digits: int) -> str:
     """Return a value as text with the given number of digits; whole numbers have all digits."""
-    return (
-        f"{value:.0f}" if value == round(value) else f"{value:.{_count_decimals(value, digits)}f}"
-    )
+    decimals = 0 if value == round(value) else _count_decimals(value, digits)
+    return f"{value:.{decimals}f}"
 
 
 def _count_decimals(value: float, digits: int) -> int:
     return max(digits - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
-
-
-def _name_recorded(luck: Luck) -> str:
-    if luck.recorded is None:
-        return "this run: no value"
-    values = luck.curves[0].values
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return f"this run: {_write_range(low, high, luck.unit, told=luck.recorded)}"
 
 
 def _find_limits(columns: Sequence[Values], *, is_error: bool) -> tuple[float, float]:
@@ -236,11 +215,11 @@ def _build_line(
     limits: tuple[float, float],
 ) -> LuckLine:
     kind = "run" if not curve.without else "ghost" if curve is luck.curves[-1] else "cause"
-    is_constant = bool(np.ptp(values) == 0.0)
-    is_joined = luck.varied == "start" or is_constant
+    is_known = bool(np.isfinite(values).any())
+    is_joined = luck.varied == "start" or bool(np.ptp(values) == 0.0)
     own = {"run": palette.MAIN, "ghost": palette.GHOST}
     return LuckLine(
-        name=_name_briefly(curve) + ("" if np.isfinite(values).any() else ": no value"),
+        name=_name_curve(curve, is_brief=True) + ("" if is_known else ": no value"),
         color=own.get(kind) or colors[curve.without[0]],
         kind=kind,
         values=values,
@@ -249,34 +228,27 @@ def _build_line(
     )
 
 
-def _name_curve(curve: LuckCurve) -> str:
+def _name_curve(curve: LuckCurve, *, is_brief: bool = False) -> str:
+    if is_brief and len(curve.without) > 1:
+        return "without both" if len(curve.without) == 2 else f"without all {len(curve.without)}"
     return f"without {join_words(curve.without)}" if curve.without else WITH_ALL
 
 
-def _name_briefly(curve: LuckCurve) -> str:
-    if len(curve.without) < 2:
-        return _name_curve(curve)
-    return "without both" if len(curve.without) == 2 else f"without all {len(curve.without)}"
-
-
 def _find_pieces(values: Values, height: float, *, is_joined: bool) -> tuple[tuple[int, int], ...]:
-    """Return the segments of a curve in which neighbours are continuous."""
     rows = np.flatnonzero(np.isfinite(values)).tolist()
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     least = max(_JUMP * height, _SMOOTH * float(np.quantile(steps, 0.25)) if len(steps) else 0.0)
-    cuts = [
-        number
-        for number, (row, following) in enumerate(pairwise(rows), start=1)
-        if not is_joined or following > row + 1 or abs(values[following] - values[row]) > least
-    ]
-    bounds = [0, *cuts, len(rows)]
-    return tuple(
-        (rows[first], rows[after - 1]) for first, after in pairwise(bounds) if after > first
-    )
+    pieces: list[tuple[int, int]] = []
+    for row in rows:
+        last = pieces[-1][1] if pieces else row
+        if is_joined and pieces and row == last + 1 and abs(values[row] - values[last]) <= least:
+            pieces[-1] = (pieces[-1][0], row)
+        else:
+            pieces.append((row, row))
+    return tuple(pieces)
 
 
 def _write_sentences(luck: Luck) -> tuple[str, ...]:
-    """Return sentences on the values, and on whether they depend on chance."""
     whole, rest = luck.curves[0], luck.curves[-1]
     first = f"{luck.metric}: {_write_values(luck, whole)} {WITH_ALL}"
     if len(luck.curves) == 1:
@@ -305,13 +277,9 @@ def _write_dependence(luck: Luck) -> str:
         return f"It is the same {way} all {len(values)} {luck.varied}s."
     if luck.varied == "seed":
         return "Each seed gives another value."
-    if luck.dependence == "wide":
-        return "It depends on single samples."
-    if luck.dependence == "steady":
-        return "It depends little on the start."
-    if len(luck.curves) == 1:
-        return "It depends on the start."
-    return "It depends on the start; what the effects add depends little on it."
+    added = "" if len(luck.curves) == 1 else "; what the effects add depends little on it"
+    told = {"wide": "on single samples", "steady": "little on the start"}
+    return f"It depends {told.get(luck.dependence, f'on the start{added}')}."
 
 
 def _build_plane(luck: Luck) -> LuckPlane | None:
@@ -330,22 +298,17 @@ def _build_plane(luck: Luck) -> LuckPlane | None:
     furthest_m = float(np.hypot(*shown_m.T).max())
     half_m, rings_m = choose_rings(furthest_m)
     half_m = min(half_m, _AROUND * max(furthest_m, *rings_m))
-    count = len(whole.values)
+    count, note = len(whole.values), ""
+    if len(ghosts_m):
+        which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
+        within = _write_bound(float(np.hypot(*ghosts_m.T).max()), "m")
+        note = f"{_name_curve(rest)}:\n{which} within {within}"
     return LuckPlane(
         title=f"where {count} {luck.varied}s end",
         half_m=half_m,
         rings_m=rings_m,
-        names=tuple(format_length(ring_m) for ring_m in rings_m),
         ends_m=ends_m,
         ghosts_m=ghosts_m,
         recorded_m=recorded_m,
-        note=_write_note(rest, ghosts_m),
+        note=note,
     )
-
-
-def _write_note(rest: LuckCurve, ghosts_m: Values) -> str:
-    if not len(ghosts_m):
-        return ""
-    count, furthest_m = len(rest.values), float(np.hypot(*ghosts_m.T).max())
-    which = f"all {count}" if len(ghosts_m) == count else f"{len(ghosts_m)} of {count}"
-    return f"{_name_curve(rest)}:\n{which} within {_write_bound(furthest_m, 'm')}"

@@ -1,4 +1,4 @@
-"""Readable pictures of many runs: equal runs once, unsettled runs dimmed, short names."""
+"""Readable pictures of many runs: their colours, short names, unsettled runs, ends of each gain."""
 
 import re
 from collections import Counter
@@ -93,8 +93,15 @@ def find_restless(runs: Sequence[Run]) -> frozenset[int]:
 
     A picture without most of its runs would be untrue.
     """
-    found = frozenset(number for number, run in enumerate(runs) if _is_restless(run))
-    return found if 2 * len(found) <= len(runs) else frozenset()
+    found = set()
+    for number, run in enumerate(runs):
+        table = run.samples if len(run.samples) else run.commands
+        late = table.time_ns >= (run.start_ns + run.end_ns) // 2
+        for values in (table.speed_m_s[late], table.turn_rate_rad_s[late]):
+            signs = np.sign(values[values != 0.0])
+            if np.count_nonzero(np.diff(signs)) > _MOST_SWINGS and run.stop_reason not in AT_REST:
+                found.add(number)
+    return frozenset(found if 2 * len(found) <= len(runs) else ())
 
 
 def describe_restless(runs: Sequence[Run], restless: frozenset[int]) -> str:
@@ -122,20 +129,6 @@ def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScal
 def _join_names(names: Sequence[str]) -> str:
     more = len(names) - _MOST_NAMED
     return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _is_restless(run: Run) -> bool:
-    table = run.samples if len(run.samples) else run.commands
-    if run.stop_reason in AT_REST or not len(table):
-        return False
-    late = table.time_ns >= (run.start_ns + run.end_ns) // 2
-    swings = (_count_swings(values[late]) for values in (table.speed_m_s, table.turn_rate_rad_s))
-    return max(swings) > _MOST_SWINGS
-
-
-def _count_swings(values: Values) -> int:
-    signs = np.sign(values[values != 0.0])
-    return int(np.count_nonzero(np.diff(signs)))
 
 
 def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
@@ -256,8 +249,90 @@ def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(cut) if all(cut) and len({*cut}) == len(cut) else tuple(names)
 
 
+MANY_PATHS: Final = 24
+"""Largest number of coloured paths in a plane. More paths cover each other, and only the last drawn
+would be visible."""
+
+OUTLINE_LABEL: Final = "90 % of the ends of a gain"
+
+MEDIAN_LABEL: Final = "median end"
+
+_LEAST_RUNS: Final = 10
+"""Smallest number of ends of a gain for an outline; of fewer ends, nine tenths are all."""
+
+_INSIDE: Final = 0.9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GainEnds:
+    """Ends of the runs of one gain."""
+
+    gain: float  # gain Kp of the runs
+    runs: tuple[int, ...]  # numbers of the runs, rising
+    median_xy_m: Values  # median of x and of y [m], shape (2,)
+    outline_xy_m: Values  # corners around 90 % of the ends [m], counter-clockwise, shape (n, 2)
+
+    @property
+    def middle_run(self) -> int:
+        """Number of the run whose colour represents the gain."""
+        return self.runs[len(self.runs) // 2]
+
+    @property
+    def around_xy_m(self) -> Values:
+        """The outline as a closed line [m], shape (n + 1, 2)."""
+        return np.append(self.outline_xy_m, self.outline_xy_m[:1], axis=0)
+
+
+def has_grey_paths(runs: Sequence[Run]) -> bool:
+    """Return whether a plane shows grey paths, and coloured ends with medians and outlines."""
+    return len(runs) > MANY_PATHS
+
+
+def find_gain_ends(runs: Sequence[Run]) -> list[GainEnds]:
+    """Return the ends of runs for each gain with enough runs, by rising gain."""
+    found = []
+    for gain, numbers in sorted(group_by_gain(runs).items()):
+        if len(numbers) < _LEAST_RUNS:
+            continue
+        ends_m = np.array([runs[number].poses.xy_m[-1] for number in numbers])
+        median_m = np.median(ends_m, axis=0)
+        # From the centre outward, relative to the spread of the ends.
+        away_m = ends_m - median_m
+        squares = np.einsum("ni,ij,nj->n", away_m, np.linalg.pinv(np.cov(ends_m.T)), away_m)
+        order = np.argsort(squares, kind="stable")
+        inside = order[: int(np.ceil(_INSIDE * len(numbers)))]
+        found.append(
+            GainEnds(
+                gain=gain,
+                runs=tuple(numbers),
+                median_xy_m=median_m,
+                outline_xy_m=outline_points(ends_m[inside]),
+            )
+        )
+    return found
+
+
+def outline_points(points: Values) -> Values:
+    """Return the corners of the convex hull of points, counter-clockwise, shape (n, 2)."""
+    points = np.unique(points, axis=0)
+    if len(points) < 3:
+        return points
+    return np.array([*_walk(points)[:-1], *_walk(points[::-1])[:-1]])
+
+
+def _walk(points: Values) -> list[Values]:
+    """Return the right-hand border of sorted points (Andrew's monotone chain)."""
+    border: list[Values] = []
+    for point in points:
+        while len(border) > 1:
+            (ax, ay), (bx, by) = border[-1] - border[-2], point - border[-1]
+            if ax * by - ay * bx > 0.0:
+                break
+            border.pop()
+        border.append(point)
+    return border
+
+
 def _count_alike(parts: Sequence[Sequence[str]]) -> int:
     """Return how many first parts are common to all names."""
-    columns = zip(*parts, strict=False)
-    alike = [len({*column}) == 1 for column in columns]
-    return alike.index(False) if False in alike else len(alike)
+    return [*(len({*column}) == 1 for column in zip(*parts, strict=False)), False].index(False)

@@ -187,11 +187,7 @@ def choose_cause_colors(names: Sequence[str]) -> dict[str, Color]:
     return {name: _OF_CAUSES[number % len(_OF_CAUSES)] for number, name in enumerate(names)}
 
 
-_OF_EVERY_LAW: Final[Mapping[str, Color]] = {
-    PAUSE: (140, 70, 20),
-    DONE: (90, 90, 90),
-}
-
+_OF_EVERY_LAW: Final[Mapping[str, Color]] = {PAUSE: (140, 70, 20), DONE: (90, 90, 90)}
 
 _BY_ORDER: Final = (
     (46, 96, 148),
@@ -212,10 +208,8 @@ def choose_phase_colors(names: Sequence[str]) -> tuple[Color, ...]:
     The colours are dark enough for the viewer's white letters, and are used nowhere else.
     """
     own = [name for name in names if name not in _OF_EVERY_LAW]
-    by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(
-        _OF_EVERY_LAW
-    )
-    return tuple(by_name[name] for name in names)
+    by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)}
+    return tuple((by_name | {**_OF_EVERY_LAW})[name] for name in names)
 
 
 def tint(color: Color) -> Color:
@@ -258,7 +252,6 @@ def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
 
 MAIN: Final[Color] = choose_run_colors(1)[0]
 """Colour of a single run."""
-
 
 Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
 Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]

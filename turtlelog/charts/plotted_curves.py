@@ -1,7 +1,8 @@
-"""Plots over time: their curves, states of a law in one plot, ranges, and timelines."""
+"""Plots over time: kinds of curves, states of a law, ranges, timelines, changes of a command."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
@@ -40,64 +41,35 @@ Column = Literal["turning", "moving"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurveEntry:
-    """A curve of a plot over time.
+    """A curve of a plot over time."""
 
-    Attributes:
-        kind: Kind of the curve, which determines colour and dash.
-        read: Function that returns the curve of a run, or several curves if the loop steps several
-            times.
-        label: Label in a legend. A curve's own label has priority.
-        name: Name that distinguishes the curves of a plot; empty for the run's own.
-        signal: Signal whose characteristics are marked on the curve; empty for other curves.
-    """
-
-    kind: CurveKind
-    read: Callable[[Run], Iterable[Curve]]
-    label: str = ""
-    name: str = ""
-    signal: str = ""
+    kind: CurveKind  # kind of the curve, which determines colour and dash
+    read: Callable[[Run], Iterable[Curve]]  # curves of a run, several if the loop steps repeatedly
+    label: str = ""  # label in a legend; a curve's own label has priority
+    name: str = ""  # name that distinguishes the curves of a plot; empty for the run's own
+    signal: str = ""  # signal whose characteristics are marked on the curve; empty for other curves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimePlot:
-    """A plot over time.
+    """A plot over time."""
 
-    Attributes:
-        title: Title of the plot.
-        unit: Unit of the values; empty if no unit is declared.
-        curves: Curves in the order of the legend.
-        list_levels: Function that returns the level lines of a run.
-        is_log: Whether there is also a logarithmic plot of the magnitudes.
-        scale: Scale of the axis.
-        figure: Print figure that contains the plot as a panel. If no figure has this name, one is
-            created.
-        needs: Data that a run must contain, by name in the table of needs.
-        loop: Signal that a loop of a run must control; empty: any.
-        is_usual: Whether a figure reports the plot as missing if no run has data for it.
-        pair: Name of the plot that shows x and y together if there is little room.
-        place: Column and row in a view of many plots. Plots at one place are tabs.
-        is_compared: Whether a view of several runs contains the plot.
-        report: Reports that contain the plot: always, if the reference moves, or never.
-        command: Command that the plot shows; None for any other signal.
-        is_filled: Whether a single oscillation would fill the plot from end to end.
-    """
-
-    title: str
-    unit: str
-    curves: tuple[CurveEntry, ...]
-    list_levels: Callable[[Run], Iterable[Level]] = lambda _: ()
-    is_log: bool = False
-    scale: Scale = "linear"
-    figure: str = ""
-    needs: str = "poses"
-    loop: str = ""
-    is_usual: bool = True
-    pair: str = ""
-    place: tuple[Column, int] | None = None
-    is_compared: bool = True
-    report: Literal["always", "moving", "never"] = "never"
-    command: Command | None = None
-    is_filled: bool = False
+    title: str  # title of the plot
+    unit: str  # unit of the values; empty if no unit is declared
+    curves: tuple[CurveEntry, ...]  # curves in the order of the legend
+    list_levels: Callable[[Run], Iterable[Level]] = lambda _: ()  # level lines of a run
+    is_log: bool = False  # whether there is also a logarithmic plot of the magnitudes
+    scale: Scale = "linear"  # scale of the axis
+    figure: str = ""  # print figure with the plot as a panel; it is created if it does not exist
+    needs: str = "poses"  # data that a run must contain, by name in the table of needs
+    loop: str = ""  # signal that a loop of a run must control; empty: any
+    is_usual: bool = True  # whether a figure reports the plot as missing if no run has data for it
+    pair: str = ""  # name of the plot that shows x and y together if there is little room
+    place: tuple[Column, int] | None = None  # column and row in a large view; one place: tabs
+    is_compared: bool = True  # whether a view of several runs contains the plot
+    report: Literal["always", "moving", "never"] = "never"  # moving: if a reference moves
+    command: Command | None = None  # command that the plot shows; None for any other signal
+    is_filled: bool = False  # whether a single oscillation would fill the plot from end to end
 
     @property
     def label(self) -> str:
@@ -127,9 +99,17 @@ def list_plotted(
     If a run has no curve of its own, no curves are returned: a reference alone is not shown. For a
     robot without recorded commands, the applied rates replace the commands.
     """
-    found = _read_entries(run, [one for one in plot.curves if kinds is None or one.kind in kinds])
+
+    def read(entries: Iterable[CurveEntry]) -> list[PlottedCurve]:
+        return [
+            PlottedCurve(entry=entry, label=curve.label or entry.label, curve=curve)
+            for entry in entries
+            for curve in entry.read(run)
+        ]
+
+    found = read(one for one in plot.curves if kinds is None or one.kind in kinds)
     if kinds is not None and not found:
-        found = _read_entries(run, [one for one in plot.curves if one.kind == "applied"])
+        found = read(one for one in plot.curves if one.kind == "applied")
     return found if any(one.kind in _MEASURED for one in found) else []
 
 
@@ -184,14 +164,6 @@ def take_magnitude(curve: Curve) -> Curve:
     return replace(curve, values=np.where(sizes < _LEAST_MAGNITUDE, np.nan, sizes))
 
 
-def _read_entries(run: Run, entries: Iterable[CurveEntry]) -> list[PlottedCurve]:
-    return [
-        PlottedCurve(entry=entry, label=curve.label or entry.label, curve=curve)
-        for entry in entries
-        for curve in entry.read(run)
-    ]
-
-
 _MOST_APART: Final = 3
 """Largest number of views side by side; with more, each would be narrower than a legend."""
 
@@ -235,18 +207,25 @@ def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
     `law.kp_angular`). If all loops of a state have the same command, the state belongs to this
     command. Each other state has its own view, while there are few views.
     """
-    of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
-    others: dict[str, None] = {}
-    for declaration in declarations:
-        for name in declaration.states:
-            commands = {loop.command for loop in declaration.loops if _belongs(name, loop)}
-            of_one = of_command[commands.pop()] if len(commands) == 1 else others
-            of_one[name] = None
+
+    def belongs(state: str, loop: ControlLoop) -> bool:
+        keys = (loop.gain, loop.integral_gain, loop.derivative_gain)
+        gains = [key.rpartition(".")[2].split("_") for key in keys if key is not None]
+        words = state.split("_")
+        ends = [gain[-1] for gain in gains if len(gain) > 1]
+        return loop.name.lower() in words or words[-1] in ends
 
     def group(title: str, names: Iterable[str], command: str | None = None) -> StateGroup:
         units = tuple(find_state_unit(name, declarations) for name in names)
         return StateGroup(title=title, names=tuple(names), units=units, command=command)
 
+    of_command: dict[str, dict[str, None]] = {command: {} for command in COMMAND_WORDS}
+    others: dict[str, None] = {}
+    for declaration in declarations:
+        for name in declaration.states:
+            commands = {loop.command for loop in declaration.loops if belongs(name, loop)}
+            of_one = of_command[commands.pop()] if len(commands) == 1 else others
+            of_one[name] = None
     found = [
         group(f"States of the {COMMAND_WORDS[command]}", names, command)
         for command, names in of_command.items()
@@ -274,15 +253,6 @@ def are_comparable(columns: Sequence[Values]) -> bool:
 
 def _add_unit(title: str, unit: str) -> str:
     return f"{title} [{unit}]" if unit else title
-
-
-def _belongs(state: str, loop: ControlLoop) -> bool:
-    words = state.split("_")
-    if loop.name.lower() in words:
-        return True
-    keys = (loop.gain, loop.integral_gain, loop.derivative_gain)
-    gains = [key.rpartition(".")[2].split("_") for key in keys if key is not None]
-    return any(len(gain) > 1 and gain[-1] == words[-1] for gain in gains)
 
 
 HEADROOM: Final = 1.25
@@ -318,17 +288,20 @@ def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float
     For commands, the range ends slightly beyond their extremes, whether these are limits or not.
     The result is None if no value is known.
     """
-    known = [values[np.isfinite(values)] for values in curves]
-    spans = [(float(values.min()), float(values.max())) for values in known if len(values)]
-    if not spans:
+    known = np.concatenate([*(values[np.isfinite(values)] for values in curves), np.empty(0)])
+    if not len(known):
         return None
-    low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+    low, high = float(known.min()), float(known.max())
     limits = [level.value for level in levels if level.kind == "limit"]
     if limits:
         least = _LEAST_SIDE * max(limits)
         return min(low, -least) * HEADROOM, max(high, least) * HEADROOM
-    others = [level.value for level in levels]
-    return _add_room(min([low, *others]), max([high, *others]))
+    values = [low, high, *(level.value for level in levels)]
+    low, high = min(values), max(values)
+    room = _ROOM * (high - low)
+    if not room:
+        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
+    return low - room, high + room
 
 
 def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
@@ -348,25 +321,17 @@ def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
     return max(ends_s)
 
 
-def _add_room(low: float, high: float) -> tuple[float, float]:
-    room = _ROOM * (high - low)
-    if not room:
-        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
-    return low - room, high + room
-
-
 TIMELINE: Final = "sim_time"
 WALL_TIMELINE: Final = "wall_time"
 
-_PHASE_TIMELINE: Final = "{}_time"
 _MOST_PHASES: Final = 8
 """Largest number of phase timelines of a run; each takes 8 bytes per row and entity in a view."""
 
 
 def name_phase_timeline(phase: str) -> str:
     """Return the unique name of the timeline that begins at the start of a phase."""
-    name = _PHASE_TIMELINE.format(phase)
-    return _PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
+    name = f"{phase}_time"
+    return f"phase.{name}" if name in {TIMELINE, WALL_TIMELINE} else name
 
 
 def find_phase_zeros(run: Run) -> dict[str, int]:
@@ -392,3 +357,64 @@ def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     heading_rad = np.unwrap(run.poses.heading_rad)
     xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
     return xy_m, np.interp(time_s, own_s, heading_rad)
+
+
+_LARGE: Final = 0.2
+"""Share of the largest change from which a change counts; noise and resolution are smaller."""
+
+_LEAST_HELD_S: Final = 0.15
+"""Time from which a held command counts as a level [s]; commands come at 10 Hz and more, with
+jitter."""
+
+_MOST: Final = 60
+"""Largest number of changes that are drawn, the largest changes; more would be a grey block."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandChange:
+    """A change of a command in one direction, at once or over several commands."""
+
+    begin_s: float  # time of the change's first command [s]
+    half_s: float  # time at which the command passes the middle between its levels [s]
+    end_s: float  # start of the next change, or end of the commands [s]
+    before: float  # level from which it changes
+    after: float  # level to which it changes
+
+    def scale(self, values: Values) -> Values:
+        """Return values as the completed fraction of the change: 0 before the change, 1 after."""
+        return (values - self.before) / (self.after - self.before)
+
+
+def find_command_changes(command: Curve) -> list[CommandChange]:
+    """Return the large changes of a command in order of time.
+
+    Successive commands in one direction are one change. A level that is held for longer than the
+    change so far separates two changes.
+    """
+    values = np.concatenate([[0.0], command.values])
+    rows = np.flatnonzero(np.diff(values) != 0.0)
+    if not len(rows):
+        return []
+    signs, times_s = np.sign(np.diff(values)[rows]), command.time_s[rows]
+    firsts = [0]
+    for number in range(1, len(rows)):
+        so_far_s = times_s[number - 1] - times_s[firsts[-1]]
+        is_held = times_s[number] - times_s[number - 1] > max(so_far_s, _LEAST_HELD_S)
+        if signs[number] != signs[number - 1] or is_held:
+            firsts.append(number)
+    found = []
+    for first, after in pairwise([*firsts, len(rows)]):
+        before, level = float(values[rows[first]]), float(values[rows[after - 1] + 1])
+        own = values[rows[first:after] + 1]
+        half = int(np.argmax((own - before) / (level - before) >= 0.5))
+        change = CommandChange(
+            begin_s=float(times_s[first]),
+            half_s=float(times_s[first + half]),
+            end_s=float(times_s[after] if after < len(rows) else command.time_s[-1]),
+            before=before,
+            after=level,
+        )
+        found.append(change)
+    sizes = np.array([abs(one.after - one.before) for one in found])
+    largest = np.argsort(-sizes, kind="stable")[:_MOST]
+    return [found[row] for row in sorted(largest) if sizes[row] >= _LARGE * sizes.max()]

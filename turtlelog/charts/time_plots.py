@@ -4,33 +4,20 @@ Figures, Rerun, reports and movies draw these plots.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
-from turtlelog.charts.curves import (
-    Command,
-    Curve,
-    Level,
-    find_limits,
-    find_parameters,
-    list_aims,
-    list_levels,
-    list_loops,
-    read_applied,
-    read_command,
-    read_curve,
-    read_distance_to_reference,
-    read_sensed,
-    select_curve_rows,
-)
-from turtlelog.charts.ideal_curves import compute_ideals
-from turtlelog.charts.plane_scene import read_along_error
+from turtlelog.charts import curves
+from turtlelog.charts.curves import Command, Curve, Level, read_curve
+from turtlelog.charts.plane_scene import part_curve
 from turtlelog.charts.plotted_curves import Column, CurveEntry, CurveKind, TimePlot, find_state_unit
-from turtlelog.charts.robot_curves import part_curve, read_measured
+from turtlelog.compare.robot_comparison import SHOWN_UNITS, Quantity
+from turtlelog.display import describe_count
+from turtlelog.measure import find_outliers
 from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_UNITS
 
@@ -39,21 +26,57 @@ _TOLERANCES: Final[Mapping[str, str]] = {
     "distance": "law.position_tolerance_m",
 }
 
-_LIMIT_LABEL: Final = "limit"
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredRate:
+    """A measured rate without its outliers, and the outliers."""
+
+    command: Command  # command that the rate responds to
+    curve: Curve  # all other values
+    outliers: Curve  # values that would flatten every other curve. The data keep these values
+
+    def name_outliers(self) -> str:
+        """Return text on the outliers, of several the largest; empty without outliers."""
+        found = self.outliers
+        if not len(found.values):
+            return ""
+        row = int(np.abs(found.values).argmax())
+        text = f"{found.values[row]:.4g} {COMMAND_UNITS[self.command]} at {found.time_s[row]:.1f} s"
+        count = len(found.values)
+        return f"outlier {text}" if count == 1 else f"{describe_count(count, 'outlier')} to {text}"
+
+
+def read_measured(run: Run, command: Command) -> MeasuredRate | None:
+    """Return the `speed` or `turn_rate` that a robot reports; None without reports."""
+    curve = read_curve(run, f"measured_{command}")
+    if curve is None:
+        return None
+    outliers = find_outliers(curve.time_ns, curve.values)
+    rest = np.delete(np.arange(len(curve.values)), outliers)
+    return MeasuredRate(
+        command=command,
+        curve=part_curve(run, curves.select_curve_rows(curve, rest)),
+        outliers=curves.select_curve_rows(curve, outliers),
+    )
 
 
 def find_plot(name: str, runs: Sequence[Run]) -> TimePlot:
     """Return a plot by its name; any other name is a state of the law of one of the runs."""
-    return TIME_PLOTS.get(name) or _describe_state(name, runs)
+    return TIME_PLOTS.get(name) or TimePlot(
+        title=name,
+        unit=find_state_unit(name, [run.declaration for run in runs]),
+        curves=(_signal(name, name),),
+        list_levels=_list_zero,
+        needs="states",
+        is_usual=False,
+        report="always",
+    )
 
 
 def find_marked(signal: str) -> tuple[str, CurveEntry] | None:
     """Return the plot and curve on which a signal's characteristics are marked; None if missing."""
-    for name, plot in TIME_PLOTS.items():
-        for entry in plot.curves:
-            if entry.signal == signal:
-                return name, entry
-    return None
+    marked = ((name, entry) for name, plot in TIME_PLOTS.items() for entry in plot.curves)
+    return next((found for found in marked if found[1].signal == signal), None)
 
 
 def _read_one(read: Callable[[Run], Curve | None], run: Run) -> Iterator[Curve]:
@@ -66,13 +89,6 @@ def _read_signal(run: Run, signal: str) -> Iterator[Curve]:
     curve = read_curve(run, signal)
     if curve is not None:
         yield part_curve(run, curve)
-
-
-def _read_lost(run: Run, signal: str) -> Iterator[Curve]:
-    """Yield the poses that a controller did not receive, if its sensed poses are shown."""
-    curve = read_curve(run, signal)
-    if curve is not None and read_sensed(run, signal) is not None and run.poses.dropped_out.any():
-        yield select_curve_rows(curve, np.flatnonzero(run.poses.dropped_out))
 
 
 def _read_rate(run: Run, command: Command, *, is_outlier: bool) -> Iterator[Curve]:
@@ -92,21 +108,28 @@ def _list_zero(_: Run) -> Iterator[Level]:
 def _list_errors(run: Run, signal: str) -> Iterator[Level]:
     """Yield zero, and the tolerance within which an error counts as zero."""
     yield from _list_zero(run)
-    for tolerance in find_parameters([run], _TOLERANCES[signal]):
+    for tolerance in curves.find_parameters([run], _TOLERANCES[signal]):
         value = float(np.degrees(tolerance)) if signal == "heading_error" else tolerance
         yield Level(label="tolerance", value=value, kind="tolerance")
 
 
 def _list_limits(run: Run, command: Command) -> Iterator[Level]:
-    for limit in find_limits([run], command):
+    for limit in curves.find_limits([run], command):
         for sign in (-1.0, 1.0):
-            yield Level(label=_LIMIT_LABEL, value=sign * limit, kind="limit")
+            yield Level(label="limit", value=sign * limit, kind="limit")
 
 
-def _signal(signal: str, label: str) -> CurveEntry:
-    return CurveEntry(
-        kind="run", read=partial(_read_signal, signal=signal), label=label, signal=signal
-    )
+def _signal(
+    signal: str,
+    label: str,
+    read: Callable[[Run], Iterable[Curve]] | None = None,
+    *,
+    kind: CurveKind = "run",
+    name: str = "",
+) -> CurveEntry:
+    """Return a curve on which the characteristics of its signal are marked."""
+    read = read or partial(_read_signal, signal=signal)
+    return CurveEntry(kind=kind, read=read, label=label, name=name, signal=signal)
 
 
 def _add(
@@ -117,38 +140,42 @@ def _add(
 
 
 def _ideal(signal: str) -> CurveEntry:
-    return _add("ideal", "ideal", partial(compute_ideals, signal_name=signal))
+    return _add("ideal", "ideal", partial(curves.compute_ideals, signal_name=signal))
 
 
 def _aim(signal: str) -> CurveEntry:
-    return _add("aim", "reference", partial(list_aims, signal=signal), label="")
+    return _add("aim", "reference", partial(curves.list_aims, signal=signal), label="")
 
 
 def _sensed(signal: str) -> tuple[CurveEntry, ...]:
     """Return the signal that the controller read, and the poses that it did not receive."""
-    return (
-        _add("sensed", "sensed", partial(_read_one, partial(read_sensed, signal=signal))),
-        _add("dropped_out", "dropped_out", partial(_read_lost, signal=signal), label="dropped"),
-    )
+
+    def read_lost(run: Run) -> Iterator[Curve]:
+        curve, lost = read_curve(run, signal), run.poses.dropped_out
+        if curve is not None and curves.read_sensed(run, signal) is not None and lost.any():
+            yield curves.select_curve_rows(curve, np.flatnonzero(lost))
+
+    read = partial(_read_one, partial(curves.read_sensed, signal=signal))
+    return _add("sensed", "sensed", read), _add("dropped_out", "dropped_out", read_lost, "dropped")
+
+
+def _follow(signal: str, label: str) -> tuple[CurveEntry, ...]:
+    """Return a signal with what the controller sensed of it, its reference, and the ideal."""
+    sensed = _sensed(signal) if signal in curves.SENSED_SIGNALS else ()
+    return (*sensed, _aim(signal), _ideal(signal), _signal(signal, label))
 
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    """Return the plot of a command: commanded, applied and measured values."""
     # The plant publishes its speed without a sign.
     label = "|applied|" if command == "speed" else "applied"
-    applied = partial(_read_one, partial(read_applied, command=command))
+    applied = partial(_read_one, partial(curves.read_applied, command=command))
+    commanded = partial(_read_one, partial(curves.read_command, command=command))
     rate = partial(_read_rate, command=command)
     return TimePlot(
         title=title,
         unit=COMMAND_UNITS[command],
         curves=(
-            CurveEntry(
-                kind="run",
-                name="commanded",
-                label="commanded",
-                signal=command,
-                read=partial(_read_one, partial(read_command, command=command)),
-            ),
+            _signal(command, "commanded", commanded, name="commanded"),
             _add("applied", "applied", applied, label),
             _add("measured", "measured", partial(rate, is_outlier=False)),
             _add("outlier", "outliers", partial(rate, is_outlier=True), label="outlier"),
@@ -164,7 +191,6 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
 
 
 def _plot_wanted(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    """Return the plot of a law's commands before clipping."""
     return TimePlot(
         title=f"wanted {title}",
         unit=COMMAND_UNITS[command],
@@ -185,8 +211,8 @@ def _plot_coordinate(axis: str) -> TimePlot:
     return TimePlot(
         title=axis,
         unit="m",
-        curves=(*_sensed(axis), _aim(axis), _ideal(axis), _signal(axis, axis)),
-        list_levels=partial(list_levels, signal=axis),
+        curves=_follow(axis, axis),
+        list_levels=partial(curves.list_levels, signal=axis),
         figure="position",
         pair="position",
         place=("moving", 0),
@@ -194,45 +220,20 @@ def _plot_coordinate(axis: str) -> TimePlot:
     )
 
 
-def _plot_coordinate_error(axis: str) -> TimePlot:
-    signal = f"error_{axis}"
+def _plot_component(signal: str, title: str, label: str) -> TimePlot:
+    """Return the plot of an error, or of the gain times an error, along x or y."""
+    is_error = signal.startswith("error")
+    pair = "position_error" if is_error else "world_velocity"
     return TimePlot(
-        title=f"error in {axis}",
-        unit="m",
-        curves=(_ideal(signal), _signal(signal, f"goal {axis} - {axis}")),
+        title=title,
+        unit="m" if is_error else "m/s",
+        curves=(_ideal(signal), _signal(signal, label)),
         list_levels=_list_zero,
-        figure="position-error",
-        needs="goal",
-        pair="position_error",
-        place=("moving", 0),
+        figure=pair.replace("_", "-"),
+        needs="goal" if is_error else "world_velocity",
+        pair=pair,
+        place=("moving", 0 if is_error else 2),
         is_compared=False,
-    )
-
-
-def _plot_world_velocity(axis: str) -> TimePlot:
-    signal = f"world_velocity_{axis}"
-    return TimePlot(
-        title=f"Kp e{axis}",
-        unit="m/s",
-        curves=(_ideal(signal), _signal(signal, f"Kp e{axis}")),
-        list_levels=_list_zero,
-        figure="world-velocity",
-        needs="world_velocity",
-        pair="world_velocity",
-        place=("moving", 2),
-        is_compared=False,
-    )
-
-
-def _describe_state(name: str, runs: Sequence[Run]) -> TimePlot:
-    return TimePlot(
-        title=name,
-        unit=find_state_unit(name, [run.declaration for run in runs]),
-        curves=(_signal(name, name),),
-        list_levels=_list_zero,
-        needs="states",
-        is_usual=False,
-        report="always",
     )
 
 
@@ -241,13 +242,8 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "heading": TimePlot(
             title="heading",
             unit="deg",
-            curves=(
-                *_sensed("heading"),
-                _aim("heading"),
-                _ideal("heading"),
-                _signal("heading", "heading"),
-            ),
-            list_levels=partial(list_levels, signal="heading"),
+            curves=_follow("heading", "heading"),
+            list_levels=partial(curves.list_levels, signal="heading"),
             figure="heading",
             loop="heading",
             place=("turning", 0),
@@ -271,11 +267,10 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
             title="along-track error",
             unit="m",
             curves=(
-                CurveEntry(
-                    kind="run",
-                    label="reference - along-track",
-                    signal="along_track_error",
-                    read=partial(_read_one, read_along_error),
+                _signal(
+                    "along_track_error",
+                    "reference - along-track",
+                    partial(_read_one, curves.read_along_error),
                 ),
             ),
             list_levels=_list_zero,
@@ -288,12 +283,8 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         "along_track": TimePlot(
             title="along-track",
             unit="m",
-            curves=(
-                _aim("along_track"),
-                _ideal("along_track"),
-                _signal("along_track", "along-track"),
-            ),
-            list_levels=partial(list_levels, signal="along_track"),
+            curves=_follow("along_track", "along-track"),
+            list_levels=partial(curves.list_levels, signal="along_track"),
             figure="along-track",
             needs="track",
             loop="along_track",
@@ -302,15 +293,12 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         ),
         "x": _plot_coordinate("x"),
         "y": _plot_coordinate("y"),
-        "error_x": _plot_coordinate_error("x"),
-        "error_y": _plot_coordinate_error("y"),
+        "error_x": _plot_component("error_x", "error in x", "goal x - x"),
+        "error_y": _plot_component("error_y", "error in y", "goal y - y"),
         "cross_track": TimePlot(
             title="cross-track",
             unit="m",
-            curves=(
-                _aim("cross_track"),
-                _signal("cross_track", "cross-track"),
-            ),
+            curves=(_aim("cross_track"), _signal("cross_track", "cross-track")),
             list_levels=_list_zero,
             needs="track",
             place=("moving", 1),
@@ -320,16 +308,14 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
             title="distance",
             unit="m",
             curves=(
-                CurveEntry(
+                _signal(
+                    "distance_to_reference",
+                    "to the reference",
+                    partial(_read_one, curves.read_distance_to_reference),
                     kind="beside",
                     name="to_reference",
-                    label="to the reference",
-                    signal="distance_to_reference",
-                    read=partial(_read_one, read_distance_to_reference),
                 ),
-                _aim("distance"),
-                _ideal("distance"),
-                _signal("distance", "distance"),
+                *_follow("distance", "distance"),
             ),
             list_levels=partial(_list_errors, signal="distance"),
             is_log=True,
@@ -341,8 +327,8 @@ TIME_PLOTS: Final[Mapping[str, TimePlot]] = MappingProxyType(
         ),
         "speed": _plot_command("speed", "speed", ("moving", 2)),
         "wanted_speed": _plot_wanted("speed", "speed", ("moving", 2)),
-        "world_velocity_x": _plot_world_velocity("x"),
-        "world_velocity_y": _plot_world_velocity("y"),
+        "world_velocity_x": _plot_component("world_velocity_x", "Kp ex", "Kp ex"),
+        "world_velocity_y": _plot_component("world_velocity_y", "Kp ey", "Kp ey"),
     }
 )
 """Every plot over time by name, in the order of display."""
@@ -353,5 +339,12 @@ def list_controlled(run: Run) -> Iterator[str]:
     for loop in run.declaration.loops:
         if loop.signal == "along_track" and loop.moves:
             yield "along_track_error"
-        if loop.signal in TIME_PLOTS and (loop in list_loops(run, loop.signal) or loop.moves):
+        is_own = loop in curves.list_loops(run, loop.signal) or loop.moves
+        if loop.signal in TIME_PLOTS and is_own:
             yield loop.signal
+
+
+def label_error(quantity: Quantity) -> str:
+    """Return the axis label of a predicted error: `position error [mm]`."""
+    unit, _ = SHOWN_UNITS[quantity]
+    return f"{quantity} error [{unit}]"

@@ -143,13 +143,13 @@ def _read_content(asked: AskedOptions, name: str, runs: "Sequence[tl.Run]") -> d
         case "gains" | "strips":
             return {"metrics": asked.list_patterns()}
         case "attribution":
-            from turtlelog.draw.figures.attribution_figure import explain_for_figure
+            from turtlelog.draw.figures.explanation_figures import explain_for_figure
 
             with show_progress("explaining", 100.0, "%") as progress:
                 found = explain_for_figure(runs, metric=asked.metric, report=progress.count)
             return {"explained": found}
         case "luck":
-            from turtlelog.draw.figures.luck_figure import measure_luck_for_figure
+            from turtlelog.draw.figures.explanation_figures import measure_luck_for_figure
 
             with show_progress("simulated", 100.0, "%") as progress:
                 work = tl.explain.Work(jobs=None, report=progress.count)

@@ -25,11 +25,11 @@ from turtlelog.charts.close_up import (
 )
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.many_runs import shorten_run_names
-from turtlelog.charts.robot_curves import part_path
+from turtlelog.charts.plane_scene import part_path
 from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
+from turtlelog.draw.figures.figure_curves import choose_run_lines, label_runs
 from turtlelog.draw.figures.page import LOOKS, fix_style, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
-from turtlelog.draw.figures.run_styles import choose_run_lines, label_runs
 from turtlelog.run import Run
 
 if TYPE_CHECKING:

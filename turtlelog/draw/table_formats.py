@@ -41,9 +41,6 @@ class _Column:
             return min(self.width, _LEAST_TEXT)
         return min(self.width, max(_LEAST_NUMBER, len(self.unit), *map(len, self.cells)))
 
-    def place(self, line: str) -> str:
-        return f"{line:>{self.width}}" if self.is_numeric else f"{line:<{self.width}}"
-
 
 def format_text(table: Table, width: int | None = None) -> str:
     """Return a table for a terminal: aligned columns, units in the second line, notes below.
@@ -57,8 +54,10 @@ def format_text(table: Table, width: int | None = None) -> str:
     for block in blocks:
         lines += ["", *_format_block(block, table.breaks)]
     notes = [*([_LEGENDS["txt"]] if table.marks else []), *table.notes]
-    if notes:
-        lines += ["", *_wrap_notes(notes, min(width or _NOTE_WIDTH, _NOTE_WIDTH))]
+    longest = min(width or _NOTE_WIDTH, _NOTE_WIDTH)
+    for number, note in enumerate(notes):
+        lines += [] if number else [""]
+        lines += textwrap.wrap(escape_controls(note), longest, break_on_hyphens=False)
     return "\n".join(lines) + "\n"
 
 
@@ -95,12 +94,14 @@ def format_latex(table: Table) -> str:
     """Return a table as LaTeX for the booktabs package. A wide table spans two columns."""
     alignment = "".join("r" if _is_numeric(table, i) else "l" for i in range(len(table.columns)))
     rows = _format_rows(table, "tex")
-    size = r"\footnotesize" if _is_wide(table) else r"\small"
-    star = "*" if _is_wide(table) else ""
+    size, star = (r"\footnotesize", "*") if _is_wide(table) else (r"\small", "")
+    # LaTeX adds the number of a table to its caption.
+    title = _NUMBERED.sub("", table.title)
+    title = table.title if title == table.title else title.capitalize()
     lines = [
         rf"\begin{{table{star}}}",
         rf"  \centering{size}\setlength{{\tabcolsep}}{{4pt}}",
-        rf"  \caption{{{_escape_latex(_drop_number(table.title))}}}",
+        rf"  \caption{{{_escape_latex(title)}}}",
         *([rf"  \label{{{table.label}}}"] if table.label else []),
         rf"  \begin{{tabular}}{{{alignment}}}",
         r"    \toprule",
@@ -147,7 +148,6 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
 
 
 def _format_rows(table: Table, kind: str) -> list[list[str]]:
-    """Return the cells in a format, escaped and marked."""
     return [
         [
             _mark(table, row, index, _format(cell, column, kind), kind)
@@ -159,18 +159,20 @@ def _format_rows(table: Table, kind: str) -> list[list[str]]:
 
 def _format(cell: Cell, column: Column, kind: str) -> str:
     text = format_cell(cell, column)
-    if isinstance(cell, float | int):
-        return _typeset_number(text) if kind == "tex" else text
-    return _ESCAPES[kind](text)
+    if not isinstance(cell, float | int):
+        return _ESCAPES[kind](text)
+    mantissa, _, power = text.partition("e")
+    if kind == "tex" and power:
+        return rf"${mantissa} \times 10^{{{int(power)}}}$"
+    # A minus sign instead of a hyphen.
+    return f"${text}$" if kind == "tex" and text.startswith("-") else text
 
 
 def _mark(table: Table, row: int, index: int, text: str, kind: str) -> str:
-    """Return a cell's text with its mark, if any."""
     return _MARKS[kind].get(table.marks.get((row, index)), "{}").format(text)
 
 
 def _list_notes(table: Table, kind: str) -> list[str]:
-    """Return the notes below a table, with the legend of its marks first."""
     legend = [_LEGENDS[kind]] if table.marks else []
     escape = partial(escape_markdown, starts_line=True) if kind == "md" else _escape_latex
     return [*legend, *map(escape, table.notes)]
@@ -201,27 +203,13 @@ def _list_heads(table: Table) -> list[list[str]]:
     return [*map(list, zip(*heads, strict=True)), *([units] if any(units) else [])]
 
 
-def _drop_number(title: str) -> str:
-    """Return a title without the number of its table, which LaTeX adds to the caption."""
-    found = _NUMBERED.match(title)
-    return title if found is None else title[found.end() :].capitalize()
-
-
-_NUMBERED: Final = re.compile(r"Table \d+: ")
+_NUMBERED: Final = re.compile(r"^Table \d+: ")
 
 
 def _join_latex(cells: list[str]) -> str:
     # After a rule or the end of a row LaTeX would read `[` or `*` as an argument.
     guard = "{}" if cells[0][:1] in {"[", "*"} else ""
     return f"    {guard}{' & '.join(cells)} \\\\"
-
-
-def _typeset_number(text: str) -> str:
-    """Return a number with a minus sign instead of a hyphen, and its power of ten typeset."""
-    mantissa, _, power = text.partition("e")
-    if power:
-        return rf"${mantissa} \times 10^{{{int(power)}}}$"
-    return f"${text}$" if text.startswith("-") else text
 
 
 def _escape_latex(text: str) -> str:
@@ -265,23 +253,18 @@ def _fit(columns: Sequence[_Column], width: int) -> list[list[_Column]]:
     ]
     texts = next((i for i, column in enumerate(capped) if column.is_numeric), len(capped))
     leading = capped[: texts if texts < len(capped) else 1]
+    groups: list[list[_Column]] = []
+    for column in capped[len(leading) :]:
+        if groups and column.is_joined:
+            groups[-1].append(column)
+        else:
+            groups.append([column])
     blocks: list[list[_Column]] = []
-    for group in _group(capped[len(leading) :]):
+    for group in groups:
         if not blocks or _measure([*blocks[-1], *group]) > width:
             blocks.append([*leading])
         blocks[-1] += group
     return [_shrink(block, width) for block in blocks or [leading]]
-
-
-def _group(columns: Sequence[_Column]) -> Iterator[list[_Column]]:
-    group: list[_Column] = []
-    for column in columns:
-        if group and not column.is_joined:
-            yield group
-            group = []
-        group.append(column)
-    if group:
-        yield group
 
 
 def _shrink(columns: Sequence[_Column], width: int) -> list[_Column]:
@@ -320,9 +303,9 @@ def _format_block(columns: Sequence[_Column], breaks: Collection[int]) -> list[s
 
 
 def _join(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a row from the lines of its cells."""
     for parts in zip_longest(*cells, fillvalue=""):
-        placed = (column.place(part) for column, part in zip(columns, parts, strict=True))
+        named = zip(columns, parts, strict=True)
+        placed = (f"{part:{'>' if one.is_numeric else '<'}{one.width}}" for one, part in named)
         yield _GAP.join(placed).rstrip()
 
 
@@ -342,11 +325,6 @@ def _break(text: str, width: int) -> list[str]:
         while len(lines[-1].rstrip()) > width:
             lines[-1:] = [lines[-1][:width], lines[-1][width:]]
     return [line.rstrip() for line in lines]
-
-
-def _wrap_notes(notes: Sequence[str], width: int) -> Iterator[str]:
-    for note in notes:
-        yield from textwrap.wrap(escape_controls(note), width, break_on_hyphens=False)
 
 
 _NARROW_LETTERS: Final = 42

@@ -16,17 +16,17 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.identify.robots import Log, make_run
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.robot_curves import find_command_changes
+from turtlelog.charts.plotted_curves import find_command_changes
 from turtlelog.check import Verdict
 from turtlelog.check.violation import find_judged_signal
-from turtlelog.draw.figures.attribution_figure import (
+from turtlelog.draw.figures.explanation_figures import (
     Explained,
     draw_attribution,
     explain_for_figure,
 )
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
 from turtlelog.draw.figures.gain_figure import draw_gains, find_loop_gains
-from turtlelog.draw.figures.rates_figure import draw_rates
+from turtlelog.draw.figures.robot_figures import draw_rates
 from turtlelog.draw.figures.strip_figure import (
     MetricValues,
     complete_name,
@@ -36,7 +36,7 @@ from turtlelog.draw.figures.strip_figure import (
     set_ticks_at,
     set_value_scale,
 )
-from turtlelog.draw.figures.violation_figure import draw_violation
+from turtlelog.draw.figures.time_panels import draw_violation
 from turtlelog.errors import ShowError
 from turtlelog.identify import identify_robot
 from turtlelog.scenario import get_preset, override_scenario
@@ -278,9 +278,7 @@ def test_of_many_runs_a_box_stands_beside_the_points(count: int, has_box: bool) 
 def test_values_that_are_nearly_equal_stand_clear_of_the_edge(sign: float) -> None:
     axes = make_figure().subplots()
     values = sign * np.array([5.77, 5.7701, 5.7702])
-    found = MetricValues(
-        id="settling_time", label="settling time [s]", values=values, reasons=("",) * 3, factor=1.0
-    )
+    found = MetricValues(id="settling_time", label="settling time [s]", values=values)
     set_value_scale(axes, found)
     low, high = axes.get_ylim()
     assert min(high - values.max(), values.min() - low) > 0.1 * (high - low)

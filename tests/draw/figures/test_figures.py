@@ -19,10 +19,9 @@ import turtlelog as tl
 from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.draw import list_left_out
-from turtlelog.draw.figures.figure_curves import find_gains
-from turtlelog.draw.figures.page import Page, PageKind, break_label
-from turtlelog.draw.figures.run_styles import choose_lines
-from turtlelog.draw.figures.writing import save_figure
+from turtlelog.draw.figures.figure_curves import choose_lines
+from turtlelog.draw.figures.page import Page, PageKind, break_label, save_figure
+from turtlelog.draw.figures.theory_figures import find_gains
 from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset

@@ -18,11 +18,10 @@ from tests.draw.laws import (
     simulate_pid,
     simulate_tracker,
 )
-from turtlelog.charts.curves import list_levels, read_applied, read_curve
-from turtlelog.charts.ideal_curves import compute_ideals
+from turtlelog.charts.curves import compute_ideals, list_levels, read_applied, read_curve
 from turtlelog.draw import list_left_out
-from turtlelog.draw.figures.figure_curves import find_gains
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
+from turtlelog.draw.figures.theory_figures import find_gains
 from turtlelog.scenario import get_preset
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))

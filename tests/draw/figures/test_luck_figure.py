@@ -13,8 +13,8 @@ from matplotlib.text import Text
 import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.lucky_runs import METRIC, NEAR_HALF_A_TURN, measure_lucky, simulate_lucky
+from turtlelog.draw.figures.explanation_figures import draw_luck, measure_luck_for_figure
 from turtlelog.draw.figures.figure_kinds import FIGURES
-from turtlelog.draw.figures.luck_figure import draw_luck, measure_luck_for_figure
 from turtlelog.draw.figures.page import Page
 from turtlelog.errors import ShowError
 from turtlelog.explain import Luck

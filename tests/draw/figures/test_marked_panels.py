@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import turtlelog as tl
 from turtlelog.draw import Page, draw_figure
-from turtlelog.draw.figures.figure_kinds import list_unmarked
 from turtlelog.draw.figures.page import PageKind
+from turtlelog.draw.figures.writing import list_unmarked
 from turtlelog.measure import measure_run
 from turtlelog.scenario import get_preset
 

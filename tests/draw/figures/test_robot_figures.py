@@ -11,8 +11,10 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.draw.robots import OUTLIER, OUTLIER_ROW, keep_no_commands, make_robot
 from tests.log.runs import find_shared
-from turtlelog.draw.figures.figure_kinds import list_left_out
+from turtlelog.draw import Page
 from turtlelog.draw.figures.time_panels import draw_time_plot
+from turtlelog.draw.figures.writing import list_left_out
+from turtlelog.errors import ShowError
 from turtlelog.log.ros2 import read_bag
 
 
@@ -114,3 +116,19 @@ def test_a_jump_of_a_real_turtlesim_is_no_part_of_its_path() -> None:
     [row] = np.flatnonzero(np.isnan(xy_m).any(axis=1))
     assert run.poses.time_ns[row] == 15_632_487_045
     assert np.nanmax(np.hypot(*np.diff(xy_m, axis=0).T)) < 0.1
+
+
+def test_a_figure_that_no_panel_can_fill_says_what_it_needs() -> None:
+    with pytest.raises(ShowError, match="wanted-turn-rate needs what the law wanted before"):
+        tl.draw.draw_figure("wanted-turn-rate", [make_robot()])
+
+
+def test_a_window_fades_the_path_on_both_sides_of_a_gap() -> None:
+    run = make_robot()
+    late_ns = 3_000_000_000 * (np.arange(len(run.poses)) >= len(run.poses) // 2)
+    run = replace(run, poses=replace(run.poses, time_ns=run.poses.time_ns + late_ns))
+    axes = tl.draw.draw_figure("plane", [run], page=Page(from_s=2.0, to_s=9.0)).axes[0]
+    (strong,) = [line for line in axes.get_lines() if line.get_label() == "robot"]
+    x_m = np.asarray(strong.get_xdata(), float)
+    time_s = (run.poses.time_ns - run.start_ns) / 1e9
+    assert np.isfinite(x_m).sum() == ((time_s >= 2.0) & (time_s <= 9.0)).sum()

@@ -11,8 +11,8 @@ import pytest
 from matplotlib.axes import Axes
 
 import turtlelog as tl
+from turtlelog.draw.figures.figure_curves import choose_lines
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
-from turtlelog.draw.figures.run_styles import choose_lines
 from turtlelog.errors import ShowError
 from turtlelog.theory import PidGains, Process, analyse_pid_loop, compute_pid_poles
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 import turtlelog as tl
 from tests.draw.laws import SQUARE, simulate_law, simulate_pid, simulate_tracker, simulate_untimed
-from turtlelog.charts.plane_scene import find_worst_place, read_along_error
+from turtlelog.charts.close_up import find_worst_place
+from turtlelog.charts.curves import read_along_error
 from turtlelog.draw import list_left_out
 from turtlelog.measure import read_signal
 from turtlelog.run.loops import Declaration

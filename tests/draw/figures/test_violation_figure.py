@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.check.violation import find_judged_signal
 from turtlelog.cli.check import build_spec
-from turtlelog.draw.figures.violation_figure import draw_violation
+from turtlelog.draw.figures.time_panels import draw_violation
 
 RUN = tl.read_run(Path(__file__).parents[3] / "recordings" / "paper" / "kp10.mcap")
 SPEED = np.sort(RUN.samples.speed_m_s)

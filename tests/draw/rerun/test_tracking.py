@@ -18,7 +18,7 @@ from tests.draw.rerun.rrds import (
     read_times,
     verify,
 )
-from turtlelog.charts.plane_scene import find_worst_place
+from turtlelog.charts.close_up import find_worst_place
 from turtlelog.draw import write_comparison_rrd, write_run_rrd
 from turtlelog.draw.rerun.content import find_corners
 from turtlelog.draw.rerun.plane import find_plane_bounds

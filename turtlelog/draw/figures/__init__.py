@@ -8,17 +8,22 @@ from turtlelog.libraries import load_library
 
 load_library("matplotlib")
 
-from turtlelog.draw.figures.compared_figures import (
-    write_difference_figure,
+from turtlelog.draw.figures.explanation_figures import write_difference_figure
+from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind
+from turtlelog.draw.figures.page import Page
+from turtlelog.draw.figures.robot_figures import (
     write_prediction_figure,
     write_robot_figure,
     write_trajectory_figure,
 )
-from turtlelog.draw.figures.figure_kinds import FIGURES, list_left_out, list_unmarked
-from turtlelog.draw.figures.needs import FigureKind
-from turtlelog.draw.figures.page import Page
 from turtlelog.draw.figures.sweep_figures import draw_map, write_map_figure
-from turtlelog.draw.figures.writing import draw_figure, write_figures, write_tables
+from turtlelog.draw.figures.writing import (
+    draw_figure,
+    list_left_out,
+    list_unmarked,
+    write_figures,
+    write_tables,
+)
 
 __all__ = [
     "FIGURES",

@@ -1,9 +1,6 @@
-"""Curves of figures, of runs (thinned) and of theory alone, and the legend that names them."""
+"""Curves of runs in figures: their colours, markers and names, and the legend of a figure."""
 
-import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import cycle
 from math import ceil
 from typing import Any, Final
 
@@ -13,39 +10,20 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
+from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.lines import Line2D
 from matplotlib.textpath import text_to_path
-from numpy.typing import NDArray
 
-from turtlelog import theory
-from turtlelog.charts import curves
-from turtlelog.charts.many_runs import find_color_scale
-from turtlelog.charts.palette import FEW, LOOP_DASHES
-from turtlelog.draw.figures import page, run_styles
+from turtlelog.charts import curves, palette
+from turtlelog.charts.many_runs import choose_colors_by_value, find_color_scale
+from turtlelog.compare import name_runs
+from turtlelog.display import cut_name
+from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
 from turtlelog.run import Run
 
 _MOST_SWINGS: Final = 8.0
 """Largest path of a curve up and down, relative to its height. Along a longer path, the marks would
 hide the curve."""
-
-_RING_POINTS: Final = 2.4
-"""Half the width of rings, for poles of several loops at one place [points]."""
-_MOST_RINGS: Final = 4
-_LARGER: Final = 1.0
-"""Additional size of poles over the markers of curves [points]."""
-
-PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
-_LAST_S: Final = 5.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pole:
-    """The poles of a closed loop, drawn as dots."""
-
-    values: NDArray[np.complex128]  # poles in the s plane [1/s] or the z plane, shape (n,)
-    looks: Mapping[str, Any]  # colour and marker of the run
-    label: str  # label in the legend
 
 
 def draw_curve(axes: Axes, curve: curves.Curve, **looks: Any) -> None:
@@ -61,18 +39,12 @@ def draw_thinned(
     across, up = _thin(axes, across, up, kept)
     if len(up) == 1:  # a line needs two points
         looks |= {"marker": "o", "ms": 3.0, "markevery": None}
-    if "markevery" in looks:
-        looks["markevery"] = _space_marks(up, looks["markevery"])
+    if every := looks.get("markevery"):
+        # Marks are spaced along the curve, or by rows if it oscillates.
+        known = up[np.isfinite(up)]
+        if np.abs(np.diff(known)).sum() > _MOST_SWINGS * np.ptp(known):
+            looks["markevery"] = tuple(ceil(share * len(up)) for share in every)
     axes.plot(across, up, **looks)
-
-
-def _space_marks(up: curves.Values, every: Any) -> Any:
-    """Return the positions of marks on a curve: along its length, or by rows if it oscillates."""
-    known = up[np.isfinite(up)]
-    if every is None or np.abs(np.diff(known)).sum() <= _MOST_SWINGS * np.ptp(known):
-        return every
-    first, apart = (math.ceil(share * len(up)) for share in every)
-    return first, apart
 
 
 def draw_points(axes: Axes, across: curves.Values, up: curves.Values, **looks: Any) -> None:
@@ -94,107 +66,13 @@ def _thin(
 
 def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
     """Draw level lines with one label."""
-    for index, level in enumerate(levels):
-        shown = dict(looks)
-        if index:
-            shown.pop("label", None)
-        axes.axhline(level, zorder=1.5, **shown)
-
-
-def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
-    """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
-    time_s = np.linspace(0.0, _LAST_S, 201)
-    for axes, kind in zip(figure.subplots(1, 3), theory.PLANT_INPUTS, strict=True):
-        axes.plot(
-            time_s, theory.compute_plant_response(kind, time_s), **run_styles.choose_lines(1)[0]
-        )
-        end = "unbounded" if theory.find_plant_final_value(kind).value is None else "bounded"
-        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
-    figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
-
-
-def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the closed loop's step response for each gain, with the 2 % band and 4 tau marked."""
-    axes, gains = figure.subplots(), find_gains(runs)
-    last_s = 1.25 * theory.compute_settling_time(min(gains))
-    time_s = np.linspace(0.0, last_s, 601)
-    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
-    axes.axhline(1.0, **page.REFERENCE)
-    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
-    styled = (
-        _style_gains(runs)
-        if runs
-        else dict(zip(gains, run_styles.choose_lines(len(gains)), strict=True))
-    )
-    for gain, name in zip(gains, names, strict=True):
-        looks = styled[gain]
-        values = theory.compute_closed_loop_response(gain, time_s)
-        axes.plot(time_s, values, label=name, **looks)
-        settled_s = theory.compute_settling_time(gain)
-        level = theory.compute_closed_loop_response(gain, [0.0, settled_s])[-1]
-        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"])
-    axes.plot([], [], "o", ms=3.5, color="0.35", label="4 τ")
-    axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
-
-
-def _style_gains(runs: Sequence[Run]) -> dict[float, Mapping[str, Any]]:
-    """Return the style of each gain: the colour of its first run, and dashes for others."""
-    styled: dict[float, Mapping[str, Any]] = {}
-    for run, looks in zip(runs, run_styles.choose_run_lines(runs), strict=True):
-        for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
-            styled.setdefault(gain, {**looks, "linestyle": page.STROKES[dash]})
-    return styled
-
-
-def draw_ideal_locus(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw the poles s = -Kp of the ideal closed loops, from the plant's pole at 0 to the left."""
-    left = 1.25 * min(float(pole.values.real.min()) for pole in poles)
-    axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
-    axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
-    branch = theory.compute_root_locus([0.0, -left])
-    axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
-    axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
-    draw_poles(axes, poles)
-    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
-    axes.set_ylim(-1.0, 1.0)
-
-
-def list_paper_poles() -> list[Pole]:
-    """Return the poles of the ideal loops for the gains of the paper."""
-    styled = zip(PAPER_GAINS, run_styles.choose_lines(len(PAPER_GAINS)), strict=True)
-    return [
-        Pole(values=theory.compute_root_locus([kp]), looks=looks, label=f"Kp = {kp:g}")
-        for kp, looks in styled
-    ]
-
-
-def draw_poles(axes: Axes, poles: Sequence[Pole]) -> None:
-    """Draw poles. Of equal poles, the first are larger discs below the others."""
-    for number, pole in enumerate(poles):
-        later = sum(np.array_equal(pole.values, other.values) for other in poles[number + 1 :])
-        looks = {"marker": "o", "ms": 4.5, **pole.looks, "markevery": None, "linestyle": ""}
-        looks["ms"] += _LARGER + _RING_POINTS * min(later, _MOST_RINGS)
-        looks["zorder"] = 2.9 - 0.001 * later
-        axes.plot(pole.values.real, pole.values.imag, label=pole.label, **looks)
-
-
-def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of loops known to theory, increasing; without runs, the paper's gains."""
-    if not runs:
-        return PAPER_GAINS
-    found = {
-        loop.read_gain(run.parameters)
-        for run in runs
-        for loop in run.declaration.loops
-        if loop.has_theory
-    }
-    return tuple(sorted(gain for gain in found if gain is not None))
+    for number, level in enumerate(levels):
+        axes.axhline(level, zorder=1.5, **{**looks, **({"label": None} if number else {})})
 
 
 _LINE_HEIGHT: Final = 1.45
-_POINTS_PER_INCH: Final = 72.0
 
-_OF_ALL_RUNS: Final = frozenset({"ideal", page.IDEAL_ENDS, curves.REFERENCE, curves.BEARING_NOW})
+_OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, curves.REFERENCE, curves.BEARING_NOW})
 """Labels of lines that have each run's colour, and are therefore colourless in a legend."""
 
 _ALIKE: Final = (
@@ -229,18 +107,18 @@ def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
                 named.setdefault((label, is_mark), handle)
     if len(named) < 2 and not (named and without):
         return
-    labels, handles = zip(*_join_alike(named), strict=True)
+    groups: dict[Any, list[tuple[str, bool]]] = {}
+    for key in sorted(named, key=lambda key: named[key].get_zorder() < _CURVES):
+        groups.setdefault(_describe_looks(key[0], named[key]), []).append(key)
+    labels = [", ".join(label for label, _ in keys) for keys in groups.values()]
+    handles = [named[keys[0]] for keys in groups.values()]
     width, height = figure.get_size_inches()
-    columns = count_legend_columns(labels, width * _POINTS_PER_INCH)
+    columns = count_legend_columns(labels, width * 72.0)
     lines = ceil(len(labels) / columns)
     line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
-    figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
-    legend = figure.legend(
-        handles,
-        labels,
-        loc="outside upper center",
-        ncols=ceil(len(labels) / lines),
-    )
+    figure.set_size_inches(width, height + (lines + 0.5) * line_points / 72.0)
+    place = "outside upper center"
+    legend = figure.legend(handles, labels, loc=place, ncols=ceil(len(labels) / lines))
     for label, entry in zip(labels, legend.legend_handles, strict=True):
         if label in _OF_ALL_RUNS and entry is not None:
             entry.set(color="0.35")
@@ -253,14 +131,6 @@ def name_some(axes: Axes, labels: Sequence[str]) -> list[str | None]:
     shown = {*np.linspace(0, len(labels) - 1, _SOME).round().astype(int).tolist()}
     axes.plot([], [], " ", zorder=0.0, label=f"{len(shown)} of {len(labels)} are named")
     return [label if number in shown else None for number, label in enumerate(labels)]
-
-
-def _join_alike(named: Mapping[tuple[str, bool], Any]) -> list[tuple[str, Any]]:
-    """Return the entries of a legend: curves first, then the layers below them."""
-    groups: dict[Any, list[tuple[str, bool]]] = {}
-    for key in sorted(named, key=lambda key: named[key].get_zorder() < _CURVES):
-        groups.setdefault(_describe_looks(key[0], named[key]), []).append(key)
-    return [(", ".join(label for label, _ in keys), named[keys[0]]) for keys in groups.values()]
 
 
 def _describe_looks(label: str, handle: Any) -> Any:
@@ -297,23 +167,17 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     Returns:
         Labels in the bar, which the legend need not repeat.
     """
-    names = run_styles.label_runs(runs)
+    names, few = label_runs(runs), len(palette.FEW)
     named = [{*names} & {*axes.get_legend_handles_labels()[1]} for axes in figure.axes]
-    if len(runs) <= len(FEW) or all(len(found) <= len(FEW) for found in named):
+    if len(runs) <= few or all(len(found) <= few for found in named):
         return frozenset()
     count = len(runs)
-    colors = ListedColormap(run_styles.color_runs(runs))
+    colors = ListedColormap(color_runs(runs))
     norm = BoundaryNorm(np.arange(count + 1) - 0.5, count)
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _BAR_INCH)
-    bar = figure.colorbar(
-        ScalarMappable(norm, colors),
-        ax=figure.axes,
-        location="top",
-        fraction=0.04,
-        aspect=width / 0.09,
-        pad=0.02,
-    )
+    place: dict[str, Any] = {"ax": figure.axes, "location": "top", "fraction": 0.04, "pad": 0.02}
+    bar = figure.colorbar(ScalarMappable(norm, colors), aspect=width / 0.09, **place)
     bar.outline.set_visible(False)
     bar.ax.minorticks_off()
     scale = find_color_scale(runs)
@@ -325,3 +189,100 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
         bar.set_ticks(places, labels=labels)
         bar.set_label(f"{scale.word} of {count} runs{f' [{scale.unit}]' if scale.unit else ''}")
     return frozenset(names)
+
+
+_MOST_BROAD: Final = 24
+"""Largest number of lines of usual width; with more, a column of 40 mm would have no space between
+lines."""
+
+_THIN: Final = 0.7
+
+_MARKERS: Final[Mapping[palette.Marker, tuple[str, float]]] = {
+    "up": ("^", 4.6),
+    "diamond": ("D", 3.6),
+    "down": ("v", 4.6),
+    "plus": ("P", 4.8),
+    "star": ("*", 6.0),
+    "left": ("<", 4.6),
+    "right": (">", 4.6),
+}
+"""Markers of matplotlib, with sizes at which they look equally large [points]."""
+
+_MARK_EVERY: Final = 0.24
+"""Distance of a run's markers on its curve, as a share of the panel's diagonal."""
+
+_MOST_LETTERS: Final = 28
+
+_TAIL: Final = 13
+"""Number of last letters kept of a longer name: half of its letters, without the mark."""
+
+_NAMES: Final = frozenset(
+    {
+        *("goal", "goal bearing", "goal heading", "zero", "limit", "path", "start"),
+        *("ideal", IDEAL_ENDS),
+        *("tolerance", "sensed", "dropped", "disturbance", "end", "outlier"),
+        *(curves.REFERENCE, curves.BEARING_NOW),
+    }
+)
+"""Names in figures that are not names of runs."""
+
+
+def choose_colors(count: int) -> list[tuple[float, ...]]:
+    """Return the colours of lines in order; they are the same as on screen."""
+    return [*map(to_rgb, palette.choose_run_colors(count))]
+
+
+def color_runs(runs: Sequence[Run]) -> list[tuple[float, ...]]:
+    """Return the colour of each run; it is the same as on screen."""
+    return [*map(to_rgb, choose_colors_by_value(runs))]
+
+
+def choose_run_lines(runs: Sequence[Run]) -> Sequence[Mapping[str, Any]]:
+    """Return colour and marker of each run."""
+    lines = zip(choose_lines(len(runs)), color_runs(runs), strict=True)
+    return [{**line, "color": color} for line, color in lines]
+
+
+def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
+    """Return colour and marker of each line.
+
+    If there are more lines than hues, the first lines are on top, because the fast oscillations of
+    a large gain would cover all others.
+    """
+    lines: list[dict[str, Any]] = [{"color": color} for color in choose_colors(count)]
+    for number, (line, marker) in enumerate(
+        zip(lines, palette.choose_markers(count), strict=False)
+    ):
+        shape, size = _MARKERS[marker]
+        first = _MARK_EVERY * (number + 0.5) / count
+        line |= {"marker": shape, "ms": size, "markevery": (first, _MARK_EVERY)}
+        line |= {"mec": "white", "mew": 0.4}
+    if count <= len(palette.FEW):
+        return lines
+    looks = {"linewidth": _THIN} if count > _MOST_BROAD else {}
+    return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
+
+
+def label_runs(runs: Sequence[Run]) -> list[str]:
+    """Return a short printable name for each run; all names are different.
+
+    Letters that matplotlib's font lacks become `?`, and nothing in a name is a formula.
+    """
+    font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
+    labels = []
+    for name in name_runs(runs):
+        words = " ".join(name.split())
+        shown = "".join(one if font.get_char_index(ord(one)) else "?" for one in words)
+        # matplotlib would leave out a name that begins with `_`.
+        before = "run " if shown in _NAMES else " " if shown.startswith("_") else ""
+        cut = cut_name(before + shown, _MOST_LETTERS, tail=_TAIL, mark="…")
+        labels.append(cut.replace("$", r"\$"))
+    if len(set(labels)) < len(labels):
+        labels = [f"{number}: {label}" for number, label in enumerate(labels, start=1)]
+    return labels
+
+
+def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
+    """Return runs with the style of their lines, including the label in a legend."""
+    styled = zip(runs, label_runs(runs), choose_run_lines(runs), strict=True)
+    return [(run, {**looks, "label": name}) for run, name, looks in styled]

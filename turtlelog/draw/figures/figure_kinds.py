@@ -1,46 +1,226 @@
-"""The figures by name, and the data of runs that figures and tables do not show, with reasons."""
+"""The figures by name: their panels, the data that they need from runs, and what a run lacks."""
 
-import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from importlib.util import find_spec
+from typing import Final, get_args
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from turtlelog.charts.characteristics import Characteristic, list_characteristics
-from turtlelog.charts.close_up import ARRIVED_M, format_length
-from turtlelog.charts.curves import read_curve
-from turtlelog.charts.plane_scene import ON_PATH_M, list_paths, read_along_error
-from turtlelog.charts.plotted_curves import Scale, group_states
-from turtlelog.charts.robot_curves import lack_samples
+from turtlelog.charts import curves
+from turtlelog.charts.plotted_curves import Scale, group_states, has_own
 from turtlelog.charts.time_plots import TIME_PLOTS
-from turtlelog.compare import order_by_gain, tabulate_table1
-from turtlelog.display import NamedValues
-from turtlelog.draw.figures import time_panels
-from turtlelog.draw.figures.attribution_figure import draw_attribution
-from turtlelog.draw.figures.figure_curves import draw_plant_responses, draw_step_responses
+from turtlelog.display import NamedValues, fit_line
+from turtlelog.draw.figures import theory_figures, time_panels
+from turtlelog.draw.figures.explanation_figures import draw_attribution, draw_luck
 from turtlelog.draw.figures.gain_figure import draw_gains
-from turtlelog.draw.figures.luck_figure import draw_luck
-from turtlelog.draw.figures.marked_panels import has_marks
-from turtlelog.draw.figures.needs import (
-    GOAL,
-    POSES,
-    SAMPLES,
-    DrawFigure,
-    FigureKind,
-    Panel,
-    find_lacks,
-    has_states,
-)
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
-from turtlelog.draw.figures.rates_figure import draw_rates
-from turtlelog.draw.figures.run_styles import label_runs
-from turtlelog.draw.figures.sampled_loops import draw_bode, draw_nyquist, draw_root_locus, draw_step
+from turtlelog.draw.figures.robot_figures import draw_rates, lacks_commands
 from turtlelog.draw.figures.strip_figure import draw_strips
-from turtlelog.draw.figures.violation_figure import draw_violation
-from turtlelog.measure import measure_run
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+
+SAMPLES: Final = "the controller's samples"
+
+POSES: Final = "poses"
+
+GOAL: Final = "a goal"
+
+PYTHON_CONTROL: Final = "python-control"
+
+_ROW_HEIGHT: Final = 0.25
+"""Height of a row of two panels, as a share of their total width."""
+
+_LOOPS: Final[Mapping[str, str]] = {
+    "heading": "a loop of the heading",
+    "along_track": "a loop along the track",
+    "distance": "a loop of the distance",
+}
+"""Loop that a panel shows, by its controlled signal."""
+
+DrawFigure = Callable[[Figure, Sequence[Run]], None]
+
+Arrange = Callable[[Figure, Sequence[Run], Sequence[time_panels.Draw]], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Panel:
+    """One panel of a figure.
+
+    A run with unknown loops is assumed to have the loop of a usual panel.
+    """
+
+    name: str  # content, in a word or two
+    needs: str  # data that a run must contain
+    draw: time_panels.Draw  # function that draws the panel for several runs
+    plot: str = ""  # name of the plot over time that the panel shows; empty for another panel
+    loop: str = ""  # signal that a loop of the run must control; empty: any
+    is_usual: bool = True  # whether the panel is reported as missing if no run has data for it
+
+    def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
+        """Return the data that each run lacks for the panel; empty if nothing is missing."""
+        is_of_some = any(
+            (self.is_usual and not run.declaration.loops)
+            or (self.loop == "heading" and run.path is not None)
+            or curves.list_loops(run, self.loop)
+            for run in runs
+        )
+        if self.loop and not is_of_some:
+            return (_LOOPS[self.loop],) * len(runs)
+        return find_lacks(runs, self.needs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureKind:
+    """One figure."""
+
+    title: str  # content, for captions
+    paper: str = ""  # the corresponding figure of the paper; empty if the paper has none
+    height: float = 0.62  # height divided by width, with all usual panels of the figure
+    needs: str = "poses"  # data that at least one run must contain; panels have further needs
+    draw: DrawFigure | None = None  # draws the figure for several runs, if it has no panels
+    panels: tuple[Panel, ...] = ()  # panels; those without data in any run are left out
+    list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()  # panels of the laws
+    is_usual: bool = True  # whether the figure is reported as missing if no run has data for it
+    is_extra: bool = False  # whether the figure is drawn only if requested by name
+    arrange: Arrange = time_panels.draw_stack  # function that places the panels
+
+    def find_lack(self, runs: Sequence[Run]) -> str | None:
+        """Return the data that the figure lacks; None if it can be drawn. Theory needs no runs."""
+        if not runs:
+            return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
+        if self.draw is not None:
+            lacks = find_lacks(runs, self.needs)
+            return lacks[0] if all(lacks) else None
+        if self.choose_panels(runs):
+            return None
+        lack = "" if self.is_usual else find_lacks(runs, self.needs)[0]
+        return lack or self.panels[0].find_lacks(runs)[0]
+
+    def choose_panels(self, runs: Sequence[Run]) -> tuple[Panel, ...]:
+        """Return the panels for which a run has data."""
+        found = tuple(panel for panel in self.panels if not all(panel.find_lacks(runs)))
+        return (*found, *self.list_more(runs))
+
+    def find_height(self, runs: Sequence[Run]) -> float:
+        """Return height divided by width: smaller for fewer panels, larger with a plane."""
+        if self.draw is draw_plane and has_one_plane(runs):
+            return 1.0
+        if self.arrange is time_panels.draw_overview:
+            panels = self.choose_panels(runs)
+            if curves.lack_samples(runs):
+                return 0.31 + 0.08 * len(panels)
+            return _ROW_HEIGHT * (len(panels) + time_panels.count_plane_rows(panels)) / 2.0
+        kept, usual = len(self.choose_panels(runs)), sum(panel.is_usual for panel in self.panels)
+        return self.height * (1.0 + kept) / (1.0 + usual)
+
+    def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
+        """Draw the figure for several runs.
+
+        Raises:
+            ShowError: If a pose is too far away for the limits of axes.
+        """
+        curves.require_near(runs)
+        if self.draw is not None:
+            self.draw(figure, runs)
+        else:
+            self.arrange(figure, runs, [panel.draw for panel in self.choose_panels(runs)])
+
+    def __repr__(self) -> str:
+        return fit_line(f"<FigureKind: {self.title}>")
+
+
+def has_states(run: Run) -> bool:
+    """Return whether a run has states of its law that are not always 0."""
+    return run.samples.states is not None and bool(run.samples.states.any())
+
+
+def find_lack_of_gain(runs: Sequence[Run]) -> str:
+    """Return what theory's figures lack: python-control, or a gain."""
+    if find_spec("control") is None:
+        return PYTHON_CONTROL
+    if theory_figures.find_gains(runs):
+        return ""
+    loops = [loop for run in runs for loop in run.declaration.loops]
+    has_others = any(loop.gain and not loop.is_proportional for loop in loops)
+    return _PROPORTIONAL if has_others else _GAIN
+
+
+def _find_lack_of_locus(run: Run) -> str:
+    """Return what a root locus lacks of an ideal or a sampled loop, or why theory has no model."""
+    lack = find_lack_of_gain([run])
+    if lack == PYTHON_CONTROL:
+        return lack
+    unknown = theory_figures.find_lack_of_theory(run)
+    return unknown if lack == _PROPORTIONAL or not unknown else lack
+
+
+_GAIN: Final = "the law's gain"
+
+_PROPORTIONAL: Final = "a proportional loop"
+
+OF_THEORY: Final = ("gain", "integrator", "locus")
+"""Data that theory provides without a run."""
+
+
+def _has(words: str, has: Callable[[Run], bool], *, first: str = "") -> Callable[[Run], str]:
+    """Return a function from a run to these words if it lacks the data, after those of a need."""
+    return lambda run: (first and _LACKS[first](run)) or ("" if has(run) else words)
+
+
+def _reads(signal: str) -> Callable[[Run], bool]:
+    return lambda run: len(run.samples) > 0 and curves.read_curve(run, signal) is not None
+
+
+_LACKS: Final[Mapping[str, Callable[[Run], str]]] = {
+    "theory": theory_figures.find_lack_of_theory,
+    "gain": lambda run: find_lack_of_gain([run]),
+    "locus": _find_lack_of_locus,
+    "integrator": _has(
+        "a plant that is 1/s", lambda run: find_plant(run).name != LAGGED, first="gain"
+    ),
+    "known_gain": _has(
+        _GAIN,
+        lambda run: any(
+            (loop.read_gain(run.parameters) or 0.0) > 0.0 for loop in run.declaration.loops
+        ),
+    ),
+    "commands": _has("commands", lambda run: not lacks_commands(run), first="poses"),
+    "samples": _has(SAMPLES, lambda run: len(run.samples) > 0),
+    "poses": _has(POSES, lambda run: len(run.poses) > 0),
+    "goal": _has(GOAL, lambda run: run.goal_xy_m is not None, first="poses"),
+    "heading_error": _has("a heading to aim at", _reads("heading_error"), first="samples"),
+    "track": _has(
+        GOAL, lambda run: run.goal_line is not None or run.path is not None, first="samples"
+    ),
+    "along_error": _has(
+        "a path with a speed", lambda run: curves.read_along_error(run) is not None, first="path"
+    ),
+    "path": _has("a path that its law tracks", lambda run: run.path is not None),
+    "states": _has("states of its law that are not always 0", has_states),
+    "world_velocity": _has("gain times error", _reads("world_velocity_x"), first="samples"),
+    **{
+        command: _has(
+            f"{command.replace('_', ' ')} commands", partial(has_own, plot=TIME_PLOTS[command])
+        )
+        for command in get_args(curves.Command)
+    },
+    **{
+        f"wanted_{command}": _has(
+            "what the law wanted before clipping", _reads(f"wanted_{command}")
+        )
+        for command in get_args(curves.Command)
+    },
+}
+"""Functions from a run to the data that it lacks, by need; empty if nothing is missing."""
+
+
+def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
+    """Return the data that each run lacks for a figure; empty if nothing is missing."""
+    return tuple(_LACKS[need](run) for run in runs)
+
 
 MOST_STATES: Final = 12
 """Largest number of state panels in a figure; with more, it would be higher than any page."""
@@ -52,7 +232,6 @@ def list_usual_figures() -> tuple[str, ...]:
 
 
 def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = None) -> Panel:
-    """Return the panel of a plot over time."""
     plot = TIME_PLOTS[name]
     return Panel(
         name=plot.title,
@@ -65,18 +244,16 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
 
 
 def _panels(figure: str) -> tuple[Panel, ...]:
-    """Return the panels of a figure, which are the plots that list this figure."""
     return tuple(_panel(name) for name, plot in TIME_PLOTS.items() if plot.figure == figure)
 
 
-def _track() -> Panel:
-    """Return the panel of the along-track position, or of the error if all runs have a path."""
-    return replace(_panel("along_track", is_usual=True), draw=_draw_track)
-
-
 def _draw_track(axes: Axes, runs: Sequence[Run]) -> None:
-    follows = all(read_along_error(run) is not None for run in runs)
+    """Draw the along-track position, or the error if all runs have a path."""
+    follows = all(curves.read_along_error(run) is not None for run in runs)
     time_panels.draw_time_plot(axes, runs, name="along_track_error" if follows else "along_track")
+
+
+_TRACK: Final = replace(_panel("along_track", is_usual=True), draw=_draw_track)
 
 
 def list_state_panels(
@@ -89,14 +266,21 @@ def list_state_panels(
     found = [run for run in runs if has_states(run)]
     panels = []
     for group in group_states(*(run.declaration for run in found)):
-        acting = tuple(name for name in group.names if not _is_idle(name, found))
+        columns = {
+            name: [
+                curve.values
+                for run in found
+                if name in run.declaration.states
+                and (curve := curves.read_curve(run, name)) is not None
+            ]
+            for name in group.names
+        }
+        acting = tuple(name for name in columns if any(one.any() for one in columns[name]))
         if not acting or (of_commands and group.command is None):
             continue
         names: list[tuple[str, ...]] = [(name,) for name in acting]
-        if len(runs) == 1:
-            curves = [read_curve(runs[0], name) for name in acting]
-            columns = [curve.values for curve in curves if curve is not None]
-            names = [acting] if group.can_share(acting, columns) else names
+        if len(runs) == 1 and group.can_share(acting, [columns[name][0] for name in acting]):
+            names = [acting]
         for shown in names:
             label = shown[0] if len(shown) == 1 else group.label[0].lower() + group.label[1:]
             draw = partial(time_panels.draw_states, names=shown, label=label)
@@ -104,19 +288,11 @@ def list_state_panels(
     return tuple(panels[:most])
 
 
-def _is_idle(name: str, runs: Sequence[Run]) -> bool:
-    """Return whether a state is always 0 in every run that has it."""
-    curves = [read_curve(run, name) for run in runs if name in run.declaration.states]
-    return not any(curve.values.any() for curve in curves if curve is not None)
-
-
 def _show(figure: str, title: str, paper: str = "9-16", height: float = 0.62) -> FigureKind:
-    """Return a figure of the paper that shows plots over time."""
     return FigureKind(title=title, paper=paper, panels=_panels(figure), height=height)
 
 
 def _ask(title: str, draw: DrawFigure, needs: str = "poses", height: float = 0.62) -> FigureKind:
-    """Return a figure that is drawn only if requested by name."""
     return FigureKind(
         title=title, draw=draw, needs=needs, height=height, is_usual=False, is_extra=True
     )
@@ -126,27 +302,27 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
     "plant": FigureKind(
         title="Impulse, step and ramp response of the plant 1/s",
         paper="2",
-        draw=draw_plant_responses,
+        draw=theory_figures.draw_plant_responses,
         height=0.36,
         needs="integrator",
     ),
     "step-responses": FigureKind(
         title="Step responses of the ideal closed loop, with 4 tau",
         paper="4",
-        draw=draw_step_responses,
+        draw=theory_figures.draw_step_responses,
         needs="gain",
     ),
     "root-locus": FigureKind(
         title="Poles of the ideal and of the sampled closed loops as Kp rises",
         paper="5",
-        draw=draw_root_locus,
+        draw=theory_figures.draw_root_locus,
         height=0.55,
         needs="locus",
     ),
     "heading": _show("heading", "Heading, the goal bearing and the ideal response"),
     "along-track": FigureKind(
         title="Way along the track, or distance, the goal and the ideal response",
-        panels=(_track(), _panel("distance")),
+        panels=(_TRACK, _panel("distance")),
         needs="track",
         is_usual=False,
         is_extra=True,
@@ -188,13 +364,20 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         is_usual=False,
     ),
     "bode": _ask(
-        "Frequency response of the open sampled loops, with their margins", draw_bode, "theory"
+        "Frequency response of the open sampled loops, with their margins",
+        theory_figures.draw_bode,
+        "theory",
     ),
     "nyquist": _ask(
-        "Open sampled loops in the complex plane, with their margins", draw_nyquist, "theory"
+        "Open sampled loops in the complex plane, with their margins",
+        theory_figures.draw_nyquist,
+        "theory",
     ),
     "step": _ask(
-        "Step responses of the sampled loops, without limits", draw_step, "theory", height=0.42
+        "Step responses of the sampled loops, without limits",
+        theory_figures.draw_step,
+        "theory",
+        height=0.42,
     ),
     "attribution": _ask(
         "What caused a metric of one run: the contributions, the run and its ghost",
@@ -218,7 +401,8 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         "Commands against measured rates, with the identified model", draw_rates, "commands"
     ),
     "violation": _ask(
-        "The signal that a check holds to a band, and where it leaves it", draw_violation
+        "The signal that a check holds to a band, and where it leaves it",
+        time_panels.draw_violation,
     ),
     "plane": FigureKind(
         title="Paths in the plane, and how each run ends", paper="17", draw=draw_plane, height=0.53
@@ -227,7 +411,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         title="Path, errors and commands, as far as recorded",
         panels=(
             _panel("heading"),
-            _track(),
+            _TRACK,
             _panel("distance"),
             _panel("heading_error", "log"),
             _panel("cross_track"),
@@ -250,127 +434,3 @@ _OTHERS: Final = {
 
 FIGURES: Final[Mapping[str, FigureKind]] = NamedValues("figure", {**_NAMED, **_OTHERS})
 """Every figure by name."""
-
-
-_MOST_NAMED: Final = 3
-"""Largest number of runs that are named as missing from a figure; more runs are only counted."""
-
-_ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
-
-_OF_MOTION: Final = frozenset({POSES, GOAL, "speed commands", "turn rate commands"})
-"""Data that a recording without samples may contain."""
-
-_DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
-
-
-def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
-    """Return what figures leave out of some runs and why, one line for each reason.
-
-    Args:
-        runs: Runs to draw, with the names of legends in these lines.
-        names: Names of the requested figures. Default: all figures, and the tables.
-    """
-    runs = order_by_gain(runs)
-    left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
-    shown = list_usual_figures() if names is None else tuple(dict.fromkeys(names))
-    for name in shown:
-        for part, lacks in _list_parts(name, runs):
-            for words in dict.fromkeys(filter(None, lacks)):
-                lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
-                left_out.setdefault((words, lacking), []).append(part)
-    if lack_samples(runs):
-        left_out = _join_controller(left_out, has_tables=names is None)
-    lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
-    if names is None and not has_table1(runs) and not lack_samples(runs):
-        needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
-        lines.append(f"left out table1.tex: needs a gain or {needed}")
-    return (*lines, *_tell_states(runs, shown), *_tell_close_up(runs, shown))
-
-
-def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
-    """Return one line on the named figures whose curves have no characteristics, if any."""
-    found = [list_characteristics(run, measure_run(run)) for run in runs]
-    lacking = [name for name in names if not _is_marked(name, runs, found)]
-    expected = "a curve with characteristics"
-    return (f"left marks out of {', '.join(lacking)}: needs {expected}",) if lacking else ()
-
-
-def _is_marked(name: str, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]) -> bool:
-    """Return whether a panel over time in a figure has marks of a run."""
-    kind = FIGURES[name]
-    panels = kind.choose_panels(runs) if kind.draw is None else ()
-    signals = [panel.plot for panel in panels if panel.plot]
-    return any(has_marks(signal, marks) for signal in signals for marks in found)
-
-
-def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
-    states = list_state_panels(runs, most=sys.maxsize)
-    if "states" not in shown or len(states) <= MOST_STATES:
-        return []
-    return [
-        f"left out states (from {states[MOST_STATES].name} on):"
-        f" expected at most {MOST_STATES} panels, found {len(states)}"
-    ]
-
-
-def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
-    """Return why there is no close-up; empty for runs without samples and goal."""
-    if "plane" not in shown or not has_one_plane(runs):
-        return []
-    if lack_samples(runs) and not any(run.goal_xy_m for run in runs):
-        return []
-    part, expected = ("how each run ends", _ARRIVAL)
-    if list_paths(runs):
-        part, expected = ("furthest off the path", _DEPARTURE)
-    return [f"left out plane ({part}): needs {expected}"]
-
-
-_Left = dict[tuple[str, tuple[int, ...]], list[str]]
-"""Omitted figures and panels, by missing data and by the runs without these data."""
-
-
-def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
-    """Return missing controller data as one line: a recording without samples has none."""
-    of_motion: _Left = {}
-    of_controller: list[str] = []
-    for (words, lacking), parts in left_out.items():
-        if words in _OF_MOTION:
-            of_motion[words, lacking] = parts
-        else:
-            of_controller += [part for part in parts if not part.startswith("panel (")]
-            everyone = lacking
-    if not of_controller:
-        return of_motion
-    tables = ["table1.tex"] if has_tables else []
-    return {(SAMPLES, everyone): [*of_controller, *tables], **of_motion}
-
-
-def has_table1(runs: Sequence[Run]) -> bool:
-    """Return whether Table 1 of these runs contains anything but their names."""
-    return any(value is not None for row in tabulate_table1(runs).rows for value in row[1:])
-
-
-def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return a figure, or its panels if their needs differ, with the data that each run lacks."""
-    kind = FIGURES[name]
-    if kind.draw is not None:
-        return [(name, find_lacks(runs, kind.needs))]
-    chosen = kind.choose_panels(runs)
-    if not kind.is_usual and not chosen:
-        return []
-    if not kind.panels:
-        return [(name, find_lacks(runs, kind.needs))]
-    parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
-    if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
-        return [(name, parts[0].find_lacks(runs))]
-    return [(f"{name} ({panel.name})", panel.find_lacks(runs)) for panel in parts]
-
-
-def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
-    listed = ", ".join(parts)
-    if len(lacking) == len(runs):
-        return f"left out {listed}: needs {words}"
-    labels = label_runs(runs)
-    named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
-    more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
-    return f"left {named}{more} out of {listed}: needs {words}"

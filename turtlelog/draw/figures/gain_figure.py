@@ -11,17 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog import theory
-from turtlelog.charts.curves import Values
-from turtlelog.charts.ideal_curves import find_steps
+from turtlelog.charts.curves import Values, find_steps
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.draw.figures import strip_figure
+from turtlelog.draw.figures.figure_curves import choose_colors, label_runs
 from turtlelog.draw.figures.page import STROKES, fix_style
-from turtlelog.draw.figures.run_styles import choose_colors, label_runs
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
-from turtlelog.run.loops import ControlLoop
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 
 _MOST_LINES: Final = 3
@@ -90,9 +88,10 @@ def draw_gains(
     grid = figure.subplots(*shape, squeeze=False)
     for column, loop in enumerate(columns):
         own_axes = grid[column * len(rows) :, 0] if is_stacked else grid[:, column]
-        values = [_find_values(found, name, loop) for name in rows]
         # A metric of the whole run is shown once, over the first gain.
-        shown = [one if one and (one.loop or column == 0) else None for one in values]
+        allowed = (loop.name, "") if column == 0 else (loop.name,)
+        own_values = {one.name: one for one in reversed(found) if one.loop in allowed}
+        shown = [own_values.get(name) for name in rows]
         last = max(row for row, one in enumerate(shown) if one is not None)
         for row, (axes, one) in enumerate(zip(own_axes, shown, strict=False)):
             if one is None:
@@ -111,7 +110,6 @@ class GainLimits:
     """Theory's limits of Kp for one timing."""
 
     dead_time_s: float  # total dead time of the loop [s]
-    period_s: float  # sampling period of the loop [s]
     overshoot: float | None  # Kp above which it overshoots [1/s]; None: not proportional
     stability: float | None  # Kp above which it is unstable [1/s]; None: no Kp is stable
     design: LoopDesign  # loop for computing responses
@@ -122,29 +120,16 @@ class GainLimits:
 class LoopGains:
     """A loop's gain in each run.
 
-    Attributes:
-        name: Name of the loop.
-        gains: Kp of each run [1/s]; NaN if unknown.
-        limits: Limits from theory, one for each timing, in order of dead time.
-        step: Size of the step [rad or m] and limit of the command [rad/s or m/s]. None if they
-            differ between runs, or theory does not know the loop.
+    The step is None if it differs between runs, or theory does not know the loop.
     """
 
-    name: str
-    gains: Values
-    limits: tuple[GainLimits, ...]
-    step: tuple[float, float] | None = None
-
-
-def _find_values(
-    found: Sequence[strip_figure.MetricValues], name: str, loop: LoopGains
-) -> strip_figure.MetricValues | None:
-    """Return a metric of a loop, or of the whole run."""
-    return next((one for one in found if one.name == name and one.loop in ("", loop.name)), None)
+    name: str  # name of the loop
+    gains: Values  # Kp of each run [1/s]; NaN if unknown
+    limits: tuple[GainLimits, ...]  # limits from theory, one for each timing, in order of dead time
+    step: tuple[float, float] | None = None  # size [rad or m], limit of the command [rad/s or m/s]
 
 
 def _name_loop(loop: LoopGains) -> str:
-    """Return a loop's name with the dead times of its limits."""
     if not loop.limits:
         return f"{loop.name}: no theory"
     times_ms = sorted({round(1e3 * one.dead_time_s, 1) for one in loop.limits})
@@ -184,8 +169,12 @@ def _draw_panel(
         if len(known) < len(values):
             look = {"ms": 5.0, "mew": 1.2, "color": to_hex(UNSTABLE), "label": "no value"}
             axes.plot(place, 0.95, "x", transform=axes.get_xaxis_transform(), **look)
-    if is_first and len(runs) <= _MOST_NAMED and len(runs) > 1:
-        _name_points(axes, runs, gains, found.values)
+    named = cut_alike(label_runs(runs)) if is_first and 1 < len(runs) <= _MOST_NAMED else ()
+    for name, gain, value in zip(named, gains, found.values, strict=False):
+        if np.isfinite(gain) and np.isfinite(value):
+            text = axes.annotate(name, (gain, value), (0.0, 4.0), textcoords="offset points")
+            text.set(fontsize=6.5, ha="center", va="bottom", color="0.25", zorder=3.5)
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
 
 
 def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
@@ -218,11 +207,10 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
         starts[kind] = min(max(limits[0], left), right)
         shown = [limit for limit in limits if left < limit < right]
         if shown:
-            _draw_lines(axes, shown, looks, name)
+            is_left = kind == "overshoot"
+            _draw_shown(axes, shown, {**looks, "label": name}, is_left=is_left, is_told=is_first)
         else:
-            beyond.append((kind, limits[0], looks["color"], limits[0] >= right))
-        if shown and is_first:
-            _tell_limits(axes, shown, looks["color"], is_left=kind == "overshoot")
+            beyond.append((kind, limits[0], looks["color"]))
     if "stability" in starts:
         axes.axvspan(starts["stability"], right, **_BEYOND)
     if "overshoot" in starts:
@@ -231,40 +219,38 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
         _tell_beyond(axes, beyond)
 
 
-def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], name: str) -> None:
-    """Draw a line for each limit, or a band for many limits."""
+def _draw_shown(
+    axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], *, is_left: bool, is_told: bool
+) -> None:
+    """Draw a line for each limit, or a band for many, with the values above if they are told."""
+    color = looks["color"]
     if len(limits) > _MOST_LINES:
-        band = {"color": looks["color"], "alpha": 0.25, "linewidth": 0.0, "label": name}
+        band = {"color": color, "alpha": 0.25, "linewidth": 0.0, "label": looks["label"]}
         axes.axvspan(limits[0], limits[-1], **band)
-        return
-    for limit in limits:
-        axes.axvline(limit, **looks, label=name, zorder=1.5)
+    else:
+        for limit in limits:
+            axes.axvline(limit, **looks, zorder=1.5)
+    if is_told:
+        told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
+        # In a column, several limits of overshoot would touch those of stability above the middle.
+        ends = is_left and limits[0] < limits[-1]
+        at = limits[-1] if ends else math.sqrt(limits[0] * limits[-1])
+        ha = "right" if ends else "center"
+        text = axes.text(at, 1.02, told, fontsize=6.2, color=color, ha=ha, va="bottom")
+        text.set_transform(axes.get_xaxis_transform())
 
 
-def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bool) -> None:
-    """Write the values of limits above their lines; the second at the left is at the last line.
-
-    In a column figure, the least and greatest limits of overshoot would touch those of stability.
-    """
-    told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
-    ends = is_left and limits[0] < limits[-1]
-    at = limits[-1] if ends else math.sqrt(limits[0] * limits[-1])
-    text = axes.text(at, 1.02, told, fontsize=6.2, color=color)
-    text.set(transform=axes.get_xaxis_transform(), ha="right" if ends else "center", va="bottom")
-
-
-def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
-    """Write the limits outside the axis on the side where they are."""
+def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str]]) -> None:
     words = {"overshoot": "overshoots", "stability": "unstable"}
-    for number, (kind, limit, color, is_right) in enumerate(beyond):
-        side, at = ("right", 0.99) if is_right else ("left", 0.01)
-        told = f"{words[kind]} from {limit:.3g} {'→' if is_right else ''}".strip()
+    for number, (kind, limit, color) in enumerate(beyond):
+        is_right = limit >= axes.get_xlim()[1]
+        side, at, arrow = ("right", 0.99, " →") if is_right else ("left", 0.01, "")
+        told = f"{words[kind]} from {limit:.3g}{arrow}"
         text = axes.text(at, 0.97 - 0.11 * number, told, fontsize=6.5, color=color)
         text.set(transform=axes.transAxes, ha=side, va="top")
 
 
 def _draw_theory(axes: Axes, loop: LoopGains, found: strip_figure.MetricValues) -> None:
-    """Draw theory's metric at each gain, if it is known."""
     left, right = axes.get_xlim()
     gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)
     if found.name == "settling_time":
@@ -290,14 +276,6 @@ def _overshoot(limit: GainLimits, kp: float) -> float:
     return math.nan if motion is None else max(motion.overshoot_percent, 0.0)
 
 
-def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values) -> None:
-    for name, gain, value in zip(cut_alike(label_runs(runs)), gains, values, strict=True):
-        if np.isfinite(gain) and np.isfinite(value):
-            text = axes.annotate(name, (gain, value), (0.0, 4.0), textcoords="offset points")
-            text.set(fontsize=6.5, ha="center", va="bottom", color="0.25", zorder=3.5)
-            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
-
-
 _ALIKE: Final = 0.02
 """Share by which steps may differ to share a curve of settling times. The curve's error has the
 same size.
@@ -316,7 +294,9 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
     gains: list[float] = []
     limits: dict[object, GainLimits] = {}
     for run in runs:
-        gains.append(_read_gain(run.declaration.find_loop(name), run))
+        own = run.declaration.find_loop(name)
+        gain = (own and own.read_gain(run.parameters)) or 0.0
+        gains.append(float(gain) if gain > 0.0 else math.nan)
         for model in model_run_loops(run):
             if model.loop.name != name or model.reason or not math.isfinite(gains[-1]):
                 continue
@@ -326,7 +306,7 @@ def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
             key = (round(process.dead_time_s, 4), round(period_s, 4), replace(pid, kp=1.0))
             if key not in limits:
                 limits[key] = _compute_limits(pid, process, period_s)
-    order = sorted(limits.values(), key=lambda one: (one.dead_time_s, one.period_s))
+    order = sorted(limits.values(), key=lambda one: (one.dead_time_s, one.design.period_s))
     return LoopGains(
         name=name, gains=np.array(gains), limits=tuple(order), step=_find_step(name, runs)
     )
@@ -348,11 +328,6 @@ def _find_step(name: str, runs: Sequence[Run]) -> tuple[float, float] | None:
     return found[0]
 
 
-def _read_gain(loop: ControlLoop | None, run: Run) -> float:
-    gain = None if loop is None else loop.read_gain(run.parameters)
-    return math.nan if gain is None or gain <= 0.0 else float(gain)
-
-
 def _compute_limits(pid: theory.PidGains, process: theory.Process, period_s: float) -> GainLimits:
     design = LoopDesign(process=process, period_s=period_s, filter_s=pid.filter_s)
     is_proportional = not pid.ki and not pid.kd
@@ -364,7 +339,6 @@ def _compute_limits(pid: theory.PidGains, process: theory.Process, period_s: flo
         stability = ranges[-1][1] if ranges else None
     return GainLimits(
         dead_time_s=process.dead_time_s,
-        period_s=period_s,
         overshoot=overshoot,
         stability=stability,
         design=design,

@@ -59,20 +59,11 @@ GROWN: Final = "instability with the most dead time (theory)"
 OVERSHOOT: Final = "overshoot begins (theory)"
 """Names of theory's limits in a legend."""
 
-
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         STABILITY: {"color": to_hex(UNSTABLE), "linewidth": 1.2},
-        GROWN: {
-            "color": to_hex(UNSTABLE),
-            "linewidth": 1.0,
-            "linestyle": STROKES["dotted"],
-        },
-        OVERSHOOT: {
-            "color": "#7a4b00",
-            "linewidth": 1.0,
-            "linestyle": STROKES["dashed"],
-        },
+        GROWN: {"color": to_hex(UNSTABLE), "linewidth": 1.0, "linestyle": STROKES["dotted"]},
+        OVERSHOOT: {"color": "#7a4b00", "linewidth": 1.0, "linestyle": STROKES["dashed"]},
     }
 )
 """Styles of theory's limits, by their legend names."""
@@ -94,24 +85,20 @@ def draw_map_panel(
         named = _draw_points(axes, view, metric)
     else:
         named = _draw_cells(axes, view, metric, reasons)
-    ends = [_set_axis(axes, side, axis) for side, axis in zip("xy", view.axes, strict=True)]
+    ends = []
+    for side, axis in zip("xy", view.axes, strict=True):
+        edges = find_edges(axis)
+        ends.append((float(edges[0]), float(edges[-1])))
+        if is_logarithmic(axis):
+            axes.set(**{f"{side}scale": "log"})
+        axes.set(**{f"{side}lim": ends[-1], f"{side}label": axis.label})
+        mark_places(axes, side, axis)
     axes.set_title(label_metric(metric), pad=4.0)
     axes.grid(visible=False)
     found = choose_limits(limits, metric)
     if found is not None:
         named |= _draw_limits(axes, view, metric, found, ends)
     return named
-
-
-def _set_axis(axes: Axes, side: str, axis: SweptAxis) -> tuple[float, float]:
-    """Set scale, label and limits of a side; return the limits."""
-    edges = find_edges(axis)
-    low, high = float(edges[0]), float(edges[-1])
-    if is_logarithmic(axis):
-        axes.set(**{f"{side}scale": "log"})
-    axes.set(**{f"{side}lim": (low, high), f"{side}label": axis.label})
-    mark_places(axes, side, axis)
-    return low, high
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
@@ -138,29 +125,17 @@ def _draw_cells(
     edges = find_edges(view.x), find_edges(view.axes[1])
     looks: dict[str, Any] = {"rasterized": values.size > _MOST_VECTORS, "zorder": 1.0}
     # Viewers show seams between adjacent shapes when they smooth edges; a line covers them.
-    seamless: dict[str, Any] = (
-        {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
-    )
     hatched = {cell: reasons[reason] for cell, reason in cells.reasons.items()}
     named = _hatch_cells(axes, edges, hatched, looks)
+    looks |= {} if looks["rasterized"] else {"edgecolors": "face", "linewidth": 0.3}
     if metric.is_verdict:
-        classes = find_verdict_classes(values)
-        colors = ListedColormap(list(VERDICT_COLORS))
+        values, colors = find_verdict_classes(values), ListedColormap(list(VERDICT_COLORS))
         norm = BoundaryNorm([-0.5, 0.5, 1.5, 2.5], 3)
-        axes.pcolormesh(
-            *edges, np.ma.masked_invalid(classes), cmap=colors, norm=norm, **looks, **seamless
-        )
-        return _name_verdicts(classes) | named
+        axes.pcolormesh(*edges, np.ma.masked_invalid(values), cmap=colors, norm=norm, **looks)
+        return _name_verdicts(values) | named
     scale = build_scale(values)
-    mesh = axes.pcolormesh(
-        *edges,
-        np.ma.masked_invalid(values),
-        cmap=scale.colors,
-        norm=scale.norm,
-        **looks,
-        **seamless,
-    )
-    _add_bar(axes, mesh, scale)
+    shown: dict[str, Any] = {"cmap": scale.colors, "norm": scale.norm, **looks}
+    _add_bar(axes, axes.pcolormesh(*edges, np.ma.masked_invalid(values), **shown), scale)
     return named
 
 
@@ -184,16 +159,9 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
         axes.scatter(x[known], y[known], c=colors, **looks)
         return _name_verdicts(classes) | named
     scale = build_scale(values)
-    order = np.argsort(values[known], kind="stable")
-    points = axes.scatter(
-        x[known][order],
-        y[known][order],
-        c=values[known][order],
-        cmap=scale.colors,
-        norm=scale.norm,
-        **looks,
-    )
-    _add_bar(axes, points, scale)
+    order = np.flatnonzero(known)[np.argsort(values[known], kind="stable")]
+    looks |= {"c": values[order], "cmap": scale.colors, "norm": scale.norm}
+    _add_bar(axes, axes.scatter(x[order], y[order], **looks), scale)
     return named
 
 
@@ -286,8 +254,6 @@ def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
     return name if metric.loop == found.loop else f"{found.loop}: {name}"
 
 
-_SHADES: Final = 256
-
 _HATCHES: Final = ("", "////", "....", "xxxx")
 """Hatches for the reasons of missing values. The last hatch is for all other reasons."""
 
@@ -296,12 +262,22 @@ _VALUELESS: Final = fix_style(facecolor="0.93", edgecolor="0.6")
 
 def build_scale(values: Values) -> ColorScale:
     """Return the colour scale of values, without NaN."""
-    ramp = [*map(to_rgb, choose_shades(_SHADES))]
-    found = find_value_range(values)
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    is_logarithmic, extend = low > 0.0 and high / low >= DECADES, "neither"
+    if len(known) and not is_logarithmic:
+        inner_low, inner_high = (float(one) for one in np.quantile(known, [0.05, 0.95]))
+        room = _OUTLYING * (inner_high - inner_low)
+        is_below, is_above = 0.0 < room < inner_low - low, 0.0 < room < high - inner_high
+        low, high = inner_low if is_below else low, inner_high if is_above else high
+        extend = ("neither", "max", "min", "both")[2 * is_below + is_above]
+    if low == high:  # one colour, in the middle of a bar that shows the value
+        spread = abs(low) * 1e-3 or 1e-3
+        low, high = low - spread, high + spread
     return ColorScale(
-        norm=(LogNorm if found.is_logarithmic else Normalize)(found.low, found.high),
-        colors=ListedColormap(ramp, name="turtlelog"),
-        extend=found.extend,
+        norm=(LogNorm if is_logarithmic else Normalize)(low, high),
+        colors=ListedColormap([*map(to_rgb, choose_shades(256))], name="turtlelog"),
+        extend=extend,
     )
 
 
@@ -322,35 +298,6 @@ _OUTLYING: Final = 10.0
 """Distance from the central 90 % of values, as a multiple of their range, beyond which values share
 the last colour. The bar then has a pointed end. Without this, all other values would have less than
 a tenth of the colours."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ValueRange:
-    """Mapping of values to colours."""
-
-    low: float  # value of the first colour
-    high: float  # value of the last colour; greater than `low`
-    is_logarithmic: bool = False  # whether the scale is logarithmic
-    extend: str = "neither"  # ends beyond which values exist: `neither`, `min`, `max` or `both`
-
-
-def find_value_range(values: Values) -> ValueRange:
-    """Return the range of values without NaN."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return ValueRange(low=0.0, high=1.0)
-    low, high = float(known.min()), float(known.max())
-    if low > 0.0 and high / low >= DECADES:
-        return ValueRange(low=low, high=high, is_logarithmic=True)
-    inner_low, inner_high = (float(one) for one in np.quantile(known, [0.05, 0.95]))
-    room = _OUTLYING * (inner_high - inner_low)
-    is_below, is_above = 0.0 < room < inner_low - low, 0.0 < room < high - inner_high
-    low, high = inner_low if is_below else low, inner_high if is_above else high
-    if low == high:  # one colour, in the middle of a bar that shows the value
-        spread = abs(low) * 1e-3 or 1e-3
-        low, high = low - spread, high + spread
-    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}
-    return ValueRange(low=low, high=high, extend=extend.get((is_below, is_above), "neither"))
 
 
 def find_verdict_classes(values: Values) -> Values:

@@ -9,19 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from turtlelog.charts.characteristics import (
-    Characteristic,
-    MarkShape,
-    list_characteristics,
-    list_mark_texts,
-)
-from turtlelog.charts.curves import Curve, read_curve
+from turtlelog.charts import curve_marks
+from turtlelog.charts.curve_marks import Characteristic, list_characteristics
+from turtlelog.charts.curves import Curve, Values, read_curve
 from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plotted_curves import find_rest
+from turtlelog.draw.figures.figure_curves import label_runs, style_runs
 from turtlelog.draw.figures.page import Page, fix_style
 from turtlelog.draw.figures.placed_words import GUIDE_ORDER, Table, Word, write_words
-from turtlelog.draw.figures.run_styles import label_runs, style_runs
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
@@ -53,7 +49,7 @@ _WAYS: Final = frozenset({"along_track", "distance"})
 """Signals controlled by loops that move a robot to its goal."""
 _MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
 
-_SHAPES: Final[Mapping[MarkShape, str]] = {"disc": "o", "square": "s", "cross": "x"}
+_SHAPES: Final[Mapping[curve_marks.MarkShape, str]] = {"disc": "o", "square": "s", "cross": "x"}
 """Mark shapes of matplotlib."""
 
 _OF_ERRORS: Final[Mapping[str, str]] = {"heading_error": "heading"}
@@ -123,8 +119,11 @@ def _mark_panel(
             color=looks["color"],
         )
         drawn = list(_mark_run(panel, choose_marks(signal, marks)))
-        if panel.is_alone:
-            words = [*(_word(panel, *one) for one in drawn), *_shade_pauses(axes, marks)]
+        for mark, text in drawn if panel.is_alone else ():
+            color = _DEAD_WORDS if mark.kind == "dead_time" else "0.25"
+            at = (mark.marked_s, panel.read(mark.marked_s))
+            words.append(Word(text=text, at=at, color=color))
+        words += _shade_pauses(axes, marks) if panel.is_alone else ()
         told[name] = (looks["color"], drawn)
     axes.set_ylim(height)
     return words, [] if len(runs) == 1 else _tabulate(axes, told)
@@ -159,11 +158,6 @@ def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Told
             yield shown, text
 
 
-def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:
-    color = _DEAD_WORDS if mark.kind == "dead_time" else "0.25"
-    return Word(text=text, at=(mark.marked_s, panel.read(mark.marked_s)), color=color)
-
-
 def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> list[Table]:
     """Return a table with a line for each of a few runs, and a table with the extremes."""
     low, high = axes.get_xlim()
@@ -180,20 +174,14 @@ def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> li
     for _, drawn in seen.values():
         for mark, _ in drawn:
             by_word.setdefault((mark.word, mark.unit), []).append(mark.value)
-    extremes = [
-        (_tell_extremes(word, unit, values, len(told)), "0.25")
-        for (word, unit), values in by_word.items()
-    ]
+    extremes = []
+    for (word, unit), values in by_word.items():
+        least, most = f"{min(values):.3g}", f"{max(values):.3g}"
+        span = least if least == most else f"{least} to {most}"
+        some = "" if len(values) == len(told) else f" ({len(values)} of {len(told)} runs)"
+        extremes.append((f"{word} {span} {unit}{some}", "0.25"))
     tables = [lines, extremes] if len(told) <= MOST_WORDED else [extremes]
     return [table for table in tables if table]
-
-
-def _tell_extremes(word: str, unit: str, values: Sequence[float], count: int) -> str:
-    """Return the minimum and the maximum of several runs as text."""
-    least, most = f"{min(values):.3g}", f"{max(values):.3g}"
-    span = least if least == most else f"{least} to {most}"
-    some = "" if len(values) == count else f" ({len(values)} of {count} runs)"
-    return f"{word} {span} {unit}{some}"
 
 
 def has_marks(signal: str, marks: Sequence[Characteristic]) -> bool:
@@ -201,17 +189,16 @@ def has_marks(signal: str, marks: Sequence[Characteristic]) -> bool:
     return any(mark.kind in _DRAWN for mark in choose_marks(signal, marks))
 
 
-def _mark_rise(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
+def _mark_span(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
     if not panel.is_alone or panel.is_error or mark.span_s is None:
         return ""
-    for at_s in mark.span_s:
-        _guide(panel, mark, mark.start_s, at_s)
-    return mark.text
-
-
-def _mark_settled(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
-    _draw_band(panel, mark)
-    _guide(panel, mark, None)
+    if mark.kind == "rise_time":
+        for at_s in mark.span_s:
+            _guide(panel, mark, mark.start_s, at_s)
+    elif mark.value <= 0.0:
+        return ""
+    else:
+        panel.axes.axvspan(*mark.span_s, **_DEAD)
     return mark.text
 
 
@@ -222,33 +209,28 @@ def _mark_overshoot(panel: _Marked, mark: Characteristic, others: Sequence[Chara
     if not panel.is_alone:
         return mark.text
     # An error has no peak: its curve shows the remaining error.
-    return "\n".join(list_mark_texts(mark, () if panel.is_error else others))
-
-
-def _mark_dead_time(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
-    if not panel.is_alone or panel.is_error or mark.span_s is None or mark.value <= 0.0:
-        return ""
-    panel.axes.axvspan(*mark.span_s, **_DEAD)
-    return mark.text
+    return "\n".join(curve_marks.list_mark_texts(mark, () if panel.is_error else others))
 
 
 def _mark_point(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
     if not panel.is_alone and mark.kind == "final_error":
         return ""
+    if mark.kind == "settling_time":
+        _draw_band(panel, mark)
     _guide(panel, mark, None)
     return mark.text
 
 
+_POINTS: Final = (
+    *("settling_time", "final_error", "time_to_goal"),
+    *("position_error", "largest_error", "cross_track_max"),
+)
+
 _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Characteristic]], str]]] = {
-    "rise_time": _mark_rise,
-    "settling_time": _mark_settled,
+    "rise_time": _mark_span,
+    "dead_time": _mark_span,
     "overshoot": _mark_overshoot,
-    "dead_time": _mark_dead_time,
-    "final_error": _mark_point,
-    "time_to_goal": _mark_point,
-    "position_error": _mark_point,
-    "largest_error": _mark_point,
-    "cross_track_max": _mark_point,
+    **dict.fromkeys(_POINTS, _mark_point),
 }
 """Functions that draw a metric and return its text, by kind. A peak is drawn with its overshoot."""
 
@@ -256,14 +238,12 @@ _DRAWN: Final[Mapping[str, Callable[[_Marked, Characteristic, Sequence[Character
 def _guide(
     panel: _Marked, mark: Characteristic, from_s: float | None, at_s: float | None = None
 ) -> None:
-    """Draw a mark on the curve, with dotted lines to the time axis and along the curve's level.
-
-    For several runs, only settling times have a line, because the times differ.
-    """
+    """Draw a mark on the curve, with dotted lines to the time axis and along the curve's level."""
     at_s = mark.marked_s if at_s is None else at_s
     axes, level = panel.axes, panel.read(at_s)
     color = "0.35" if panel.is_alone else panel.color
     bottom = axes.get_ylim()[0]
+    # For several runs, only settling times have a line, because the times differ.
     if panel.has_guides and (panel.is_alone or mark.kind == "settling_time"):
         axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
     if panel.is_alone and from_s is not None:
@@ -344,17 +324,12 @@ def require_window(runs: Sequence[Run], page: Page) -> None:
     Raises:
         ShowError: With the available times.
     """
-    asked = [
-        (name, bound_s)
-        for name, bound_s in (("from", page.from_s), ("to", page.to_s))
-        if bound_s is not None
-    ]
-    if not asked:
-        return
-    if not runs:
-        raise ShowError(f"{asked[0][0]}: needs a recording to cut")
-    first_s, last_s = _find_span(runs)
-    for name, bound_s in asked:
+    for name, bound_s in (("from", page.from_s), ("to", page.to_s)):
+        if bound_s is None:
+            continue
+        if not runs:
+            raise ShowError(f"{name}: needs a recording to cut")
+        first_s, last_s = _find_span(runs)
         if not first_s <= bound_s <= last_s:
             raise ShowError(
                 f"{name}: expected {first_s:g} to {last_s:g} s, for which the runs last,"
@@ -367,10 +342,8 @@ def find_shown_times(runs: Sequence[Run], page: Page) -> tuple[float, float] | N
     if page.from_s is None and page.to_s is None:
         return None
     first_s, last_s = _find_span(runs)
-    return (
-        first_s if page.from_s is None else page.from_s,
-        last_s if page.to_s is None else page.to_s,
-    )
+    from_s = first_s if page.from_s is None else page.from_s
+    return from_s, last_s if page.to_s is None else page.to_s
 
 
 def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
@@ -397,7 +370,8 @@ def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
     lengths_s = {axes.get_xlim()[1] for axes in found}
     if not is_linear or len(lengths_s) != 1:
         return
-    rest_s = max(find_rest(_list_curves(axes), float(np.ptp(axes.get_ylim()))) for axes in found)
+    curves = {axes: [(time_s, one) for _, time_s, one in _list_curves(axes)] for axes in found}
+    rest_s = max(find_rest(own, float(np.ptp(axes.get_ylim()))) for axes, own in curves.items())
     if not 0.0 < rest_s < _MOST_AT_REST * min(lengths_s):
         return
     for axes in found:
@@ -406,26 +380,35 @@ def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
             axes.set_xlabel(f"{label}\nat rest until {end_s:.3g} s")
 
 
-def _list_curves(axes: Axes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _list_curves(axes: Axes) -> Iterator[tuple[Line2D, Values, Values]]:
     for line in axes.get_lines():
         if line.get_transform() == axes.transData:
-            yield np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+            yield line, np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
 
 
 def list_time_axes(figure: Figure) -> list[Axes]:
     """Return the time axes. Axes above others have no label of their own."""
-    found = []
-    for axes in figure.axes:
-        alike = axes.get_shared_x_axes().get_siblings(axes)
-        if any(other.get_xlabel().startswith(_TIME) for other in alike):
-            found.append(axes)
-    return found
+    return [
+        axes
+        for axes in figure.axes
+        for alike in [axes.get_shared_x_axes().get_siblings(axes)]
+        if any(other.get_xlabel().startswith(_TIME) for other in alike)
+    ]
 
 
 def fit_height(axes: Axes, window_s: tuple[float, float]) -> None:
-    """Fit the height of an axis to its curves within a time window."""
-    values = np.concatenate([*_list_visible(axes, window_s), np.empty(0)])
-    is_log = axes.get_yscale() == "log"
+    """Fit the height of an axis to its curves within a time window, including its ends."""
+    parts = [np.empty(0)]
+    for line, time_s, own in _list_curves(axes):
+        if line.get_linestyle() == "None":
+            continue
+        parts.append(own[(time_s >= window_s[0]) & (time_s <= window_s[1])])
+        if len(time_s) > 1 and time_s[0] < window_s[1] and time_s[-1] > window_s[0]:
+            edges_s = np.clip(window_s, time_s[0], time_s[-1])
+            rows = np.searchsorted(time_s, edges_s, side="right") - 1
+            is_held = line.get_drawstyle() == "steps-post"
+            parts.append(own[rows] if is_held else np.interp(edges_s, time_s, own))
+    values, is_log = np.concatenate(parts), axes.get_yscale() == "log"
     values = values[np.isfinite(values) & (values > 0.0 if is_log else True)]
     if not len(values):
         return
@@ -435,28 +418,6 @@ def fit_height(axes: Axes, window_s: tuple[float, float]) -> None:
     else:
         room = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
         axes.set_ylim(low - room, high + room)
-
-
-def _list_visible(axes: Axes, window_s: tuple[float, float]) -> Iterator[np.ndarray]:
-    """Yield the values of curves within a time window, including its ends."""
-    for line in axes.get_lines():
-        if line.get_transform() != axes.transData or line.get_linestyle() == "None":
-            continue
-        time_s, values = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
-        inside = (time_s >= window_s[0]) & (time_s <= window_s[1])
-        yield values[inside]
-        if len(time_s) > 1 and time_s[0] < window_s[1] and time_s[-1] > window_s[0]:
-            yield _read_edges(line, time_s, values, window_s)
-
-
-def _read_edges(
-    line: Line2D, time_s: np.ndarray, values: np.ndarray, window_s: tuple[float, float]
-) -> np.ndarray:
-    edges_s = np.clip(window_s, time_s[0], time_s[-1])
-    if line.get_drawstyle() == "steps-post":
-        rows = np.searchsorted(time_s, edges_s, side="right") - 1
-        return values[rows]
-    return np.asarray(np.interp(edges_s, time_s, values))
 
 
 def _find_span(runs: Sequence[Run]) -> tuple[float, float]:

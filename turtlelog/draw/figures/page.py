@@ -1,19 +1,27 @@
-"""The printed page: width of figures, fonts and lines."""
+"""The printed page: size and style of figures, and figures as files of each format."""
 
+import io
 import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from threading import RLock
+from pathlib import Path
+from threading import RLock, get_ident
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
+from fontTools import subset
 from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from turtlelog.charts import palette
+from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
+from turtlelog.files.urls import make_path
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
@@ -74,9 +82,7 @@ _DRAWING: Final = RLock()
 if hasattr(os, "register_at_fork"):
     # A process forked while another thread draws would wait for that thread for ever.
     os.register_at_fork(
-        before=_DRAWING.acquire,
-        after_in_parent=_DRAWING.release,
-        after_in_child=_DRAWING.release,
+        before=_DRAWING.acquire, after_in_parent=_DRAWING.release, after_in_child=_DRAWING.release
     )
 
 
@@ -224,3 +230,114 @@ def break_label(label: str) -> str:
     words = label.split(" ")
     pairs = [(" ".join(words[:count]), " ".join(words[count:])) for count in range(1, len(words))]
     return "\n".join(min(pairs, key=lambda pair: max(map(len, pair)), default=(label,)))
+
+
+_UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")
+"""Font tables on ligatures, look-up and names of glyphs. A PDF does not need them, because it finds
+glyphs by index. ISO 32000-1, 9.9: a CIDFontType2 needs glyf, head, hhea, hmtx, loca, maxp, and, if
+present, cvt, fpgm and prep."""
+
+_NO_DATE: Final = {
+    "pdf": {"CreationDate": None, "ModDate": None},
+    "png": {"Software": None},
+    "svg": {"Date": None},
+}
+"""Metadata without dates, so that equal runs give identical files."""
+
+FIGURE_FORMATS: Final = tuple(_NO_DATE)
+
+
+def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
+    """Write a figure in one of `FIGURE_FORMATS`. Equal figures give equal bytes."""
+    with use_looks():
+        # `savefig` would draw everything once more to compute the layout.
+        figure.dpi = (page or Page()).pixels_per_inch
+        arrange_panels(figure)
+        if form == "pdf":
+            with _drop_unused_tables():
+                FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
+        elif form == "svg":
+            FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
+        else:
+            FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
+
+
+_LAYOUTS: Final = 3
+"""Number of layout computations after which square planes leave room for all labels."""
+
+
+def arrange_panels(figure: Figure) -> None:
+    """Compute the places of panels; repeatedly for planes, because their squares change places."""
+    has_planes = any(axes.get_aspect() != "auto" for axes in figure.axes)
+    for _ in range(_LAYOUTS if has_planes else 1):
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+
+
+def require_figure_path(path: str | Path) -> Path:
+    """Return the path for a figure, or raise an error if the suffix is not a format."""
+    path = make_path(path)
+    if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
+        raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
+    return path
+
+
+def write_figure(figure: Figure, path: Path, page: Page) -> Path:
+    """Write a figure in the format of the suffix, and return its path."""
+    data = io.BytesIO()
+    save_figure(figure, data, path.suffix.lower().removeprefix("."), page)
+    with replace_file(path) as part:
+        part.write_bytes(data.getvalue())
+    return path
+
+
+@contextmanager
+def _drop_unused_tables() -> Iterator[None]:
+    """Leave out font tables that no PDF uses, because reducing them takes most of the writing time.
+
+    matplotlib has no option for these tables. matplotlib opens fonts with a public function of
+    fontTools, which leaves the tables out in this thread during the block. If matplotlib opened
+    fonts in another way, writing would only take longer.
+    """
+    usual, ours = subset.load_font, get_ident()
+
+    def load(*arguments: Any, **named: Any) -> Any:
+        font = usual(*arguments, **named)
+        if get_ident() != ours:
+            return font
+        font.setGlyphOrder([f"glyph{number}" for number in range(font["maxp"].numGlyphs)])
+        for table in _UNUSED_TABLES:
+            if table in font:
+                del font[table]
+        return font
+
+    subset.load_font = load
+    try:
+        yield
+    finally:
+        subset.load_font = usual
+
+
+_SHOWN_DPI: Final = 192
+"""Resolution in notebooks: twice the inch of browsers, sharp on every kind of screen."""
+
+_BROWSER_DPI: Final = 96
+
+
+class ShownFigure(Figure):
+    """A `matplotlib.figure.Figure` that a notebook shows as the value of a cell.
+
+    No magic command is needed, and the figure does not stay in the memory of pyplot.
+    """
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, Any]]:
+        data, dpi = io.BytesIO(), self.dpi
+        with use_looks():
+            try:
+                self.dpi = _SHOWN_DPI
+                arrange_panels(self)
+                FigureCanvasAgg(self).print_png(data)
+            finally:
+                self.dpi = dpi
+        width, height = (round(float(inch) * _BROWSER_DPI) for inch in self.get_size_inches())
+        return data.getvalue(), {"width": width, "height": height}

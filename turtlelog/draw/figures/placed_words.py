@@ -74,8 +74,13 @@ def write_words(axes: Axes, words: Sequence[Word], tables: Sequence[Table] = ())
     orders = [_place_in_order(place, to_panel, order) for order in (marked, marked[::-1])]
     best = min(orders, key=lambda order: sum(min(one.cost, _NO_ROOM) for one in order))
     for placed in sorted(best, key=lambda one: one.word.at):
-        if placed.cost < _NO_ROOM:
-            _write_placed(axes, placed)
+        if placed.cost >= _NO_ROOM:
+            continue
+        if placed.leader is not None:
+            looks: dict[str, Any] = {"color": placed.word.color, "linewidth": 0.4, "zorder": 3.1}
+            looks |= {"transform": axes.transAxes, "scalex": False, "scaley": False}
+            axes.plot(*placed.leader.T, **looks)
+        _write(axes, placed.word, placed.middle, rotation=90.0 if placed.is_upright else 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,21 +100,16 @@ _AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)
 
 @dataclass(slots=True, kw_only=True)
 class WordSpace:
-    """A panel with linear axes, and the points that text should not cover.
+    """A panel with linear axes, and what text should not cover.
 
-    Attributes:
-        center: Center of the panel, in data units, shape (2,).
-        half: Half of the panel's width and height, in data units, shape (2,).
-        half_mm: Half of the panel's width and height in print [mm], shape (2,).
-        taken: Points of lines and dots, shape (n, 2).
-        boxes: Boxes of placed text: left, right, bottom, top, in data units.
+    A box of placed text is its left, right, bottom and top, in data units.
     """
 
-    center: Values
-    half: Values
-    half_mm: Values
-    taken: list[Values] = field(default_factory=list)
-    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+    center: Values  # center of the panel, in data units, shape (2,)
+    half: Values  # half of the panel's width and height, in data units, shape (2,)
+    half_mm: Values  # half of the panel's width and height in print [mm], shape (2,)
+    taken: list[Values] = field(default_factory=list)  # points of lines and dots, shape (n, 2)
+    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)  # placed text
 
     @property
     def points(self) -> Values:
@@ -144,25 +144,18 @@ class WordSpace:
         self.taken.append(np.repeat(marks, _OF_A_DOT // len(_WAYS), axis=0))
 
     def find_room(
-        self,
-        dot: Values,
-        width_mm: float,
-        height_mm: float,
-        away_mm: tuple[float, ...] = _AWAY_MM,
+        self, dot: Values, size_mm: Sequence[float] | Values, away_mm: Sequence[float] = _AWAY_MM
     ) -> tuple[Values, float]:
         """Return the middle of the box near a dot that covers least, and the points covered."""
-        scale = self.half / self.half_mm
-        half = self.scale_half([width_mm, height_mm])
-        points = self.points
+        scale, half, points = self.half / self.half_mm, self.scale_half(size_mm), self.points
         best, least = dot, np.inf
         for order, gap_mm in enumerate(away_mm):
             for angle in _WAYS:
                 way = np.array([np.cos(angle), np.sin(angle)])
                 middle = dot + way * (gap_mm * scale + half * np.minimum(np.abs(way) * 1.3, 1.0))
                 cost = self.count_covered(middle, half, points) + 3.0 * order
-                cost += _OF_A_DOT * self.count_struck(
-                    dot, np.clip(dot, middle - half, middle + half)
-                )
+                end = np.clip(dot, middle - half, middle + half)
+                cost += _OF_A_DOT * self.count_struck(dot, end)
                 if cost < least:
                     best, least = middle, cost
         return best, float(least)
@@ -208,10 +201,19 @@ def _place_in_order(
             width = float(np.ptp(to_panel.transform([(at_s, 1.0) for at_s in word.span_s])[:, 0]))
         half = place.scale_half(_measure(word))
         if width >= _LINE_MM * place.half[0] / place.half_mm[0]:
-            placed, half = _place_upright(place, word, float(dot[0]))
+            # Upright text in its span, at the height where it covers least.
+            half = place.scale_half(_measure(word)[::-1])
+            heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
+            middle, cost = place.choose([np.array([dot[0], height]) for height in heights], half)
+            placed = _Placed(word=word, middle=middle, cost=cost, is_upright=True)
         else:
             at = dot if word.span_s is None else np.array([dot[0], 0.5])
-            placed = _place_beside(place, word, at)
+            middle, cost = place.find_room(at, _measure(word), _MARK_AWAY_MM)
+            leader = np.stack([at, np.clip(at, middle - half, middle + half)])
+            away_mm = np.diff(leader, axis=0)[0] * (place.half_mm / place.half)
+            is_far = float(np.hypot(*away_mm)) > _LEADER_MM
+            ends = leader if is_far else None
+            placed = _Placed(word=word, middle=middle, cost=cost, leader=ends)
         found.append(placed)
         if placed.cost < _NO_ROOM:
             place.take_box(placed.middle, half)
@@ -254,31 +256,6 @@ def _write_table(axes: Axes, place: WordSpace, tables: Sequence[Table]) -> None:
         left, top = middle[0] - half[0], middle[1] + half[1]
         at = np.array([left, top - (number + 0.5) * line])
         _write(axes, Word(text=text, at=(0.0, 0.0), color=color), at, side="left")
-
-
-def _place_beside(place: WordSpace, word: Word, dot: Values) -> _Placed:
-    size_mm = _measure(word)
-    middle, cost = place.find_room(dot, float(size_mm[0]), float(size_mm[1]), away_mm=_MARK_AWAY_MM)
-    scale_mm = place.half_mm / place.half
-    half = size_mm / 2.0 / scale_mm
-    leader = np.stack([dot, np.clip(dot, middle - half, middle + half)])
-    is_far = float(np.hypot(*(np.diff(leader, axis=0)[0] * scale_mm))) > _LEADER_MM
-    return _Placed(word=word, middle=middle, cost=cost, leader=leader if is_far else None)
-
-
-def _place_upright(place: WordSpace, word: Word, center: float) -> tuple[_Placed, Values]:
-    """Return upright text in its span where it covers least, and half the size of its box."""
-    half = place.scale_half(_measure(word)[::-1])
-    heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
-    middle, cost = place.choose([np.array([center, height]) for height in heights], half)
-    return _Placed(word=word, middle=middle, cost=cost, is_upright=True), half
-
-
-def _write_placed(axes: Axes, placed: _Placed) -> None:
-    if placed.leader is not None:
-        looks: dict[str, Any] = {"color": placed.word.color, "linewidth": 0.4, "zorder": 3.1}
-        axes.plot(*placed.leader.T, transform=axes.transAxes, scalex=False, scaley=False, **looks)
-    _write(axes, placed.word, placed.middle, rotation=90.0 if placed.is_upright else 0.0)
 
 
 def _measure(word: Word) -> Values:
@@ -330,9 +307,9 @@ def place_words(
     """Write text near a dot where it covers least."""
     lines = text.split("\n")
     width_mm = max(measure_text_mm(line, points) for line in lines) + 0.5
-    height_mm = 1.25 * points * _MM_PER_POINT * len(lines)
-    middle, _ = place.find_room(dot, width_mm, height_mm)
-    place.take_box(middle, place.scale_half([width_mm, height_mm]))
+    size_mm = (width_mm, 1.25 * points * _MM_PER_POINT * len(lines))
+    middle, _ = place.find_room(dot, size_mm)
+    place.take_box(middle, place.scale_half(size_mm))
     at = (float(middle[0]), float(middle[1]))
     words = axes.text(*at, text, color=color, fontsize=points, ha="center", va="center", zorder=4)
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})

@@ -1,6 +1,6 @@
 """Metrics of several runs in figures, and strips: each run is a point, of many there is a box."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,9 +16,9 @@ from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.display import cut_name
+from turtlelog.draw.figures.figure_curves import choose_colors
 from turtlelog.draw.figures.page import fix_style
 from turtlelog.draw.figures.placed_words import measure_text_mm
-from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
@@ -46,6 +46,8 @@ _SIDE_INCH: Final = 0.65
 """Width of a panel for the numbers and the two lines next to its axis [inch]."""
 
 _BOX: Final = fix_style(
+    widths=0.26,
+    manage_ticks=False,
     showfliers=False,
     patch_artist=True,
     medianprops={"color": "black", "linewidth": 1.2},
@@ -62,8 +64,6 @@ class MetricValues:
     id: str  # id of the metric
     label: str  # label of an axis, with the unit
     values: Values  # value of each run in this unit; NaN for a missing value
-    reasons: tuple[str, ...]  # reason for each missing value, if measured; otherwise empty
-    factor: float = 1.0  # factor from the metric's unit to the unit of the label
 
     @property
     def loop(self) -> str:
@@ -114,7 +114,13 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     found: dict[tuple[Parameter | None, ...], list[int]] = {}
     for row, cell in enumerate(cells):
         found.setdefault(cell, []).append(row)
-    label = "Kp [1/s]" if is_one_gain else ", ".join(_name_key(key, runs) for key in by)
+    # A key has the unit of a gain; other keys contain their unit.
+    units = [find_gain_unit(runs, key) for key in by]
+    named = [
+        f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
+        for key, unit in zip(by, units, strict=True)
+    ]
+    label = "Kp [1/s]" if is_one_gain else ", ".join(named)
     if more > 0 and not is_one_gain:
         label += f" ({more} more keys differ)"
     if len(found) > _MOST_GROUPS:
@@ -122,30 +128,23 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
             f"figure strips: expected at most {_MOST_GROUPS} groups, found {len(found)} by"
             f" {label or 'what differs'}; the figure gains draws metrics against gains"
         )
-    order = sorted(found, key=lambda cell: [_rank(value) for value in cell])
+
+    def tell(value: Parameter | None) -> str:
+        told = f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+        return "unknown" if value is None else told
+
+    order = sorted(found, key=lambda cell: [*map(_rank, cell)])
     return RunGroups(
         label=label,
-        names=tuple(cut_name(", ".join(map(_tell, cell)), _MOST_LETTERS) for cell in order),
+        names=tuple(cut_name(", ".join(map(tell, cell)), _MOST_LETTERS) for cell in order),
         rows=tuple(tuple(found[cell]) for cell in order),
     )
-
-
-def _name_key(key: str, runs: Sequence[Run]) -> str:
-    """Return the last part of a key, with the unit of a gain. Other keys contain their unit."""
-    unit = find_gain_unit(runs, key)
-    return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
 
 
 def _rank(value: Parameter | None) -> tuple[int, float, str]:
     if isinstance(value, int | float):
         return (0, float(value), "")
-    return (1, 0.0, str(value)) if value is not None else (2, 0.0, "")
-
-
-def _tell(value: Parameter | None) -> str:
-    if value is None:
-        return "unknown"
-    return f"{value:g}" if isinstance(value, float) else str(value).replace("_", " ")
+    return (1 + (value is None), 0.0, str(value))
 
 
 def draw_strips(
@@ -161,7 +160,11 @@ def draw_strips(
     groups = group_runs(runs)
     found = measure_for_figure("strips", runs, metrics)
     width = figure.get_figwidth()
-    columns = _choose_columns(groups, len(found), width)
+    most, widest = max(1, int(width / _NARROW_INCH)), _measure_widest(_name_groups(groups))
+    most = min(len(found), most)
+    # Fewer columns if names would be slanted.
+    fitting = (n for n in range(most, 0, -1) if widest <= _find_room(groups, width / n))
+    columns = next(fitting, most)
     rows = -(-len(found) // columns)
     figure.set_size_inches(width, rows * _PANEL_INCH + 0.2)
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -174,14 +177,6 @@ def draw_strips(
         if number + columns >= len(found):
             axes.set_xlabel("; ".join(filter(None, [groups.label, _tell_sizes(groups)])))
     figure.align_ylabels()
-
-
-def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
-    """Return the number of panel columns that fit, or fewer if names would be slanted."""
-    most = max(1, min(count, int(width_inch / _NARROW_INCH)))
-    widest = _measure_widest(_name_groups(groups))
-    fitting = [n for n in range(most, 0, -1) if widest <= _find_room(groups, width_inch / n)]
-    return fitting[0] if fitting else most
 
 
 def _find_room(groups: RunGroups, panel_inch: float) -> float:
@@ -202,7 +197,6 @@ def _name_groups(groups: RunGroups) -> list[str]:
 
 
 def _tell_sizes(groups: RunGroups) -> str:
-    """Return the common number of runs per group as text; empty if the numbers differ."""
     sizes = {len(rows) for rows in groups.rows}
     if len(sizes) > 1 or len(groups.rows) == 1:
         return ""
@@ -241,16 +235,11 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
         return
     beside = 0.2 if is_boxed else 0.0
     across = place + beside + _spread(known)
-    size = (
-        5.0 if len(known) == 1 else 3.6 if len(known) <= 40 else 2.4 if len(known) <= 200 else 1.5
-    )
+    size = (5.0, 3.6, 2.4, 1.5)[sum(len(known) > most for most in (1, 40, 200))]
     faint = 0.9 if len(known) <= 40 else 0.55
     axes.plot(across, known, "o", ms=size, mew=0.0, color=color, alpha=faint, zorder=2.5)
     if len(known) >= _BOX_FROM:
-        box = axes.boxplot(
-            [known], positions=[place - 0.2], widths=0.26, manage_ticks=False, **_BOX
-        )
-        for patch in box["boxes"]:
+        for patch in axes.boxplot([known], positions=[place - 0.2], **_BOX)["boxes"]:
             patch.set(facecolor=(*color, 0.35), edgecolor=color, linewidth=0.8)
     elif len(known) > 2:
         median, half = float(np.median(known)), _HALF_WIDTH + 0.06
@@ -259,13 +248,10 @@ def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: 
 
 
 def _spread(values: Values) -> Values:
-    """Return sideways offsets of points, so that close values do not hide each other.
-
-    Offsets follow the golden ratio in the order of the values: neighbouring values are far apart,
-    and equal runs give equal pictures.
-    """
+    """Return sideways offsets of points, so that close values do not hide each other."""
     if len(values) < 3:
         return np.zeros(len(values))
+    # By the golden ratio, neighbouring values are far apart, and equal runs give equal pictures.
     ranks = np.argsort(np.argsort(values, kind="stable"), kind="stable")
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     return np.asarray(_HALF_WIDTH * (2.0 * ((ranks * golden) % 1.0) - 1.0))
@@ -283,7 +269,6 @@ _LEAST_PERCENT: Final = 0.5
 """Smallest height of a percentage axis [%], a quarter of the settling band. On a smaller axis, the
 last digits of a run without overshoot would look like an overshoot."""
 
-_POINTS_PER_INCH: Final = 72.0
 _LETTER_WIDTH: Final = 0.65
 """Width of a digit as a share of the font size. DejaVu Sans, the widest font in use, has 0.636."""
 
@@ -303,7 +288,9 @@ def measure_for_figure(
     for patterns in [[*map(complete_name, names)]] if names else [USUAL, OF_TRACKING]:
         chosen = [choose_metrics(patterns, run.declaration) for run in runs]
         measured = [measure_run(run, only=only) for run, only in zip(runs, chosen, strict=True)]
-        found = _gather(measured)
+        ids = dict.fromkeys(name for metrics in measured for name in metrics)
+        built = [_build(name, [one.get(name) for one in measured]) for name in ids]
+        found = [one for one in built if one is not None]
         if found:
             break
     else:
@@ -320,30 +307,20 @@ def complete_name(name: str) -> str:
     return f"*.{name}" if is_bare else name
 
 
-def _gather(measured: Sequence[Mapping[str, Metric]]) -> list[MetricValues]:
-    ids = dict.fromkeys(name for metrics in measured for name in metrics)
-    found = []
-    for name in ids:
-        metrics = [one.get(name) for one in measured]
-        if any(metric is not None and metric.value is not None for metric in metrics):
-            found.append(_build(name, metrics))
-    return found
-
-
-def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues:
-    known = [one for one in metrics if one is not None and one.value is not None]
-    values = [np.nan if one is None or one.value is None else one.value for one in metrics]
-    factor, unit = choose_unit(max(abs(one.value or 0.0) for one in known), known[0].unit)
+def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues | None:
+    """Return a metric of several runs; None if no run has a value."""
+    values = np.array(
+        [np.nan if one is None or one.value is None else one.value for one in metrics]
+    )
+    known = ~np.isnan(values)
+    if not known.any():
+        return None
+    measured = next(one for one in metrics if one is not None and one.value is not None)
+    factor, unit = choose_unit(float(np.abs(values[known]).max()), measured.unit)
     loop, _, last = name.rpartition(".")
     words = last if loop != "final" or last.startswith("final") else f"final {last}"
-    words = words.replace("_", " ")
-    return MetricValues(
-        id=name,
-        label=f"{words} [{unit}]" if unit else words,
-        values=factor * np.array(values),
-        reasons=tuple("" if one is None else one.reason for one in metrics),
-        factor=factor,
-    )
+    label = words.replace("_", " ") + (f" [{unit}]" if unit else "")
+    return MetricValues(id=name, label=label, values=factor * values)
 
 
 def set_value_scale(axes: Axes, found: MetricValues) -> None:
@@ -366,23 +343,21 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Place the ticks of the lower axis at the values that have enough room."""
-    axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
-    axes.xaxis.set_minor_locator(NullLocator())
-    formatter: Any = "{x:.4g}"
-    axes.xaxis.set_major_formatter(formatter)
+    """Place the ticks of the lower axis at the values that have enough room.
 
-
-def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
-    """Return the smallest and largest values, and values between them whose labels do not touch."""
+    The smallest and largest values have ticks, and values between them whose labels do not touch.
+    """
+    values = sorted({*values})
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
-    points = points * _POINTS_PER_INCH / axes.figure.dpi
+    points = points * 72.0 / axes.figure.dpi
     size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()
-    letter = _LETTER_WIDTH * size
-    halves = [letter * (len(f"{value:.4g}") + 1) / 2.0 for value in values]
+    halves = [_LETTER_WIDTH * size * (len(f"{value:.4g}") + 1) / 2.0 for value in values]
     last = len(values) - 1
     chosen: list[int] = []
     for row in [0, last, *range(1, last)]:
         if all(abs(points[row] - points[one]) >= halves[row] + halves[one] for one in chosen):
             chosen.append(row)
-    return [values[row] for row in sorted(chosen)]
+    axes.xaxis.set_major_locator(FixedLocator([values[row] for row in sorted(chosen)]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    formatter: Any = "{x:.4g}"
+    axes.xaxis.set_major_formatter(formatter)

@@ -17,10 +17,9 @@ from matplotlib.ticker import MaxNLocator
 from turtlelog.charts.curves import Values
 from turtlelog.charts.palette import UNSTABLE, choose_run_colors, to_hex
 from turtlelog.display import describe_count
-from turtlelog.draw.figures import map_figure, writing
-from turtlelog.draw.figures.figure_curves import count_legend_columns
+from turtlelog.draw.figures import map_figure, page as pages
+from turtlelog.draw.figures.figure_curves import choose_colors, count_legend_columns
 from turtlelog.draw.figures.page import REFERENCE, Page, to_rgb, use_looks
-from turtlelog.draw.figures.run_styles import choose_colors
 from turtlelog.errors import ShowError
 from turtlelog.sweep.sweep_analysis import (
     LoopLimits,
@@ -91,9 +90,9 @@ def write_map_figure(
     Raises:
         ShowError: If the file cannot be written.
     """
-    path = writing.require_figure_path(path)
+    path = pages.require_figure_path(path)
     page = page or Page(kind="page")
-    return writing.write_figure(_draw(view, limits, kind, page), path, page)
+    return pages.write_figure(lay_out(view, limits, kind, page), path, page)
 
 
 def draw_map(  # noqa: PLR0913  (all but the first have defaults)
@@ -128,30 +127,26 @@ def draw_map(  # noqa: PLR0913  (all but the first have defaults)
         results = read_swept_results(table, metrics)
     view = choose_view(results, x=x, y=y, at=at, gains=list_gain_keys(results))
     require_values(view)
-    return _draw(view, find_loop_limits(view), kind, page or Page(kind="page"))
+    return lay_out(view, find_loop_limits(view), kind, page or Page(kind="page"))
 
 
 def draw_sweep_svg(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind) -> bytes:
     """Return the content of the .svg file that `write_map_figure` writes."""
     page, data = Page(kind="page"), io.BytesIO()
-    writing.save_figure(_draw(view, limits, kind, page), data, "svg", page)
+    pages.save_figure(lay_out(view, limits, kind, page), data, "svg", page)
     return data.getvalue()
 
 
-def _draw(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
-    """Return the drawn figure; of a single axis, a map is drawn as curves."""
-    with use_looks():
-        return lay_out(view, limits, "curves" if view.y is None and kind == "map" else kind, page)
-
-
+@use_looks()
 def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: Page) -> Figure:
-    """Return the drawn figure of a sweep."""
+    """Return the drawn figure of a sweep; of a single axis, a map is drawn as curves."""
+    kind = "curves" if view.y is None and kind == "map" else kind
     metrics = view.results.metrics
     found = [find_sensitivities(view.results, one, dict(view.held)) for one in metrics]
     most = max(len(one.keys) for one in found)
     height = _TORNADO_INCH + _BAR_INCH * most if kind == "tornado" else _PANEL_INCH
     rows, columns = _choose_grid(len(metrics), height, page)
-    figure = writing.ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
+    figure = pages.ShownFigure(figsize=(page.width_inch, height * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     named: dict[str, Any] = {}
     reasons = map_figure.group_reasons(metrics)
@@ -183,11 +178,7 @@ def _write_below(figure: Figure, words: Sequence[str]) -> None:
 
 
 def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
-    """Return rows and columns of panels.
-
-    Raises:
-        ShowError: If a slide has no room for the panels.
-    """
+    """Return rows and columns of panels; more than a slide has room for are refused."""
     columns = min(count, max(int(page.width_inch / _NARROWEST_INCH), 1))
     rows = -(-count // columns)
     room = page.height_inch / (height_inch * _SQUEEZED)
@@ -295,10 +286,10 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
         axes.text(value, number, f" {value:.2f} ", fontsize=6.2, ha=ha, va="center", color="0.25")
     axes.axvline(0.0, **REFERENCE)
     axes.set_xlim(-1.35, 1.35)
-    share = (
-        "" if found.explained is None else f";\nall together explain {100 * found.explained:.0f} %"
-    )
-    axes.set_xlabel(f"rank correlation, {found.rows} rows{share}", fontsize=7.0)
+    told = f"rank correlation, {found.rows} rows"
+    if found.explained is not None:
+        told += f";\nall together explain {100 * found.explained:.0f} %"
+    axes.set_xlabel(told, fontsize=7.0)
 
 
 _MOST_LINES: Final = 12
@@ -312,7 +303,6 @@ _ALIKE: Final = 0.005
 """Difference below which curves are one line in print: a third of a millimetre, as a share of a
 panel's height."""
 
-_RAMP_COLORS: Final = 256
 
 _MOST_MARKED: Final = 40
 """Largest number of key values with a dot on the line: one per 2 mm of a panel."""
@@ -369,19 +359,16 @@ def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...
     if series is None or not series.is_number or count == 1:
         return choose_colors(count)
     # The ramp is that of more runs than hues; its ends are the least and the greatest value.
-    ramp = choose_run_colors(_RAMP_COLORS)
-    rows = np.linspace(0, _RAMP_COLORS - 1, count).round().astype(int)
-    return [to_rgb(ramp[row]) for row in rows]
+    ramp = choose_run_colors(256)
+    return [to_rgb(ramp[row]) for row in np.linspace(0, len(ramp) - 1, count).round().astype(int)]
 
 
 def _name_value(series: SweptAxis, place: int) -> str:
-    """Return the legend text of a line: `law.kp_linear = 4`."""
     pairs = zip(series.keys, series.values[place], strict=True)
     return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:
-    """Return the values of a second key that have no line, as text."""
     left = [place for place in range(len(series)) if place not in places]
     if len(left) <= _MOST_TOLD:
         return f"left out: {', '.join(series.tell_place(place) for place in left)}"
@@ -439,12 +426,7 @@ def _draw_sample(
 
 
 def _draw_limits(
-    axes: Axes,
-    found: LoopLimits,
-    metric: SweptMetric,
-    along: SweptAxis,
-    place: int,
-    color: Any,
+    axes: Axes, found: LoopLimits, metric: SweptMetric, along: SweptAxis, place: int, color: Any
 ) -> dict[str, Any]:
     """Draw theory's limits of one column as vertical lines, in the colour of its curve."""
     column = found.columns[place if len(found.columns) > 1 else 0]

@@ -1,6 +1,7 @@
-"""Panels over time and their arrangement in a figure: curves, level lines, gaps and outliers."""
+"""Panels over time: curves, level lines, gaps, outliers, and a check's band with its violations."""
 
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final
@@ -10,34 +11,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
-from turtlelog.charts import many_runs
-from turtlelog.charts.curves import Curve, find_disturbance
-from turtlelog.charts.palette import LIMIT_DASH, Color, choose_curve_color, choose_dash
-from turtlelog.charts.plane_scene import find_origin, label_coordinate, move_near
-from turtlelog.charts.plotted_curves import (
-    POINTS,
-    CurveKind,
-    PlottedCurve,
-    Scale,
-    TimePlot,
-    choose_kinds,
-    find_range,
-    label_time,
-    leaves_out,
-    list_own,
-    list_plot_levels,
-    list_plotted,
-    take_magnitude,
-)
-from turtlelog.charts.robot_curves import lack_samples, list_seen_gaps
+from turtlelog.charts import many_runs, palette, plotted_curves
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
+from turtlelog.charts.curves import find_disturbance, lack_samples
+from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
+from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
-from turtlelog.draw.figures import page, run_styles
-from turtlelog.draw.figures.figure_curves import draw_curve, draw_level, draw_points
-from turtlelog.draw.figures.placed_words import WORDS_POINTS
+from turtlelog.display import format_number
+from turtlelog.draw.figures import figure_curves, page
+from turtlelog.draw.figures.figure_curves import choose_lines, draw_curve, draw_level, label_runs
+from turtlelog.draw.figures.page import REFERENCE, STROKES, fix_style, to_rgb
+from turtlelog.draw.figures.placed_words import WORDS_POINTS, WordSpace, place_words
 from turtlelog.draw.figures.plane_panels import draw_paths, show_all
+from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
-_LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = {
+_LOOKS: Final[Mapping[plotted_curves.CurveKind, Mapping[str, Any]]] = {
     "beside": {"linewidth": 0.9, "zorder": 1.9},
     "measured": {"linewidth": 0.8, "zorder": 1.9},
     "applied": {"linewidth": 0.8, "zorder": 1.9},
@@ -49,34 +38,31 @@ _LOOKS: Final[Mapping[CurveKind, Mapping[str, Any]]] = {
 """Width and order of each kind of curve; colour and dashes come from `charts.palette`."""
 
 _LEVELS: Final[Mapping[str, Mapping[str, Any]]] = {
-    "target": page.REFERENCE,
-    "zero": {**page.REFERENCE, "label": None},
-    "limit": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
-    "tolerance": {**page.REFERENCE, "linestyle": page.STROKES[LIMIT_DASH]},
+    "target": REFERENCE,
+    "zero": {**REFERENCE, "label": None},
+    "limit": {**REFERENCE, "linestyle": STROKES[palette.LIMIT_DASH]},
+    "tolerance": {**REFERENCE, "linestyle": STROKES[palette.LIMIT_DASH]},
 }
 
 _GRID: Final = {"color": "0.8", "linewidth": 0.5}
 """Style of the zero line in a panel of commands or states."""
 
-_COMMANDED: Final = page.fix_style(linewidth=0.5, zorder=1.8, marker="", label="commanded")
+_COMMANDED: Final = fix_style(linewidth=0.5, zorder=1.8, marker="", label="commanded")
 """Style of commands next to measured rates of the same run, in the colour of the run."""
 
-_LOST: Final = page.fix_style(
+_LOST: Final = fix_style(
     linestyle="", marker="|", markersize=3.5, markeredgewidth=0.4, zorder=1.7, label="dropped"
 )
 """Style of poses that the controller does not receive: strokes at the lower edge."""
 
-_OUTLIER: Final = page.fix_style(
+_OUTLIER: Final = fix_style(
     linestyle="", marker="v", markersize=4.0, clip_on=False, label="outlier"
 )
 
-_GAP: Final = page.fix_style(
-    facecolor="0.95", edgecolor="0.8", hatch="////", linewidth=0.0, zorder=0.45
-)
+_GAP: Final = fix_style(facecolor="0.95", edgecolor="0.8", hatch="////", linewidth=0.0, zorder=0.45)
 
-_DIMMED: Final = page.fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
+_DIMMED: Final = fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
 """Style of a run that never settles, below runs that settle."""
-
 
 _OUTLIER_ROOM: Final = 0.15
 """Share of an axis for a line of text on outliers below the curves."""
@@ -111,7 +97,7 @@ def draw_time_plot(
     _fit(axes, calm, plot, scale, is_forced=bool(restless))
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
-        how = "without" if leaves_out(len(runs), plot) else "pale:"
+        how = "without" if plotted_curves.leaves_out(len(runs), plot) else "pale:"
         words = f"{how} {many_runs.describe_restless(runs, restless)}, not settled"
         axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
@@ -126,7 +112,7 @@ def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label:
         draw_time_plot(axes, runs, name=names[0])
         return
     draw_level(axes, [0.0], **_GRID)
-    for name, looks in zip(names, run_styles.choose_lines(len(names)), strict=True):
+    for name, looks in zip(names, choose_lines(len(names)), strict=True):
         for found in list_plotted(runs[0], find_plot(name, runs)):
             draw_curve(axes, found.curve, **looks, label=name)
     _finish(axes, runs, label)
@@ -143,8 +129,7 @@ def _scale(axes: Axes, scale: Scale) -> None:
 
 
 def _draw_levels(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale) -> None:
-    """Draw level lines with their names, each name once."""
-    levels = list_plot_levels(runs, plot, scale)
+    levels = plotted_curves.list_plot_levels(runs, plot, scale)
     if any(level.kind == "limit" for level in levels) or plot.command is not None:
         draw_level(axes, [0.0], **_GRID)
     for label, kind in dict.fromkeys((level.label, level.kind) for level in levels):
@@ -157,36 +142,43 @@ def _draw_curves(
 ) -> None:
     """Draw the curves of all runs; a reference that several share is drawn once."""
     is_alone, is_many = len(runs) == 1, len(runs) > many_runs.MANY
-    aims: list[Curve] = []
+    aims: set[tuple[bytes, bytes]] = set()
     colors = many_runs.choose_colors_by_value(runs)
-    for number, (run, looks) in enumerate(run_styles.style_runs(runs)):
-        listed = list_plotted(run, plot, choose_kinds(number, len(runs)))
-        is_answered = any(one.kind == "measured" for one in listed) and not is_alone
-        if number in restless and leaves_out(len(runs), plot):
+    for number, (run, looks) in enumerate(figure_curves.style_runs(runs)):
+        if number in restless and plotted_curves.leaves_out(len(runs), plot):
             continue
-        for found in listed:
-            if found.kind == "outlier":
-                continue
+        listed = list_plotted(run, plot, plotted_curves.choose_kinds(number, len(runs)))
+        is_answered = any(one.kind == "measured" for one in listed) and not is_alone
+        for found in (one for one in listed if one.kind != "outlier"):
             if found.kind == "aim":
-                if any(_are_alike(found.curve, other) for other in aims):
+                # Runs that track one path by time have equal references.
+                aim = (found.curve.time_s.tobytes(), found.curve.values.tobytes())
+                if aim in aims:
                     continue
-                aims.append(found.curve)
+                aims.add(aim)
             own = {
                 **_choose_looks(found, looks, colors[number], is_alone=is_alone),
                 **(_COMMANDED if found.kind == "run" and is_answered else {}),
                 **({"label": page.IDEAL_ENDS} if found.kind == "ideal" and is_many else {}),
                 **(_DIMMED if number in restless else {}),
             }
-            curve = take_magnitude(found.curve) if scale == "log" else found.curve
-            _draw(axes, run, found.kind, curve, own)
+            curve = plotted_curves.take_magnitude(found.curve) if scale == "log" else found.curve
+            if found.kind == "dropped_out":
+                edge = np.full(len(curve.time_s), 0.02)
+                own = {**_LOST, "color": own["color"]}
+                axes.plot(curve.time_s, edge, transform=axes.get_xaxis_transform(), **own)
+            elif found.kind in POINTS:
+                figure_curves.draw_points(axes, curve.time_s, curve.values, **own)
+            else:
+                draw_curve(axes, curve, **own)
 
 
 def _choose_looks(
-    found: PlottedCurve, looks: Mapping[str, Any], color: Color, *, is_alone: bool
+    found: PlottedCurve, looks: Mapping[str, Any], color: palette.Color, *, is_alone: bool
 ) -> dict[str, Any]:
     """Return the style of a curve. The run's own curve has the run's marker."""
-    hue = page.to_rgb(choose_curve_color(found.kind, color, is_alone=is_alone))
-    own = {**looks, "color": hue, "linestyle": page.STROKES[choose_dash(found.kind)]}
+    hue = to_rgb(palette.choose_curve_color(found.kind, color, is_alone=is_alone))
+    own = {**looks, "color": hue, "linestyle": STROKES[palette.choose_dash(found.kind)]}
     if found.kind not in ("run", "measured"):
         own["marker"] = ""
     own |= _LOOKS.get(found.kind, {})
@@ -197,43 +189,22 @@ def _choose_looks(
     return own
 
 
-def _draw(axes: Axes, run: Run, kind: CurveKind, curve: Curve, looks: Mapping[str, Any]) -> None:
-    if kind == "dropped_out":
-        lost_s = (run.poses.time_ns[run.poses.dropped_out] - run.start_ns) / 1e9
-        edge = np.full(len(lost_s), 0.02)
-        own = {**_LOST, "color": looks["color"]}
-        axes.plot(lost_s, edge, transform=axes.get_xaxis_transform(), **own)
-    elif kind in POINTS:
-        draw_points(axes, curve.time_s, curve.values, **looks)
-    else:
-        draw_curve(axes, curve, **looks)
-
-
-def _are_alike(one: Curve, other: Curve) -> bool:
-    """Return whether two references are equal, for example of runs that track one path by time."""
-    return np.array_equal(one.time_s, other.time_s) and np.array_equal(
-        one.values, other.values, equal_nan=True
-    )
-
-
 def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_forced: bool) -> None:
     """Fit an axis to the measured values, for magnitudes and commands or if forced."""
-    curves = [curve for run in runs for curve in list_own(run, plot)]
+    curves = [curve for run in runs for curve in plotted_curves.list_own(run, plot)]
     if scale == "log":
-        sizes = [take_magnitude(curve).values for curve in curves]
+        sizes = [plotted_curves.take_magnitude(curve).values for curve in curves]
         known = np.concatenate([*(values[np.isfinite(values)] for values in sizes), np.empty(0)])
         if len(known):
             axes.set_ylim(0.6 * known.min(), 1.8 * known.max())
-        return
-    if scale == "symlog" or not (is_forced or plot.command is not None):
-        return
-    found = find_range([curve.values for curve in curves], list_plot_levels(runs, plot))
-    if found is not None:
-        axes.set_ylim(found)
+    elif scale != "symlog" and (is_forced or plot.command is not None):
+        levels = plotted_curves.list_plot_levels(runs, plot)
+        found = plotted_curves.find_range([curve.values for curve in curves], levels)
+        if found is not None:
+            axes.set_ylim(found)
 
 
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
-    """Shade disturbances of the plant, and gaps without poses with their length."""
     if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
         axes.axvspan(*pushed_s, **page.PUSHED)
     for start_s, end_s, words in list_seen_gaps(run):
@@ -244,17 +215,15 @@ def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
 
 
 def _name_outliers(axes: Axes, runs: Sequence[Run], plot: TimePlot) -> None:
-    """Write the outliers beyond the axis, with a mark at the time of each."""
     lines = []
     colors = many_runs.choose_colors_by_value(runs)
-    for run, name, color in zip(runs, run_styles.label_runs(runs), colors, strict=True):
+    for run, name, color in zip(runs, label_runs(runs), colors, strict=True):
         for found in list_plotted(run, plot):
             if found.kind != "outlier":
                 continue
-            hue = choose_curve_color("outlier", color, is_alone=len(runs) == 1)
+            hue = to_rgb(palette.choose_curve_color("outlier", color, is_alone=len(runs) == 1))
             at_s, edge = found.curve.time_s, axes.get_xaxis_transform()
-            looks = {**_OUTLIER, "color": page.to_rgb(hue)}
-            axes.plot(at_s, np.zeros(len(at_s)), transform=edge, **looks)
+            axes.plot(at_s, np.zeros(len(at_s)), transform=edge, color=hue, **_OUTLIER)
             lines.append(found.label if len(runs) == 1 else f"{name}: {found.label}")
     if lines:
         low, high = axes.get_ylim()
@@ -294,8 +263,7 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
     plane = figure.add_subplot(grid[:rows, 0])
     draw_paths(plane, runs)
     show_all(plane, runs)
-    places = [(row, column) for row in range(grid.nrows) for column in (0, 1)]
-    places = [(row, column) for row, column in places if column or row >= rows]
+    places = [(row, column) for row in range(grid.nrows) for column in range(row < rows, 2)]
     shared: Axes | None = None
     for panel, (row, column) in zip(panels, places, strict=True):
         shared = axes = figure.add_subplot(grid[row, column], sharex=shared)
@@ -314,7 +282,154 @@ def count_plane_rows(panels: Sequence[object]) -> int:
 
 
 def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
-    """Label the axes of a panel over time."""
-    axes.set(xlabel=label_time(runs), ylabel=label)
+    axes.set(xlabel=plotted_curves.label_time(runs), ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)
+
+
+_RED: Final = palette.to_hex(palette.VIOLATION)
+
+_GREEN: Final = palette.to_hex(palette.FULFILLED)
+
+_HEIGHT: Final = 0.5
+
+_SHORT: Final = 0.01
+"""Share of the time axis below which a violation is narrower than its dot of 2 mm."""
+
+_MOST_STRIPES: Final = 60
+"""Largest number of violations that are shaded; more would make the whole panel red."""
+
+_STRIPE: Final = fix_style(color=_RED, alpha=0.3, linewidth=2.5, zorder=0.8)
+
+_TITLE_LETTERS: Final = 11.5
+"""Letters of a title per inch of its figure."""
+
+_LEAST_INCH: Final = 2.2
+
+_BAND: Final = fix_style(color="0.5", alpha=0.14, linewidth=0.0, zorder=0.6, label="asked for")
+
+_LIMIT: Final = fix_style(
+    color="0.4", linewidth=0.9, linestyle=STROKES[palette.LIMIT_DASH], zorder=1.6
+)
+
+_REFERENCE: Final = fix_style(color="0.5", linewidth=0.7, zorder=1.5, label="reference")
+
+_OUTSIDE: Final = fix_style(color=_RED, linewidth=2.0, zorder=2.6, solid_capstyle="round")
+
+_POINT: Final = fix_style(markeredgecolor="white", markeredgewidth=0.6, zorder=4)
+
+
+def draw_violation(
+    figure: Figure, runs: Sequence[Run], *, violated: ViolatedSignal | None = None
+) -> None:
+    """Draw the signal of a check with its band; for a passed check, also the closest approach.
+
+    Raises:
+        ShowError: If there is not exactly one run, or nothing was checked.
+    """
+    if len(runs) != 1:
+        raise ShowError(f"figure violation: expected one recording, found {len(runs)}")
+    if violated is None:
+        raise ShowError("figure violation needs a formula to check: --expect FORMULA")
+    width = figure.get_figwidth()
+    figure.set_size_inches(width, max(_HEIGHT * width, _LEAST_INCH))
+    axes = figure.subplots()
+    curve, holds = violated.curve, not violated.outside.any()
+    _draw_band(axes, violated)
+    draw_curve(axes, curve, **choose_lines(1)[0], label=label_runs(runs)[0])
+    _draw_outside(axes, violated)
+    axes.set(xlabel=plotted_curves.label_time(runs), ylabel=violated.title.replace("_", " "))
+    axes.margins(x=0.01)
+    _keep_band_in_view(axes, violated)
+    told = "holds" if holds else "violated"
+    title = "\n".join(textwrap.wrap(f"{violated.expected}: {told}", int(_TITLE_LETTERS * width)))
+    axes.set_title(title, color=_GREEN if holds else _RED)
+    word = "nearest to the limit:" if holds else violated.worst_word
+    named = {violated.metric or word: violated.worst}
+    if not holds and violated.first != violated.worst:
+        named["first"] = violated.first
+    _name_moments(axes, violated, named)
+
+
+def _draw_band(axes: Axes, violated: ViolatedSignal) -> None:
+    time_s = violated.curve.time_s
+    if violated.reference is not None:
+        axes.plot(time_s, violated.reference, **_REFERENCE)
+    names = violated.describe_limits()
+    for side, end, away in (("low", violated.low, -2.0), ("high", violated.high, 2.0)):
+        if end is None:
+            continue
+        figure_curves.draw_thinned(axes, time_s, end, end, **_LIMIT)
+        for last in np.flatnonzero(np.isfinite(end))[-1:]:
+            at = (float(time_s[last]), float(end[last]))
+            text = axes.annotate(names[side], at, (0.0, away), textcoords="offset points")
+            va = "top" if side == "low" else "bottom"
+            text.set(fontsize=6.5, color=_LIMIT["color"], ha="right", va=va, zorder=2.4)
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.2, "alpha": 0.75})
+
+
+def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
+    """Draw the part outside in red, with stripes where it is too short to be visible."""
+    outside, curve, time_s = violated.outside, violated.curve, violated.curve.time_s
+    if not outside.any():
+        return
+    before, after = np.r_[False, outside[:-1]], np.r_[outside[1:], False]
+    shown = outside | before if curve.holds else outside  # a value is held until the next row
+    # The duration outside; for a single row, also how long the value is held.
+    told = f"{float(np.append(np.diff(time_s), 0.0)[outside].sum()):.3g} s"
+    told = f"one row, {told}" if outside.sum() == 1 else told
+    drawstyle = "steps-post" if curve.holds else "default"
+    label = f"outside: {violated.metric or told}"
+    values = np.where(shown, curve.values, np.nan)
+    axes.plot(time_s, values, drawstyle=drawstyle, **_OUTSIDE, label=label)
+    alone = outside & ~before & ~after
+    axes.plot(time_s[alone], curve.values[alone], "o", ms=2.5, color=_RED, zorder=2.6)
+    begin_s = time_s[outside & ~before]
+    ends = np.flatnonzero(np.r_[False, outside] & ~np.r_[outside, False])
+    end_s = time_s[np.minimum(ends, len(time_s) - 1)]
+    is_short = end_s - begin_s < _SHORT * float(time_s[-1] - time_s[0])
+    for at_s in ((begin_s + end_s) / 2.0)[is_short][:_MOST_STRIPES].tolist():
+        axes.axvline(at_s, **_STRIPE)
+
+
+def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
+    """Shade the band. If the signal goes far beyond the band, show only the part near it."""
+    shown = violated.find_range()
+    low, high = shown.low, shown.high
+    if shown.note:
+        text = axes.text(0.99, 0.98, shown.note, fontsize=6.5, color="0.4", ha="right", va="top")
+        text.set_transform(axes.transAxes)
+    time_s, whole = violated.curve.time_s, np.ones(len(violated.curve.values))
+    below = low * whole if violated.low is None else violated.low
+    above = high * whole if violated.high is None else violated.high
+    if not violated.metric:  # the moment of a metric has no span to shade
+        is_stepped = violated.curve.holds and violated.is_moving
+        axes.fill_between(time_s, below, above, step="post" if is_stepped else None, **_BAND)
+    axes.set_ylim(low, high)
+
+
+def _name_moments(
+    axes: Axes, violated: ViolatedSignal, named: Mapping[str, ViolationMoment]
+) -> None:
+    """Mark moments, and write their names where the text covers least."""
+    figure = axes.get_figure(root=True)
+    width, height = figure.get_size_inches() if figure is not None else (1.0, 1.0)
+    x, y = np.array(axes.get_xlim()), np.array(axes.get_ylim())
+    place = WordSpace(
+        center=np.array([x.mean(), y.mean()]),
+        half=np.array([np.ptp(x), np.ptp(y)]) / 2.0,
+        half_mm=25.4 * np.array([0.44 * width, 0.36 * height]),
+    )
+    time_s = violated.curve.time_s
+    for values in (violated.curve.values, violated.low, violated.high):
+        if values is not None:
+            place.avoid_line(np.stack([time_s, values], axis=1)[np.isfinite(values)])
+    for moment in named.values():
+        place.avoid_point(np.array([moment.time_s, moment.value]))
+    for (word, moment), marker in zip(named.items(), ("o", "v"), strict=False):
+        color = _RED if violated.outside.any() else _GREEN
+        axes.plot([moment.time_s], [moment.value], marker, ms=5.5, color=color, **_POINT)
+        text = f"{word} {format_number(moment.value, violated.unit)}\nat {moment.time_s:.3f} s"
+        if moment is violated.worst and (distance := violated.describe_outside(moment)):
+            text += f"\n{distance} outside"
+        place_words(axes, place, text, np.array([moment.time_s, moment.value]), color, 7.0)

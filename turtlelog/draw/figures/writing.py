@@ -1,47 +1,40 @@
-"""Figures as files, and in notebooks."""
+"""The figures and tables of runs as files, and what they leave out of the runs."""
 
 import io
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from threading import get_ident
-from typing import Any, Final
+from typing import Final
 
-from fontTools import subset
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from turtlelog import compare
+from turtlelog.charts.close_up import ARRIVED_M, ON_PATH_M, format_length
+from turtlelog.charts.curve_marks import list_characteristics
+from turtlelog.charts.curves import lack_samples
+from turtlelog.charts.plane_scene import list_paths
 from turtlelog.draw.documents import choose_essentials
-from turtlelog.draw.figures import marked_panels
-from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend
-from turtlelog.draw.figures.figure_kinds import FIGURES, has_table1, list_usual_figures
-from turtlelog.draw.figures.needs import FigureKind
-from turtlelog.draw.figures.page import Page, use_looks
+from turtlelog.draw.figures import figure_kinds, marked_panels, page as pages
+from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend, label_runs
+from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
+from turtlelog.draw.figures.page import FIGURE_FORMATS, Page, ShownFigure, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.output_files import replace_file, replace_together
+from turtlelog.draw.output_files import replace_together
 from turtlelog.draw.table_formats import format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
-from turtlelog.files.urls import make_path
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
 from turtlelog.run import Run, list_runs
 
-FIGURE_FORMATS: Final = ("pdf", "png", "svg")
-
-_UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")
-"""Font tables on ligatures, look-up and names of glyphs. A PDF does not need them, because it finds
-glyphs by index. ISO 32000-1, 9.9: a CIDFontType2 needs glyf, head, hhea, hmtx, loca, maxp, and, if
-present, cvt, fpgm and prep."""
-_LEAST_INCH: Final = 3.0
-"""Width below which a figure keeps its height, because its text has the same size [inch]."""
 _MOST_COLUMNS: Final = 4
 """Largest number of runs as columns; more runs become rows."""
+_LEAST_INCH: Final = 3.0
+"""Width below which a figure keeps its height, because its text has the same size [inch]."""
+
 _WIDE: Final = frozenset(
     {
         *("plant", "plane", "panel", "bode", "nyquist", "step"),
@@ -53,12 +46,6 @@ _WIDE_OF_RUNS: Final = frozenset({"root-locus"})
 _LEAST_DRAWN: Final = 3
 """Smallest number of figures per process if the number of processes is not given. A fork takes as
 long as a fifth of a small figure, and the copies of changed memory as long again."""
-_NO_DATE: Final = {
-    "pdf": {"CreationDate": None, "ModDate": None},
-    "svg": {"Date": None},
-    "png": {"Software": None},
-}
-"""Metadata without dates, so that equal runs give identical files."""
 
 
 def draw_figure(
@@ -83,6 +70,7 @@ def draw_figure(
     """
     runs = list_runs(runs)
     kind, page = _find_kind(name, runs, kinds), page or Page()
+    runs = compare.order_by_gain(runs)
     is_alone = name == "plane" and has_one_plane(runs)
     marked_panels.require_window(runs, page)
     if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
@@ -90,16 +78,14 @@ def draw_figure(
     with use_looks():
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = ShownFigure(figsize=size, layout="constrained")
-        kind.draw_on(figure, compare.order_by_gain(runs))
+        kind.draw_on(figure, runs)
         marked_panels.cut_time_axes(figure, runs, page)
-        stress_window(
-            figure, compare.order_by_gain(runs), marked_panels.find_shown_times(runs, page)
-        )
-        add_legend(figure, without=add_gain_bar(figure, compare.order_by_gain(runs)))
+        window_s = marked_panels.find_shown_times(runs, page)
+        stress_window(figure, runs, window_s)
+        add_legend(figure, without=add_gain_bar(figure, runs))
         page.fit(figure)
         if page.has_marks:
-            is_cut = page.from_s is not None or page.to_s is not None
-            marked_panels.mark_panels(figure, compare.order_by_gain(runs), is_cut=is_cut)
+            marked_panels.mark_panels(figure, runs, is_cut=window_s is not None)
     return figure
 
 
@@ -207,93 +193,16 @@ def _draw_files(
     page: Page,
     kinds: Mapping[str, FigureKind] | None,
 ) -> list[bytes]:
-    """Return one figure in each format."""
     figure = draw_figure(name, runs, page=page, kinds=kinds)
-    _settle_layout(figure)
+    with use_looks():
+        pages.arrange_panels(figure)
+    figure.set_layout_engine("none")  # the layout is the same in all formats
     files = []
     for form in formats:
         data = io.BytesIO()  # matplotlib's PDF writer does not handle a full disk
-        save_figure(figure, data, form, page)
+        pages.save_figure(figure, data, form, page)
         files.append(data.getvalue())
     return files
-
-
-def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
-    """Write a figure in one of `FIGURE_FORMATS`. Equal figures give equal bytes."""
-    with use_looks():
-        # `savefig` would draw everything once more to compute the layout.
-        figure.dpi = (page or Page()).pixels_per_inch
-        _arrange(figure)
-        if form == "pdf":
-            with _drop_unused_tables():
-                FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
-        elif form == "svg":
-            FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
-        else:
-            FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
-
-
-_LAYOUTS: Final = 3
-"""Number of layout computations after which square planes leave room for all labels."""
-
-
-def _arrange(figure: Figure) -> None:
-    """Compute the places of panels; repeatedly for planes, because their squares change places."""
-    has_planes = any(axes.get_aspect() != "auto" for axes in figure.axes)
-    for _ in range(_LAYOUTS if has_planes else 1):
-        if (engine := figure.get_layout_engine()) is not None:
-            engine.execute(figure)
-
-
-def require_figure_path(path: str | Path) -> Path:
-    """Return the path for a figure, or raise an error if the suffix is not a format."""
-    path = make_path(path)
-    if path.suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
-        raise ShowError(f"{path}: the name must end in .pdf, .png or .svg")
-    return path
-
-
-def write_figure(figure: Figure, path: Path, page: Page) -> Path:
-    """Write a figure in the format of the suffix, and return its path."""
-    data = io.BytesIO()
-    save_figure(figure, data, path.suffix.lower().removeprefix("."), page)
-    with replace_file(path) as part:
-        part.write_bytes(data.getvalue())
-    return path
-
-
-@contextmanager
-def _drop_unused_tables() -> Iterator[None]:
-    """Leave out font tables that no PDF uses, because reducing them takes most of the writing time.
-
-    matplotlib has no option for these tables. matplotlib opens fonts with a public function of
-    fontTools, which leaves the tables out in this thread during the block. If matplotlib opened
-    fonts in another way, writing would only take longer.
-    """
-    usual, ours = subset.load_font, get_ident()
-
-    def load(*arguments: Any, **named: Any) -> Any:
-        font = usual(*arguments, **named)
-        if get_ident() != ours:
-            return font
-        font.setGlyphOrder([f"glyph{number}" for number in range(font["maxp"].numGlyphs)])
-        for table in _UNUSED_TABLES:
-            if table in font:
-                del font[table]
-        return font
-
-    subset.load_font = load
-    try:
-        yield
-    finally:
-        subset.load_font = usual
-
-
-def _settle_layout(figure: Figure) -> None:
-    """Compute the layout of a figure once for all of its formats."""
-    with use_looks():
-        _arrange(figure)
-    figure.set_layout_engine("none")
 
 
 def _find_kind(
@@ -333,37 +242,129 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
         metrics = compare.tabulate_runs([compare.summarise_run(run) for run in runs])
     tables = {
         "whole-runs": compare.tabulate_whole_runs(runs),
-        "table1": compare.tabulate_table1(runs),
+        **({"table1": compare.tabulate_table1(runs)} if _has_table1(runs) else {}),
         "metrics": metrics,
     }
-    if not has_table1(runs):
-        del tables["table1"]
     return [
         write(f"{name}.tex", format_latex(replace(table, label=f"tab:{name}")).encode())
         for name, table in tables.items()
     ]
 
 
-_DPI: Final = 192
-"""Resolution in notebooks: twice the inch of browsers, sharp on every kind of screen."""
+_MOST_NAMED: Final = 3
+"""Largest number of runs that are named as missing from a figure; more runs are only counted."""
 
-_BROWSER_DPI: Final = 96
+_ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
+
+_OF_MOTION: Final = frozenset(
+    {figure_kinds.POSES, figure_kinds.GOAL, "speed commands", "turn rate commands"}
+)
+"""Data that a recording without samples may contain."""
+
+_DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
 
 
-class ShownFigure(Figure):
-    """A `matplotlib.figure.Figure` that a notebook shows as the value of a cell.
+def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
+    """Return what figures leave out of some runs and why, one line for each reason.
 
-    No magic command is needed, and the figure does not stay in the memory of pyplot.
+    Args:
+        runs: Runs to draw, with the names of legends in these lines.
+        names: Names of the requested figures. Default: all figures, and the tables.
     """
+    runs = compare.order_by_gain(runs)
+    left_out: _Left = {}
+    shown = list_usual_figures() if names is None else tuple(dict.fromkeys(names))
+    for name in shown:
+        for part, lacks in _list_parts(name, runs):
+            for words in dict.fromkeys(filter(None, lacks)):
+                lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
+                left_out.setdefault((words, lacking), []).append(part)
+    if lack_samples(runs):
+        left_out = _join_controller(left_out, has_tables=names is None)
+    lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
+    if names is None and not _has_table1(runs) and not lack_samples(runs):
+        needed = (
+            figure_kinds.GOAL if any(len(run.samples) for run in runs) else figure_kinds.SAMPLES
+        )
+        lines.append(f"left out table1.tex: needs a gain or {needed}")
+    return (*lines, *_tell_parts(runs, shown))
 
-    def _repr_png_(self) -> tuple[bytes, dict[str, Any]]:
-        data, dpi = io.BytesIO(), self.dpi
-        with use_looks():
-            try:
-                self.dpi = _DPI
-                _arrange(self)
-                FigureCanvasAgg(self).print_png(data)
-            finally:
-                self.dpi = dpi
-        width, height = (round(float(inch) * _BROWSER_DPI) for inch in self.get_size_inches())
-        return data.getvalue(), {"width": width, "height": height}
+
+def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
+    """Return one line on the named figures whose curves have no characteristics, if any."""
+    found = [list_characteristics(run, measure_run(run)) for run in runs]
+    lacking = []
+    for name in names:
+        kind = FIGURES[name]
+        signals = (
+            [one.plot for one in kind.choose_panels(runs) if one.plot] if not kind.draw else []
+        )
+        if not any(marked_panels.has_marks(one, marks) for one in signals for marks in found):
+            lacking.append(name)
+    expected = "a curve with characteristics"
+    return (f"left marks out of {', '.join(lacking)}: needs {expected}",) if lacking else ()
+
+
+def _tell_parts(runs: Sequence[Run], shown: Sequence[str]) -> Iterator[str]:
+    """Yield what the figure of states, and a plane without a close-up, leave out."""
+    most, states = figure_kinds.MOST_STATES, figure_kinds.list_state_panels(runs, most=sys.maxsize)
+    if "states" in shown and len(states) > most:
+        found = f"expected at most {most} panels, found {len(states)}"
+        yield f"left out states (from {states[most].name} on): {found}"
+    is_bare = lack_samples(runs) and not any(run.goal_xy_m for run in runs)
+    if "plane" in shown and not is_bare and has_one_plane(runs):
+        follows = bool(list_paths(runs))
+        part, needed = (
+            ("furthest off the path", _DEPARTURE) if follows else ("how each run ends", _ARRIVAL)
+        )
+        yield f"left out plane ({part}): needs {needed}"
+
+
+_Left = dict[tuple[str, tuple[int, ...]], list[str]]
+"""Omitted figures and panels, by missing data and by the runs without these data."""
+
+
+def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
+    """Return missing controller data as one line: a recording without samples has none."""
+    of_motion: _Left = {}
+    of_controller: list[str] = []
+    for (words, lacking), parts in left_out.items():
+        if words in _OF_MOTION:
+            of_motion[words, lacking] = parts
+        else:
+            of_controller += [part for part in parts if not part.startswith("panel (")]
+            everyone = lacking
+    if not of_controller:
+        return of_motion
+    tables = ["table1.tex"] if has_tables else []
+    return {(figure_kinds.SAMPLES, everyone): [*of_controller, *tables], **of_motion}
+
+
+def _has_table1(runs: Sequence[Run]) -> bool:
+    """Return whether Table 1 of these runs contains anything but their names."""
+    rows = compare.tabulate_table1(runs).rows
+    return any(value is not None for row in rows for value in row[1:])
+
+
+def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return a figure, or its panels if their needs differ, with the data that each run lacks."""
+    kind = FIGURES[name]
+    chosen = kind.choose_panels(runs) if kind.draw is None else ()
+    if kind.draw is None and not kind.is_usual and not chosen:
+        return []
+    if not kind.panels:
+        return [(name, figure_kinds.find_lacks(runs, kind.needs))]
+    parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
+    if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
+        return [(name, parts[0].find_lacks(runs))]
+    return [(f"{name} ({panel.name})", panel.find_lacks(runs)) for panel in parts]
+
+
+def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
+    listed = ", ".join(parts)
+    if len(lacking) == len(runs):
+        return f"left out {listed}: needs {words}"
+    labels = label_runs(runs)
+    named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
+    more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
+    return f"left {named}{more} out of {listed}: needs {words}"

@@ -8,13 +8,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts import plane_scene
+from turtlelog.charts import many_runs, plane_scene
 from turtlelog.charts.close_up import CloseUp, format_length
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, choose_turtle_size, to_hex
+from turtlelog.charts.plane_scene import find_break_rows, part_path
 from turtlelog.charts.plotted_curves import CurveKind
-from turtlelog.charts.robot_curves import find_break_rows, part_path
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import describe_count
 from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
@@ -121,7 +121,7 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             poses_of[key].append(values)
     poses_of["color"] = [to_hex(one.color) for one in drawn]
     poses_of["dash"] = ["dashed" if one.is_ghost else "solid" for one in drawn]
-    is_grey = plane_scene.has_grey_paths([one.run for one in drawn])
+    is_grey = many_runs.has_grey_paths([one.run for one in drawn])
     poses_of["way"] = [RING] * len(drawn) if is_grey else poses_of["color"]
     ways = models.ColumnDataSource(data=poses_of)
     plots.config["ways"] = ways.id
@@ -200,15 +200,15 @@ def _draw_many_ends(figure: Any, drawn: Sequence[Drawn]) -> None:
     colors = [to_hex(one.color) for one in drawn]
     x_m, y_m = np.array([one.run.poses.xy_m[-1] for one in drawn]).T
     figure.scatter(x_m, y_m, size=5, color=colors)
-    for group in plane_scene.find_gain_ends([one.run for one in drawn]):
+    for group in many_runs.find_gain_ends([one.run for one in drawn]):
         color = colors[group.middle_run]
         figure.line(
             *group.around_xy_m.T, color=color, line_width=1.5,
-            legend_label=plane_scene.OUTLINE_LABEL,
+            legend_label=many_runs.OUTLINE_LABEL,
         )  # fmt: skip
         figure.scatter(
             *group.median_xy_m.reshape(2, 1), marker="diamond", size=13, line_color="white",
-            fill_color=color, legend_label=plane_scene.MEDIAN_LABEL,
+            fill_color=color, legend_label=many_runs.MEDIAN_LABEL,
         )  # fmt: skip
 
 

@@ -5,13 +5,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.charts import characteristics, palette, plotted_curves
-from turtlelog.charts.characteristics import Characteristic
+from turtlelog.charts import curve_marks, palette, plotted_curves
 from turtlelog.charts.close_up import find_close_up
+from turtlelog.charts.curve_marks import Characteristic
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import to_hex
-from turtlelog.charts.robot_curves import list_seen_gaps
+from turtlelog.charts.plane_scene import list_seen_gaps
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
 from turtlelog.draw.report import drawing
 from turtlelog.draw.report.drawing import RING, Drawn, Plots
@@ -86,7 +86,7 @@ def draw_plots(
     plots.config["x_range"] = x_range.id
     plots.config["room_s"] = _ROOM * end_s
     pairs = zip(runs, metrics, strict=False)
-    marks = [characteristics.list_characteristics(run, known) for run, known in pairs]
+    marks = [curve_marks.list_characteristics(run, known) for run, known in pairs]
     for name in _choose_plots(runs):
         _draw_plot(plots, drawn, name, x_range, (marks, failed), restless)
     colors = {one.name: one.color for one in drawn if not one.is_ghost}
@@ -315,7 +315,7 @@ _LATE: Final = 0.6
 """Share of the width from which text is on the left of dots, because it would leave the plot on the
 right."""
 
-_SHAPES: Final[Mapping[characteristics.MarkShape, str]] = {
+_SHAPES: Final[Mapping[curve_marks.MarkShape, str]] = {
     "disc": "circle",
     "square": "square",
     "cross": "x",
@@ -340,7 +340,7 @@ def mark_plots(
     dots = []
     for number, marks in enumerate(found):
         run = drawn[number].run
-        if all(characteristics.read_marked_curve(run, signal) is None for signal in signals):
+        if all(curve_marks.read_marked_curve(run, signal) is None for signal in signals):
             continue
         color = to_hex(drawn[number].color)
         own = [mark for mark in marks if mark.signal in signals and mark.level is not None]
@@ -381,7 +381,7 @@ def _draw_dots(
 ) -> Iterator[Any]:
     """Draw a dot at the place of each metric on the curve, for metrics that have a dot."""
     for mark in marks:
-        text = ", ".join(characteristics.list_mark_texts(mark, marks))
+        text = ", ".join(curve_marks.list_mark_texts(mark, marks))
         if mark.shape is None or not text:
             continue
         source = load_library("bokeh.models").ColumnDataSource(
@@ -397,7 +397,7 @@ def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> 
     """Write the name of each dot next to it. The names of close dots form a column."""
     end_s = float(plots.config["end_s"])
     known = sorted((mark for mark in marks if mark.shape), key=lambda mark: mark.marked_s)
-    told = [(mark, ", ".join(characteristics.list_mark_texts(mark, marks))) for mark in known]
+    told = [(mark, ", ".join(curve_marks.list_mark_texts(mark, marks))) for mark in known]
     words = [(mark, text) for mark, text in told if text]
     levels = [float(mark.level or 0.0) for mark, _ in words]
     curves = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]

@@ -12,9 +12,9 @@ import rerun.blueprint as rrb
 from turtlelog.charts import many_runs, palette
 from turtlelog.charts.close_up import name_ends
 from turtlelog.charts.curves import Values
-from turtlelog.charts.plane_scene import has_grey_paths, move_near
-from turtlelog.charts.robot_curves import label_error
-from turtlelog.charts.time_plots import TIME_PLOTS
+from turtlelog.charts.many_runs import has_grey_paths
+from turtlelog.charts.plane_scene import move_near
+from turtlelog.charts.time_plots import TIME_PLOTS, label_error
 from turtlelog.compare import ErrorBand, RobotComparison, name_runs, order_by_gain
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.draw.documents import document_runs

@@ -10,11 +10,16 @@ import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.charts import palette, plotted_curves
-from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
+from turtlelog.charts.close_up import (
+    CloseUp,
+    WorstPlace,
+    find_close_up,
+    find_worst_place,
+    format_length,
+)
 from turtlelog.charts.curves import Values, find_end_of_turn
-from turtlelog.charts.many_runs import MANY
-from turtlelog.charts.plane_scene import MANY_PATHS, WorstPlace, find_worst_place
-from turtlelog.charts.robot_curves import tell_gap
+from turtlelog.charts.many_runs import MANY, MANY_PATHS
+from turtlelog.charts.plane_scene import tell_gap
 from turtlelog.charts.time_plots import list_controlled
 from turtlelog.display import describe_count
 from turtlelog.draw.rerun import entities

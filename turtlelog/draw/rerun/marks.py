@@ -8,9 +8,8 @@ import numpy as np
 import rerun as rr
 
 from turtlelog.charts import palette
-from turtlelog.charts.characteristics import SIGNS, MarkShape, list_characteristics
-from turtlelog.charts.curves import Level
-from turtlelog.charts.ideal_curves import LoopStep, find_steps
+from turtlelog.charts.curve_marks import SIGNS, MarkShape, list_characteristics
+from turtlelog.charts.curves import Level, LoopStep, find_steps
 from turtlelog.charts.time_plots import find_marked
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.plots import LevelLines, Series

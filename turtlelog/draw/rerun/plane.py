@@ -9,18 +9,20 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts import palette, plane_scene
+from turtlelog.charts import many_runs, palette, plane_scene
 from turtlelog.charts.close_up import (
     CloseUp,
     Label,
     Lettering,
+    WorstPlace,
     find_tolerance,
     format_length,
+    label_worst_place,
     list_miss_labels,
     list_ring_labels,
 )
 from turtlelog.charts.curves import Values
-from turtlelog.charts.robot_curves import read_pace
+from turtlelog.charts.plane_scene import read_pace
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.recording_stream import (
@@ -159,28 +161,26 @@ def draw_ends(
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
     ends_m = [run.poses.xy_m[-1] for run in runs]
     draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
-    groups = plane_scene.find_gain_ends(runs)
+    groups = many_runs.find_gain_ends(runs)
     if not groups:
         return
     hues = [colors[group.middle_run] for group in groups]
     names = [f"Kp {group.gain:.3g}: " for group in groups]
     looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
-    looks["labels"] = [f"{name}{plane_scene.OUTLINE_LABEL}" for name in names]
+    looks["labels"] = [f"{name}{many_runs.OUTLINE_LABEL}" for name in names]
     outlines = [group.around_xy_m for group in groups]
     draw_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
-    looks["labels"] = [f"{name}{plane_scene.MEDIAN_LABEL}" for name in names]
+    looks["labels"] = [f"{name}{many_runs.MEDIAN_LABEL}" for name in names]
     medians = [group.median_xy_m for group in groups]
     draw_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
 
 
-def draw_worst_place(
-    stream: rr.RecordingStream, worst: plane_scene.WorstPlace, color: palette.Color
-) -> None:
+def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: palette.Color) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
     way = [worst.path_xy_m, worst.xy_m]
     draw_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
-    label = plane_scene.label_worst_place(worst, LETTERING)
+    label = label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 

@@ -9,11 +9,9 @@ import rerun as rr
 
 from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
-from turtlelog.charts.curves import Values
-from turtlelog.charts.ideal_curves import find_steps
-from turtlelog.charts.plane_scene import read_way_to_reference
+from turtlelog.charts.curves import Values, find_steps
+from turtlelog.charts.plane_scene import find_break_rows, read_way_to_reference
 from turtlelog.charts.plotted_curves import locate_run
-from turtlelog.charts.robot_curves import find_break_rows
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plots import Series

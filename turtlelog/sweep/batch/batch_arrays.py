@@ -18,10 +18,10 @@ from turtlelog.arithmetic import called, to_float32
 from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.laws.sequential import SequentialNumbers
-from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.measure.metric import Status
 from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
 from turtlelog.measure.response import list_corners
+from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants.kinds import PLANTS
 from turtlelog.run import CUT_SHORT

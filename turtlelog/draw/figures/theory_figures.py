@@ -1,12 +1,14 @@
-"""Figures of the sampled loops of runs: Bode, Nyquist, root locus, step response.
+"""Figures of theory: the plant, ideal loops, and the sampled loops of runs.
 
-All curves belong to the exact discretisation including dead time, and end at pi / T.
+All curves of sampled loops belong to the exact discretisation including dead time, and end at
+pi / T.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import cycle
 from typing import Any, Final
 
 import numpy as np
@@ -20,8 +22,8 @@ from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
 from turtlelog.draw.figures import figure_curves
+from turtlelog.draw.figures.figure_curves import choose_lines, choose_run_lines, label_runs
 from turtlelog.draw.figures.page import REFERENCE, STROKES, fix_style
-from turtlelog.draw.figures.run_styles import choose_run_lines, label_runs
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -93,11 +95,6 @@ class _LoopCurve:
     run_looks: Mapping[str, Any]  # colour and marker of the run
 
     @property
-    def color(self) -> Any:
-        """Colour of the loop's run."""
-        return self.run_looks["color"]
-
-    @property
     def looks(self) -> dict[str, Any]:
         """Colour and marker of the run, dashes and width of the loop."""
         width = (0.8 if self.is_many else 1.1) + _WIDER * self.layer
@@ -112,13 +109,8 @@ class _LoopCurve:
     @property
     def mark(self) -> dict[str, Any]:
         """Style of a single point; a ring for a lower loop."""
-        looks: dict[str, Any] = {"color": self.color, "ms": 3.5 + _LARGER * self.layer, "zorder": 3}
+        looks = {"color": self.run_looks["color"], "ms": 3.5 + _LARGER * self.layer, "zorder": 3}
         return looks | ({"mfc": "none", "mew": 0.9} if self.layer else {})
-
-    def tell_gain(self) -> str:
-        """Return Kp as text, and whether theory's loop is unstable with this Kp."""
-        verdict = "" if self.found.stable else " (unstable)"
-        return f"Kp = {self.found.gains.kp:g}{verdict}"
 
     def label(self, tell: Callable[[theory.PidLoop], str]) -> str:
         """Return a legend entry: the run, the loop, and the text of `tell`."""
@@ -127,13 +119,14 @@ class _LoopCurve:
         return f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
 
 
-def find_lack_of_theory(runs: Sequence[Run]) -> str:
-    """Return why theory has no loop; empty if it has a loop."""
-    models = [model for run in runs for model in model_run_loops(run)]
+def find_lack_of_theory(run: Run) -> str:
+    """Return why theory has no loop of a run; empty if it has one."""
+    models = model_run_loops(run)
     if theory.list_known(models):
         return ""
-    reasons = [model.reason for model in models]
-    return f"a loop that theory knows ({reasons[0]})" if reasons else "a law that declares a loop"
+    return (
+        f"a loop that theory knows ({models[0].reason})" if models else "a law that declares a loop"
+    )
 
 
 def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
@@ -143,33 +136,30 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     phase.axhline(-180.0, **REFERENCE)
     curves = _style_loops(runs)
     for curve, label in zip(curves, _name_loops(size, curves, _tell_margins), strict=True):
-        frequencies = _list_frequencies(curve.found)
-        values = _respond(curve.model, frequencies)
-        turned = _unwrap_degrees(values)
+        frequencies, values = _respond(curve)
+        turned = np.degrees(np.unwrap(np.angle(values)))
+        turned -= 360.0 * np.ceil(turned[0] / 360.0)  # begins between -360 and 0 deg
         size.semilogx(frequencies, _to_db(np.abs(values)), label=label, **curve.looks)
         phase.semilogx(frequencies, turned, **curve.looks)
         _mark_margins(size, phase, curve, frequencies, turned)
-    ends = sorted({math.pi / curve.found.period_s for curve in curves})
-    for axes in (size, phase):
-        _draw_ends(axes, ends)
+    looks = {**REFERENCE, "linestyle": STROKES["dotted"], "label": "π / T, the highest frequency"}
+    for frequency in sorted({math.pi / curve.found.period_s for curve in curves}):
+        for axes in (size, phase):
+            axes.axvline(frequency, **looks, zorder=1.2)
     _name_margins(size)
     size.set_ylabel("magnitude [dB]")
     phase.set(xlabel="frequency [rad/s]", ylabel="phase [deg]")
     phase.set_ylim(max(phase.get_ylim()[0], -450.0), None)
     phase.yaxis.set_major_locator(MultipleLocator(90.0))
-    _tell_equal_phases(phase, curves)
-
-
-def _tell_equal_phases(axes: Axes, curves: Sequence[_LoopCurve]) -> None:
-    """Write which runs have the same curve, because Kp alone does not change the phase."""
+    # Kp alone does not change the phase.
     told = [
         f"{len(group)} runs have one phase of {group[0].model.loop.name}"
         f" ({1e3 * group[0].found.dead_time_s:.4g} ms)"
         for group in _group_loci(curves)
         if len(group) > 1
     ]
-    looks: dict[str, Any] = {"fontsize": 7.0, "color": "0.35", "va": "bottom"}
-    axes.text(0.01, 0.03, "\n".join(told[:_MOST_TOLD]), transform=axes.transAxes, **looks)
+    note = phase.text(0.01, 0.03, "\n".join(told[:_MOST_TOLD]), transform=phase.transAxes)
+    note.set(fontsize=7.0, color="0.35", va="bottom")
 
 
 def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
@@ -179,10 +169,10 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     curves = _style_loops(runs)
     furthest = np.zeros(2)
     for curve, label in zip(curves, _name_loops(axes, curves, _tell_margins), strict=True):
-        values = _respond(curve.model, _list_frequencies(curve.found))
+        _, values = _respond(curve)
         furthest = np.maximum(furthest, [values.real.max(), values.imag.max()])
         axes.plot(values.real, values.imag, label=label, **curve.looks)
-        axes.plot(values.real, -values.imag, color=curve.color, **_MIRRORED)
+        axes.plot(values.real, -values.imag, color=curve.run_looks["color"], **_MIRRORED)
         margins = curve.found.margins
         if margins is not None and margins.phase_margin_rad is not None:
             at = -np.exp(1j * margins.phase_margin_rad)
@@ -208,8 +198,16 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     """
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
-    ideal = _list_ideal_poles(runs, names)
-    draw = [partial(figure_curves.draw_ideal_locus, poles=ideal)] if ideal else []
+    styled = zip(runs, names.values(), choose_run_lines(runs), strict=True)
+    ideal: list[_Poles] = [
+        (np.array([-kp]), looks, name)
+        for run, name, looks in styled
+        for kp in (find_gains([run]) if find_plant(run).name != LAGGED else ())
+    ]
+    if not runs:
+        gains = zip(PAPER_GAINS, choose_lines(len(PAPER_GAINS)), strict=True)
+        ideal = [(np.array([-kp]), looks, f"Kp = {kp:g}") for kp, looks in gains]
+    draw = [partial(_draw_ideal_locus, poles=ideal)] if ideal else []
     draw += [partial(_draw_locus, group=group, names=names) for group in _group_loci(curves)]
     if len(draw) > _MOST_LOCI:
         note = f"the first {_MOST_LOCI} of {len(draw)} loci, by dead time"
@@ -219,7 +217,9 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     columns = min(len(planes), int(figure.get_figwidth() / _PLANE_INCH)) or 1
     rows = -(-len(planes) // columns)
     heights = [_LINE_SHARE] * bool(ideal) + [1.0] * rows
-    _set_height(figure, sum(heights), columns)
+    width, high = float(figure.get_figwidth()), sum(heights)
+    plane_inch = min(width / columns, 0.5 * width)
+    figure.set_size_inches(width, plane_inch * high + _ROOM_INCH * (high + 0.5))
     grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
     if ideal:
         draw[0](figure.add_subplot(grid[0, :]))
@@ -230,37 +230,13 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
             axes.set_ylabel("")
 
 
-def _set_height(figure: Figure, rows: float, columns: int) -> None:
-    """Set the height of a figure for square planes."""
-    width = float(figure.get_figwidth())
-    plane_inch = min(width / columns, 0.5 * width)
-    figure.set_size_inches(width, plane_inch * rows + _ROOM_INCH * (rows + 0.5))
-
-
-def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of proportional loops on a plant 1/s; without runs, the paper's gains."""
-    ideal = [run for run in runs if find_plant(run).name != LAGGED]
-    return figure_curves.find_gains(ideal) if ideal or not runs else ()
-
-
-def _list_ideal_poles(runs: Sequence[Run], names: Mapping[str, str]) -> list[figure_curves.Pole]:
-    """Return the poles of ideal loops, in the colours of their runs."""
-    if not runs:
-        return figure_curves.list_paper_poles()
-    styled = zip(runs, names.values(), choose_run_lines(runs), strict=True)
-    return [
-        figure_curves.Pole(values=np.array([-kp]), looks=looks, label=name)
-        for run, name, looks in styled
-        for kp in find_ideal_gains([run])
-    ]
-
-
 def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, str]:
     """Return the legend text of each run's poles by the name of the run: its gains."""
     found: dict[str, str] = {}
     for name in _name_styled(runs):
-        own = [curve for curve in curves if curve.run == name]
-        told = [(curve.model.loop.name, curve.tell_gain()) for curve in own]
+        told = []
+        for loop, own in ((one.model.loop.name, one.found) for one in curves if one.run == name):
+            told.append((loop, f"Kp = {own.gains.kp:g}{'' if own.stable else ' (unstable)'}"))
         gains = {gain for _, gain in told}
         words = ", ".join([*gains] if len(gains) == 1 else [f"{loop} {kp}" for loop, kp in told])
         is_short = len(runs) > MANY or not words
@@ -271,7 +247,12 @@ def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, 
 def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the sampled loops' responses to a reference step, without limits."""
     axes, curves = figure.subplots(), _style_loops(runs)
-    lasting_s = [_choose_duration(curve.found) for curve in curves]
+    lasting_s = []
+    for found in (curve.found for curve in curves):
+        unstable_s = _UNSTABLE_LENGTH * (found.dead_time_s + found.period_s)
+        lasts_s = 1000.0 * found.period_s if found.stable else unstable_s
+        settled_s = found.settling_time_s
+        lasting_s.append(lasts_s if settled_s is None else 1.4 * settled_s)
     last_s = min(max(lasting_s), _LONGEST * float(np.median(lasting_s)))
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
@@ -279,7 +260,9 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     for curve, label in zip(curves, _name_loops(axes, curves, _tell_step), strict=True):
         gains, settings = curve.model.require()
         count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
-        values = _cut_where_far(theory.compute_pid_step_response(gains, count, **settings))
+        values = theory.compute_pid_step_response(gains, count, **settings)
+        beyond = np.abs(values - 1.0) > _FAR
+        values = np.where(np.cumsum(beyond) > beyond, np.nan, values)  # cut outside the axes
         time_s = np.arange(count) * curve.found.period_s
         axes.plot(time_s, values, label=label, **curve.looks)
         highest = max(highest, min(float(np.nanmax(values)), 1.0 + _FAR))
@@ -293,6 +276,7 @@ def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
     known = [theory.list_known(model_run_loops(run)) for run in runs]
     loops = dict.fromkeys(model.loop.name for models in known for model in models)
     layers = {name: layer for layer, name in enumerate(loops)}
+    styled = zip(_name_styled(runs), known, choose_run_lines(runs), strict=True)
     return [
         _LoopCurve(
             run=name,
@@ -302,9 +286,7 @@ def _style_loops(runs: Sequence[Run]) -> list[_LoopCurve]:
             found=model.analyse(),
             run_looks=looks,
         )
-        for name, models, looks in zip(
-            _name_styled(runs), known, choose_run_lines(runs), strict=True
-        )
+        for name, models, looks in styled
         for model in models
     ]
 
@@ -326,7 +308,6 @@ def _name_loops(
 
 
 def _tell_margins(found: theory.PidLoop) -> str:
-    """Return the margins as short legend text."""
     margins = found.margins
     if margins is None:
         return "unstable"
@@ -339,7 +320,6 @@ def _tell_margins(found: theory.PidLoop) -> str:
 
 
 def _tell_step(found: theory.PidLoop) -> str:
-    """Return overshoot and settling time as short legend text."""
     if not found.stable:
         return "unstable"
     if found.overshoot_percent is None or found.settling_time_s is None:
@@ -349,50 +329,28 @@ def _tell_step(found: theory.PidLoop) -> str:
     return f"{overshoot}, settles in {found.settling_time_s:.3g} s"
 
 
-def _list_frequencies(found: theory.PidLoop) -> Values:
-    """Return frequencies [rad/s] around the crossover, up to pi / T."""
-    highest = math.pi / found.period_s
-    crossover = found.gains.kp * found.process.gain
+def _respond(curve: _LoopCurve) -> tuple[Values, NDArray[np.complex128]]:
+    """Return frequencies around the crossover, up to pi / T [rad/s], and the open loop at them."""
+    found, (gains, settings) = curve.found, curve.model.require()
+    highest, crossover = math.pi / found.period_s, found.gains.kp * found.process.gain
     if found.margins is not None and found.margins.crossover_rad_s is not None:
         crossover = found.margins.crossover_rad_s
     lowest = min(crossover, highest) / 10.0**_DECADES_BELOW
-    return np.geomspace(lowest, highest, _POINTS)
-
-
-def _respond(model: theory.LoopModel, frequencies: Values) -> NDArray[np.complex128]:
-    gains, settings = model.require()
-    return theory.compute_open_loop(gains, frequencies, **settings)
-
-
-def _unwrap_degrees(values: NDArray[np.complex128]) -> Values:
-    """Return a phase [deg] that begins between -360 and 0 deg."""
-    turned = np.degrees(np.unwrap(np.angle(values)))
-    return np.asarray(turned - 360.0 * np.ceil(turned[0] / 360.0))
+    frequencies = np.geomspace(lowest, highest, _POINTS)
+    return frequencies, theory.compute_open_loop(gains, frequencies, **settings)
 
 
 def _to_db(size: Any) -> Any:
     return 20.0 * np.log10(size)
 
 
-def _draw_ends(axes: Axes, frequencies: Sequence[float]) -> None:
-    """Draw the largest frequency of sampled loops."""
-    for frequency in frequencies:
-        looks = {**REFERENCE, "linestyle": STROKES["dotted"]}
-        axes.axvline(frequency, **looks, label="π / T, the highest frequency", zorder=1.2)
-
-
 def _name_margins(axes: Axes) -> None:
-    """Add legend entries for the marks of all loops, without colour."""
     for marker, name in (("o", "phase margin (PM)"), ("s", "gain margin (GM)")):
         axes.plot([], [], marker, ms=3.5, color="0.35", label=name)
 
 
 def _mark_margins(
-    size: Axes,
-    phase: Axes,
-    curve: _LoopCurve,
-    frequencies: Values,
-    turned: Values,
+    size: Axes, phase: Axes, curve: _LoopCurve, frequencies: Values, turned: Values
 ) -> None:
     """Mark the phase margin from -180 deg upward, and the gain margin from 0 dB downward."""
     margins, looks = curve.found.margins, curve.looks
@@ -408,8 +366,7 @@ def _mark_margins(
         at, level = margins.gain_frequency_rad_s, -float(_to_db(margins.gain_margin))
         size.plot([at, at], [level, 0.0], **looks)
         size.plot(at, level, "s", **curve.mark)
-        turned_at = float(np.interp(at, frequencies, turned))
-        phase.plot(at, turned_at, "s", **curve.mark)
+        phase.plot(at, float(np.interp(at, frequencies, turned)), "s", **curve.mark)
 
 
 def _draw_unit_circle(axes: Axes) -> None:
@@ -429,7 +386,6 @@ def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
 
 
 def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str]) -> None:
-    """Draw the poles for increasing Kp, up to 1.5 times the largest relevant Kp."""
     first = group[0]
     gains, settings = first.model.require()
     limit = first.found.stable_gains[-1][1] if first.found.stable_gains else 0.0
@@ -442,29 +398,92 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
         poles = theory.compute_pid_poles(replace(gains, kp=end), **settings)
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
-    marked = [
-        figure_curves.Pole(values=curve.found.poles, looks=curve.run_looks, label=names[curve.run])
-        for curve in group
-    ]
-    figure_curves.draw_poles(axes, marked)
-    dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
-    axes.set_title(f"{first.model.loop.name}\ndead time {dead_time}")
+    _draw_poles(axes, [(one.found.poles, one.run_looks, names[one.run]) for one in group])
+    axes.set_title(f"{first.model.loop.name}\ndead time {1e3 * first.found.dead_time_s:.4g} ms")
     axes.set(xlabel="real part of z", ylabel="imaginary part of z", aspect="equal")
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 
 
-def _cut_where_far(values: Values) -> Values:
-    """Return a response, cut where it leaves the axes, as unstable responses do."""
-    beyond = np.abs(values - 1.0) > _FAR
-    if not beyond.any():
-        return values
-    return np.where(np.arange(len(values)) > beyond.argmax(), np.nan, values)
+_RING_POINTS: Final = 2.4
+"""Half the width of rings, for poles of several loops at one place [points]."""
+
+_MOST_RINGS: Final = 4
+
+_POLE_LARGER: Final = 1.0
+"""Additional size of poles over the markers of curves [points]."""
+
+PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 
 
-def _choose_duration(found: theory.PidLoop) -> float:
-    """Return the drawn duration of a step response [s]."""
-    if found.settling_time_s is not None:
-        return 1.4 * found.settling_time_s
-    if found.stable:
-        return 1000.0 * found.period_s
-    return _UNSTABLE_LENGTH * (found.dead_time_s + found.period_s)
+_Poles = tuple[NDArray[np.complex128], Mapping[str, Any], str]
+"""Poles of a closed loop in the s plane [1/s] or the z plane, shape (n,), their style and label."""
+
+
+def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
+    """Draw the response of the plant 1/s to an impulse, a step and a ramp."""
+    time_s = np.linspace(0.0, 5.0, 201)
+    for axes, kind in zip(figure.subplots(1, 3), theory.PLANT_INPUTS, strict=True):
+        axes.plot(time_s, theory.compute_plant_response(kind, time_s), **choose_lines(1)[0])
+        end = "unbounded" if theory.find_plant_final_value(kind).value is None else "bounded"
+        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, 5.0), ylim=(0.0, None))
+    figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
+
+
+def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the closed loop's step response for each gain, with the 2 % band and 4 tau marked."""
+    axes, gains = figure.subplots(), find_gains(runs)
+    last_s = 1.25 * theory.compute_settling_time(min(gains))
+    time_s = np.linspace(0.0, last_s, 601)
+    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
+    axes.axhline(1.0, **REFERENCE)
+    names = figure_curves.name_some(axes, [f"Kp = {gain:g}" for gain in gains])
+    # A gain has the colour of its first run, and dashes if it is not the first gain of that run.
+    styled: dict[float, Mapping[str, Any]] = {}
+    for run, looks in zip(runs, choose_run_lines(runs), strict=True):
+        for gain, dash in zip(find_gains([run]), cycle(LOOP_DASHES), strict=False):
+            styled.setdefault(gain, {**looks, "linestyle": STROKES[dash]})
+    for gain, name, plain in zip(gains, names, choose_lines(len(gains)), strict=True):
+        looks = styled.get(gain, plain)
+        values = theory.compute_closed_loop_response(gain, time_s)
+        axes.plot(time_s, values, label=name, **looks)
+        settled_s = theory.compute_settling_time(gain)
+        level = theory.compute_closed_loop_response(gain, [0.0, settled_s])[-1]
+        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"])
+    axes.plot([], [], "o", ms=3.5, color="0.35", label="4 τ")
+    axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
+
+
+def _draw_ideal_locus(axes: Axes, poles: Sequence[_Poles]) -> None:
+    """Draw the poles s = -Kp of the ideal closed loops, from the plant's pole at 0 to the left."""
+    left = 1.25 * min(float(values.real.min()) for values, _, _ in poles)
+    axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
+    axes.text(-0.12 * left, 0.6, "unstable", ha="center", fontsize=7.0, color="0.4")
+    branch = theory.compute_root_locus([0.0, -left])
+    axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
+    axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
+    _draw_poles(axes, poles)
+    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
+    axes.set_ylim(-1.0, 1.0)
+
+
+def _draw_poles(axes: Axes, poles: Sequence[_Poles]) -> None:
+    """Draw poles. Of equal poles, the first are larger discs below the others."""
+    for number, (values, run_looks, label) in enumerate(poles):
+        later = sum(np.array_equal(values, other[0]) for other in poles[number + 1 :])
+        looks = {"marker": "o", "ms": 4.5, **run_looks, "markevery": None, "linestyle": ""}
+        looks["ms"] += _POLE_LARGER + _RING_POINTS * min(later, _MOST_RINGS)
+        looks["zorder"] = 2.9 - 0.001 * later
+        axes.plot(values.real, values.imag, label=label, **looks)
+
+
+def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
+    """Return the gains of loops known to theory, increasing; without runs, the paper's gains."""
+    if not runs:
+        return PAPER_GAINS
+    found = {
+        loop.read_gain(run.parameters)
+        for run in runs
+        for loop in run.declaration.loops
+        if loop.has_theory
+    }
+    return tuple(sorted(gain for gain in found if gain is not None))
