@@ -96,6 +96,15 @@ def test_a_bag_in_sqlite_is_read_by_every_command(
         assert call(command[0], path, *command[1:]).code == 0
 
 
+def test_a_bag_in_one_file_is_a_recording_where_a_scenario_is_asked_for(
+    call: Call, make_bag: MakeBag
+) -> None:
+    bag = make_bag("a.db3", storage="sqlite3")
+    write_sqlite(bag / "a.db3", [*make_poses(), make_command()])
+    assert "no loop is declared" in call("theory", bag / "a.db3").out
+    assert "has no whole scenario to simulate" in call("run", write_ros1(bag / "old.bag")).err
+
+
 @commands
 def test_a_bag_of_ros_1_is_read_by_every_command(
     call: Call, make_bag: MakeBag, command: list[str]

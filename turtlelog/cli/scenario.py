@@ -117,8 +117,10 @@ def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = N
     print_text(tl.format_scenario(chosen))
 
 
-_RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
-"""Suffixes of files, in addition to scenario files, that may contain a scenario."""
+_RECORDINGS: Final = frozenset(
+    {".mcap", ".parquet", ".json", ".csv", ".db3", ".bag", ".zstd", ".tsv", ".tum"}
+)
+"""Suffixes of recordings, bags and tables. A file with another suffix is a scenario file."""
 
 
 def find_scenario_file(name: str | None) -> Path | None:
