@@ -109,9 +109,12 @@ def _read_bearings(run: Run) -> Values | None:
     if run.goal_xy_m is None:
         return None
     ahead_m, left_m = (
-        goal - column for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True)
+        (goal - column).tolist()
+        for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True)
     )
-    return np.asarray(np.arctan2(left_m, ahead_m))
+    # Not numpy's `arctan2`, whose last bit differs from the C library's on processors with AVX-512:
+    # compiled code calls the C library.
+    return np.fromiter(map(math.atan2, left_m, ahead_m), np.float64, len(run.poses))
 
 
 def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float | Values | None:
