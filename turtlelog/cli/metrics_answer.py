@@ -16,6 +16,7 @@ _MOST_SAID: Final = 3
 """Largest number of metrics with values in the first line, and of runs whose jumps are listed."""
 
 _PATH: Final = "run.path_length"
+_FASTEST: Final = "run.measured_speed_max"
 
 _SILENT: Final = 1.5
 """Silence as a multiple of the usual time between samples."""
@@ -315,7 +316,12 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         return []
     found = {one.name: one.notes["jumps"] for one in summaries if "jumps" in one.notes}
     if len(summaries) == 1:
-        return [f"The path length counts as driven: {text}." for text in found.values()]
+        told = [f"The path length counts as driven: {text}." for text in found.values()]
+        if _FASTEST in shown and "fastest_is_jump" in summaries[0].notes:
+            told.append(
+                f"The jump at {summaries[0].notes['fastest_is_jump']} is the largest speed."
+            )
+        return told
     told = [f"The path length of {name} counts as driven: {text}." for name, text in found.items()]
     more = len(told) - _MOST_SAID
     return told if more < 1 else [*told[:_MOST_SAID], f"Path lengths of {more} more contain jumps."]

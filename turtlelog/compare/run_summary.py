@@ -240,8 +240,17 @@ def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
         return {}
     from turtlelog.measure.breaks import describe_breaks, find_jumps  # only bags need these
 
-    moved_m = sum(jump.excess_m for jump in find_jumps(run))
-    return {"jumps": describe_breaks(run)["jumps"]} if moved_m > _SHOWN * path.value else {}
+    jumps = find_jumps(run)
+    if sum(jump.excess_m for jump in jumps) <= _SHOWN * path.value:
+        return {}
+    notes = {"jumps": describe_breaks(run)["jumps"]}
+    fastest = metrics.get("run.measured_speed_max")
+    if fastest is not None and fastest.at_s is not None:
+        # A rate from differences spreads a jump over the poses beside it.
+        first = run.poses.time_ns.searchsorted(run.start_ns + round(fastest.at_s * 1e9))
+        if any(abs(jump.row - first) <= 1 for jump in jumps):
+            notes["fastest_is_jump"] = f"{fastest.at_s:.1f} s"
+    return notes
 
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None
@@ -402,7 +411,8 @@ def describe_end(summary: RunSummary) -> str:
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
-    return f"the path is {length} long and takes {duration}"
+    jumps = ", jumps included," if "jumps" in summary.notes else ""
+    return f"the path is {length} long{jumps} and takes {duration}"
 
 
 _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"
