@@ -63,7 +63,7 @@ def test_jumps_that_a_path_length_contains_are_told_beside_it(
     told = "1 jump, 0.31 m ahead and 0.3 m to the left at 2.5 s"
     answer = call("metrics", leap)
     assert f"The path length counts as driven: {told}" in answer.flat
-    assert answer.out.startswith("leap.mcap: the path is 0.821 m long, jumps included, and takes")
+    assert answer.out.startswith("leap.mcap: the path is 0.821 m long, 52 % of it jumps, and takes")
     assert call("metrics", leap, "--json").json[0]["jumps"].startswith(told)
     both = call("metrics", robot, leap, "--metric", "run.path_length").flat
     assert f"The path length of leap counts as driven: {told}" in both
@@ -73,12 +73,17 @@ def test_jumps_that_a_path_length_contains_are_told_beside_it(
 
 def test_a_jump_that_is_the_largest_measured_speed_is_told(call: Call, tmp_path: Path) -> None:
     table = tmp_path / "poses.csv"
-    for leap_m, told in ((3.0, True), (0.0, False)):
+    for leap_m, told, share in (
+        (3.0, True, " long, 45 % of it jumps,"),
+        (0.2, True, " long, 5 % of it jumps,"),
+        (0.18, True, " long"),
+        (0.0, False, " long"),
+    ):
         rows = [f"{i / 50},{0.3 * i / 50 + leap_m * (i >= 500)},0,0" for i in range(600)]
         table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
         answer = call("metrics", table).flat
         assert ("The jump at 10.0 s is the largest speed." in answer) is told
-        assert ("long, jumps included, and takes 12 s." in answer) is told
+        assert f"m{share} and takes 12 s." in answer
 
 
 def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(

@@ -27,7 +27,7 @@ ANSWERS: Final = {
     "info": "info:InfoAnswer",
     "metrics": "metrics:MeasuredFile",
     "metrics -o TABLE": "metrics:TableAnswer",
-    "compare": "compare_across:_AcrossAnswer",
+    "compare": "compare_answer:_AcrossAnswer",
     "compare --reference": "compare_reference:_ReferenceAnswer",
     "compare --why": "compare:WhyAnswer",
     "compare --reference --ate": "compare_trajectories:TrajectoriesAnswer",

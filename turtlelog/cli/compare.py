@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.compare_across import ChoiceOptions, compare_across
+from turtlelog.cli.compare_answer import ChoiceOptions, compare_across
 from turtlelog.cli.compare_reference import (
     compare_with_reference,
     compare_with_robot,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.compare_across import (
+from turtlelog.cli.compare_answer import (
     MetricBeside,
     list_cell_reasons,
     narrow_columns,

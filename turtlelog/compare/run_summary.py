@@ -1,5 +1,6 @@
 """Short summaries of runs: conditions, results and ends, of runs or file by file."""
 
+import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -232,6 +233,9 @@ def summarise_measured(
 _SHOWN: Final = 5e-4
 """Share of a path length below which jumps do not change its three printed digits."""
 
+_LARGE: Final = 0.05
+"""Share of a path length from which jumps are told beside it. Wheel odometry is as wrong itself."""
+
 
 def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     """Return a note on the jumps of a robot's poses, if its path length contains them."""
@@ -241,9 +245,12 @@ def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     from turtlelog.measure.breaks import describe_breaks, find_jumps  # only bags need these
 
     jumps = find_jumps(run)
-    if sum(jump.excess_m for jump in jumps) <= _SHOWN * path.value:
+    share = sum(jump.excess_m for jump in jumps) / (path.value or math.inf)
+    if share <= _SHOWN:
         return {}
     notes = {"jumps": describe_breaks(run)["jumps"]}
+    if share >= _LARGE:
+        notes["jumped_share"] = f"{100.0 * share:.0f} %"
     fastest = metrics.get("run.measured_speed_max")
     if fastest is not None and fastest.at_s is not None:
         # A rate from differences spreads a jump over the poses beside it.
@@ -411,7 +418,8 @@ def describe_end(summary: RunSummary) -> str:
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
-    jumps = ", jumps included," if "jumps" in summary.notes else ""
+    jumped = summary.notes.get("jumped_share")
+    jumps = "" if jumped is None else f", {jumped} of it jumps,"
     return f"the path is {length} long{jumps} and takes {duration}"
 
 
