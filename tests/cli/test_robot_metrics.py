@@ -82,7 +82,7 @@ def test_a_jump_that_is_the_largest_measured_speed_is_told(call: Call, tmp_path:
         rows = [f"{i / 50},{0.3 * i / 50 + leap_m * (i >= 500)},0,0" for i in range(600)]
         table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
         answer = call("metrics", table).flat
-        assert ("The jump at 10.0 s is the largest speed." in answer) is told
+        assert ("The largest measured speed is the jump at 10.0 s." in answer) is told
         assert f"m{share} and takes 12 s." in answer
 
 

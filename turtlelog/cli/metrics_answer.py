@@ -317,10 +317,8 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
     found = {one.name: one.notes["jumps"] for one in summaries if "jumps" in one.notes}
     if len(summaries) == 1:
         told = [f"The path length counts as driven: {text}." for text in found.values()]
-        if _FASTEST in shown and "fastest_is_jump" in summaries[0].notes:
-            told.append(
-                f"The jump at {summaries[0].notes['fastest_is_jump']} is the largest speed."
-            )
+        if _FASTEST in shown and (at := summaries[0].notes.get("fastest_is_jump")):
+            told.append(f"The largest measured speed is the jump at {at}.")
         return told
     told = [f"The path length of {name} counts as driven: {text}." for name, text in found.items()]
     more = len(told) - _MOST_SAID

@@ -252,7 +252,7 @@ def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     if share >= _LARGE:
         notes["jumped_share"] = f"{100.0 * share:.0f} %"
     fastest = metrics.get("run.measured_speed_max")
-    if fastest is not None and fastest.at_s is not None:
+    if fastest is not None and fastest.at_s is not None and "rates" in list_lacks(run):
         # A rate from differences spreads a jump over the poses beside it.
         first = run.poses.time_ns.searchsorted(run.start_ns + round(fastest.at_s * 1e9))
         if any(abs(jump.row - first) <= 1 for jump in jumps):
