@@ -1,5 +1,6 @@
 import re
 import sqlite3
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,6 +52,14 @@ def test_a_bag_without_metadata_is_read_in_the_order_of_numbers(
     write_split(tmp_path, *names)
     assert note(tmp_path) == f"metadata.yaml is missing; in order of name: {', '.join(names)}"
     assert read_bag_info(tmp_path).duration_s == pytest.approx(8 * 0.016)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a right there")
+def test_of_links_to_one_file_of_a_folder_the_first_is_read(tmp_path: Path) -> None:
+    write_split(tmp_path, "a_0.mcap", "a_1.mcap")
+    for name in ("a_2.mcap", "a_10.mcap"):
+        (tmp_path / name).symlink_to("a_0.mcap")
+    assert [file.name for file in list_bag_files(tmp_path)] == ["a_0.mcap", "a_1.mcap"]
 
 
 def test_a_bag_of_several_files_in_sqlite_is_read_in_its_own_order(tmp_path: Path) -> None:

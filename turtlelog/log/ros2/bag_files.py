@@ -296,8 +296,11 @@ def list_present_files(folder: Path) -> tuple[Path, ...]:
 def _list_present(folder: Path) -> tuple[Path, ...]:
     with name_file(folder, expected="a bag"):
         named = (file for file in folder.iterdir() if file.name.lower().endswith(BAG_SUFFIXES))
-        files = (file for file in named if file.is_file())
-        return tuple(sorted(files, key=lambda file: split_numbers(file.name)))
+        files = sorted(filter(Path.is_file, named), key=lambda file: split_numbers(file.name))
+        first: dict[Path, Path] = {}  # of links to one file
+        for file in files:
+            first.setdefault(file.resolve(), file)
+        return tuple(first.values())
 
 
 def read_compression(folder: Path) -> str:
