@@ -174,7 +174,7 @@ def is_one_recording(path: Path) -> bool:
         # A truncated, empty or missing metadata file is beside the files that it describes.
         if place.is_file() and (files or _BAG_MARK in _read_start(place)):
             return True
-        if len(files) > 1 and len(list_bag_files(path)) > 1:
+        if len(files) > 1 and list_bag_files(path):
             return True
         return bool(list_table_files(path))
     except (OSError, LogError):
