@@ -7,7 +7,7 @@ import pytest
 
 from turtlelog.errors import LawError
 from turtlelog.expressions import parse_expression
-from turtlelog.expressions.syntax import KEYWORDS
+from turtlelog.expressions.parser import KEYWORDS
 from turtlelog.laws import (
     LAWS,
     Goal,

@@ -8,10 +8,10 @@ from .evaluation import (
     evaluate_expression as evaluate_expression,
     evaluate_node as evaluate_node,
     fail_at as fail_at,
+    format_expression as format_expression,
     require_kind as require_kind,
 )
-from .parser import format_expression as format_expression, parse_expression as parse_expression
-from .syntax import (
+from .parser import (
     Arithmetic as Arithmetic,
     Call as Call,
     Comparison as Comparison,
@@ -27,4 +27,5 @@ from .syntax import (
     Until as Until,
     draw_caret as draw_caret,
     iterate_nodes as iterate_nodes,
+    parse_expression as parse_expression,
 )

@@ -1,4 +1,4 @@
-"""Evaluation of expression trees on whole columns; unknown values stay unknown.
+"""Evaluation of expression trees on whole columns, where unknown values stay unknown; formatting.
 
 Numbers and truth values are float64 arrays of any shape; truth values are 0 or 1, NaN means
 unknown.
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import find_near, join_names, quote_name
-from turtlelog.expressions import syntax
+from turtlelog.expressions import parser
 
 _OPERATORS: Final = {
     "+": np.add,
@@ -45,7 +45,7 @@ class Kind(enum.Enum):
     UNKNOWN = "unknown"
 
 
-def evaluate_expression(expression: syntax.Expression, values: Values) -> Any:
+def evaluate_expression(expression: parser.Expression, values: Values) -> Any:
     """Return the value of an expression.
 
     None means a missing value. A result that needs a missing value is missing too. The results of a
@@ -98,7 +98,7 @@ class Operand:
         return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def evaluate_node(expression: syntax.Expression, node: syntax.Node, values: Values) -> Operand:
+def evaluate_node(expression: parser.Expression, node: parser.Node, values: Values) -> Operand:
     """Return the value of a part of an expression.
 
     Raises:
@@ -108,7 +108,7 @@ def evaluate_node(expression: syntax.Expression, node: syntax.Node, values: Valu
 
 
 def require_kind(
-    expression: syntax.Expression, node: syntax.Node, operand: Operand, kind: Kind
+    expression: parser.Expression, node: parser.Node, operand: Operand, kind: Kind
 ) -> None:
     """Refuse an operand of another kind than the given one; UNKNOWN is accepted.
 
@@ -116,65 +116,65 @@ def require_kind(
         ExpressionError: If the kind differs; the message gives the column of the node.
     """
     if operand.kind not in {kind, Kind.UNKNOWN}:
-        name = f"{node.name}, " if isinstance(node, syntax.Name) else ""
+        name = f"{node.name}, " if isinstance(node, parser.Name) else ""
         problem = f"expected {kind.value}, found {name}{operand.kind.value}"
-        if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, syntax.Name):
+        if kind is Kind.TRUTH and operand.kind is Kind.NUMBER and isinstance(node, parser.Name):
             problem += f"; compare it, for example {node.name} <= 2"
         fail_at(expression, node, problem)
 
 
-def fail_at(expression: syntax.Expression, node: syntax.Node, problem: str) -> NoReturn:
+def fail_at(expression: parser.Expression, node: parser.Node, problem: str) -> NoReturn:
     """Raise an ExpressionError at a node."""
-    raise syntax.build_error(expression.source, expression.text, node.column, problem)
+    raise parser.build_error(expression.source, expression.text, node.column, problem)
 
 
 class _Evaluation:
-    def __init__(self, expression: syntax.Expression, values: Values) -> None:
+    def __init__(self, expression: parser.Expression, values: Values) -> None:
         self._expression = expression
         self._values = values
 
-    def evaluate(self, node: syntax.Node) -> Operand:
+    def evaluate(self, node: parser.Node) -> Operand:
         match node:
-            case syntax.Number(value=value) | syntax.Text(value=value) | syntax.Truth(value=value):
+            case parser.Number(value=value) | parser.Text(value=value) | parser.Truth(value=value):
                 return _make_operand(value)
-            case syntax.Name():
+            case parser.Name():
                 return self._look_up(node)
-            case syntax.Comparison():
+            case parser.Comparison():
                 return self._compare(node)
-            case syntax.Logic() | syntax.Prefix(operator="not"):
+            case parser.Logic() | parser.Prefix(operator="not"):
                 return self._join(node)
         return self._compute(node)
 
-    def _compute(self, node: syntax.Node) -> Operand:
-        if isinstance(node, syntax.Temporal | syntax.Until):
-            word = node.operator if isinstance(node, syntax.Temporal) else "until"
+    def _compute(self, node: parser.Node) -> Operand:
+        if isinstance(node, parser.Temporal | parser.Until):
+            word = node.operator if isinstance(node, parser.Temporal) else "until"
             fail_at(self._expression, node, f"expected no {word} here: it needs signals over time")
         operands = self._evaluate_all(node.list_children(), Kind.NUMBER)
-        if isinstance(node, syntax.Call):
+        if isinstance(node, parser.Call):
             return _compute_function(node.function, operands)
-        if isinstance(node, syntax.Arithmetic):
+        if isinstance(node, parser.Arithmetic):
             return _compute_operator(node.operator, *operands)
         return _compute_operator("-", _make_operand(-0.0), *operands)
 
-    def _join(self, node: syntax.Node) -> Operand:
+    def _join(self, node: parser.Node) -> Operand:
         operands = self._evaluate_all(node.list_children(), Kind.TRUTH)
-        if isinstance(node, syntax.Logic):
+        if isinstance(node, parser.Logic):
             return _join_truths(node.operator, operands)
         return _negate_truth(*operands)
 
-    def _evaluate_all(self, nodes: Sequence[syntax.Node], kind: Kind) -> list[Operand]:
+    def _evaluate_all(self, nodes: Sequence[parser.Node], kind: Kind) -> list[Operand]:
         operands = [self.evaluate(node) for node in nodes]
         for node, operand in zip(nodes, operands, strict=True):
             require_kind(self._expression, node, operand, kind)
         return operands
 
-    def _compare(self, node: syntax.Comparison) -> Operand:
+    def _compare(self, node: parser.Comparison) -> Operand:
         operands = [self.evaluate(operand) for operand in node.operands]
         check_comparison(self._expression, node, operands)
         pairs = zip(operands, node.operators, operands[1:], strict=False)
         return _join_truths("and", [compare_operands(*pair) for pair in pairs])
 
-    def _look_up(self, node: syntax.Name) -> Operand:
+    def _look_up(self, node: parser.Name) -> Operand:
         if node.name not in self._values:
             fail_at(self._expression, node, describe_unknown_name(node.name, self._values))
         try:
@@ -184,7 +184,7 @@ class _Evaluation:
 
 
 def check_comparison(
-    expression: syntax.Expression, node: syntax.Comparison, operands: Sequence[Operand]
+    expression: parser.Expression, node: parser.Comparison, operands: Sequence[Operand]
 ) -> None:
     """Refuse to compare operands of different kinds, or to order texts or truth values.
 
@@ -203,7 +203,7 @@ def check_comparison(
         else:
             continue
         column = node.columns[index] if node.columns else node.column
-        raise syntax.build_error(expression.source, expression.text, column, problem)
+        raise parser.build_error(expression.source, expression.text, column, problem)
 
 
 def describe_unknown_name(name: str, known: Mapping[str, object]) -> str:
@@ -241,7 +241,7 @@ def _compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
 
 
 def _compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
-    ufunc = getattr(np, syntax.FUNCTIONS[function][2])
+    ufunc = getattr(np, parser.FUNCTIONS[function][2])
     data = [argument.data for argument in arguments]
     with np.errstate(all="ignore"):
         if len(data) <= 2:
@@ -286,3 +286,85 @@ def _make_number(data: NDArray[Any], sources: Sequence[Operand]) -> Operand:
         )
         data = np.where(np.isinf(data) & ~had_infinity, np.nan, data)
     return Operand(kind=Kind.NUMBER, data=data)
+
+
+_TIGHTEST: Final = 11  # names, numbers and calls bind tighter than every operator
+
+
+def format_expression(expression: parser.Expression | parser.Node) -> str:
+    """Return an expression or a part of it as text with the fewest parentheses."""
+    return _format(expression.root if isinstance(expression, parser.Expression) else expression)
+
+
+def _format(node: parser.Node) -> str:
+    match node:
+        case parser.Name(name=name):
+            text = name
+        case parser.Call(function=function, arguments=arguments):
+            text = f"{function}({', '.join(map(_format, arguments))})"
+        case parser.Temporal(operator=operator, operand=operand):
+            text = f"{operator}{_format_window(node)}({_format(operand)})"
+        case parser.Number(value=value):
+            text = "inf" if math.isinf(value) else f"{value!r}".removesuffix(".0")
+        case parser.Text(value=value):
+            text = f'"{value}"' if '"' not in value else f"'{value}'"
+        case parser.Truth(value=value):
+            text = "true" if value else "false"
+        case _:
+            text = _format_operator(node)
+    return text
+
+
+def _format_operator(node: parser.Node) -> str:
+    binding = _find_binding(node)
+    match node:
+        case parser.Prefix(operator=operator, operand=operand):
+            space = " " if operator == "not" else ""
+            return f"{operator}{space}{_wrap(operand, binding)}"
+        case parser.Comparison(operators=operators, operands=operands):
+            first, *others = (_wrap(operand, binding + 1) for operand in operands)
+            pairs = zip(operators, others, strict=True)
+            return " ".join([first, *(f"{operator} {right}" for operator, right in pairs)])
+        case parser.Logic(operator="and" | "or" as operator, operands=operands):
+            return f" {operator} ".join(_wrap(operand, binding + 1) for operand in operands)
+    return _format_pair(node, *node.list_children())
+
+
+def _format_pair(node: parser.Node, left: parser.Node, right: parser.Node) -> str:
+    """Format a node with two operands; `implies` and `until` are right-associative."""
+    binding = _find_binding(node)
+    match node:
+        case parser.Arithmetic(operator="**"):
+            return f"{_wrap(left, binding + 1)}**{_wrap(right, parser.PRECEDENCE['unary -'])}"
+        case parser.Arithmetic(operator=operator):
+            return f"{_wrap(left, binding)} {operator} {_wrap(right, binding + 1)}"
+        case parser.Until():
+            word = f"until{_format_window(node)}"
+        case _:
+            word = "implies"
+    return f"{_wrap(left, binding + 1)} {word} {_wrap(right, binding)}"
+
+
+def _wrap(node: parser.Node, loosest: int) -> str:
+    text = _format(node)
+    return text if _find_binding(node) >= loosest else f"({text})"
+
+
+def _format_window(node: parser.Temporal | parser.Until) -> str:
+    if (node.start_s, node.end_s) == (0.0, math.inf):
+        return ""
+    ends = (_format(parser.Number(value=end_s)) for end_s in (node.start_s, node.end_s))
+    return f"[{', '.join(ends)}]"
+
+
+def _find_binding(node: parser.Node) -> int:
+    match node:
+        case parser.Prefix(operator=operator):
+            return parser.PRECEDENCE["unary -" if operator == "-" else "not"]
+        case parser.Logic(operator=operator) | parser.Arithmetic(operator=operator):
+            return parser.PRECEDENCE[operator]
+        case parser.Comparison():
+            return parser.PRECEDENCE["<"]
+        case parser.Until():
+            return parser.PRECEDENCE["until"]
+    return _TIGHTEST

@@ -1,25 +1,45 @@
-"""Parsing of expressions by precedence climbing, and formatting. No text is run as Python."""
+"""Parsing of expressions into trees, by precedence climbing. No text is run as Python."""
 
 import math
-from typing import Any, Final, NoReturn, TypeVar, cast
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, NoReturn, cast
 
 from turtlelog.display import describe_count
-from turtlelog.errors import suggest_names
-from turtlelog.expressions import syntax
+from turtlelog.errors import ExpressionError, suggest_names
+from turtlelog.escapes import escape_controls
+
+LONGEST_TEXT: Final = 20_000  # characters
+
+KEYWORDS: Final = frozenset(
+    {"and", "or", "not", "implies", "until", "always", "eventually", "true", "false", "inf"}
+)
+
+FUNCTIONS: Final[Mapping[str, tuple[int, float, str]]] = {
+    "abs": (1, 1, "abs"),
+    "min": (2, math.inf, "minimum"),
+    "max": (2, math.inf, "maximum"),
+    "sqrt": (1, 1, "sqrt"),
+    "sin": (1, 1, "sin"),
+    "cos": (1, 1, "cos"),
+    "atan2": (2, 2, "arctan2"),
+    "hypot": (2, 2, "hypot"),
+    "deg": (1, 1, "degrees"),
+    "rad": (1, 1, "radians"),
+    "log": (1, 1, "log"),  # natural
+}
+"""Fewest and most arguments of each function, and its name in numpy; angles are in rad."""
 
 _DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit
 
-AnyNode = TypeVar("AnyNode", bound=syntax.Node)
-
-_COMPARISONS: Final = ("<", "<=", ">", ">=", "==", "!=")
-
-_PRECEDENCE: Final = {
+PRECEDENCE: Final = {
     "implies": 1,
     "or": 2,
     "and": 3,
     "until": 4,
     "not": 5,
-    **dict.fromkeys(_COMPARISONS, 6),
+    **dict.fromkeys(("<", "<=", ">", ">=", "==", "!="), 6),
     "+": 7,
     "-": 7,
     "*": 8,
@@ -29,10 +49,176 @@ _PRECEDENCE: Final = {
 }
 """Precedence of operators; a higher number binds tighter. `unary -` is the minus of -x."""
 
-_INFIX: Final = frozenset(_PRECEDENCE) - {"not", "unary -"}
+_INFIX: Final = frozenset(PRECEDENCE) - {"not", "unary -"}
+
+_TEMPORAL: Final = ("always", "eventually")
 
 
-def parse_expression(text: str, *, source: str = "expression") -> syntax.Expression:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Node:
+    """Part of an expression.
+
+    Attributes:
+        column: Column of the node or its operator, counted from 1; excluded from comparisons.
+    """
+
+    column: int = field(default=1, compare=False)
+
+    def list_children(self) -> tuple["Node", ...]:
+        """Return the parts of this part, in order of the text."""
+        match self:
+            case Call(arguments=parts) | Comparison(operands=parts) | Logic(operands=parts):
+                return parts
+            case Prefix(operand=part) | Temporal(operand=part):
+                return (part,)
+            case Arithmetic(left=left, right=right) | Until(left=left, right=right):
+                return left, right
+        return ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number(Node):
+    """A number as written, not negative; may be `inf`."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Text(Node):
+    """A text in quotes."""
+
+    value: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth(Node):
+    """`true` or `false`."""
+
+    value: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Name(Node):
+    """A signal, metric or parameter by its dotted name."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call(Node):
+    """A function of numbers."""
+
+    function: str
+    arguments: tuple[Node, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prefix(Node):
+    """`-` before a number, or `not` before a truth."""
+
+    operator: Literal["-", "not"]
+    operand: Node
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arithmetic(Node):
+    """Two numbers and an operator; `column` is the column of the operator."""
+
+    operator: Literal["+", "-", "*", "/", "**"]
+    left: Node
+    right: Node
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison(Node):
+    """A chain as in mathematics: `a < b <= c` is `a < b and b <= c`.
+
+    Attributes:
+        operators: Operators, at least one.
+        operands: Operands, one more than operators.
+        columns: Columns of the operators; excluded from comparisons.
+    """
+
+    operators: tuple[Literal["<", "<=", ">", ">=", "==", "!="], ...]
+    operands: tuple[Node, ...]
+    columns: tuple[int, ...] = field(default=(), compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Logic(Node):
+    """Truth values joined by one operator: two or more by `and` or `or`, two by `implies`."""
+
+    operator: Literal["and", "or", "implies"]
+    operands: tuple[Node, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Temporal(Node):
+    """A truth value at all times, or at some time, of a window after each instant.
+
+    Attributes:
+        operator: `always` or `eventually`.
+        start_s: Start of the window after the instant [s], finite, not negative.
+        end_s: End of the window after the instant [s]; may be inf.
+        operand: Formula to evaluate.
+    """
+
+    operator: Literal["always", "eventually"]
+    start_s: float = 0.0
+    end_s: float = math.inf
+    operand: Node
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Until(Node):
+    """`right` becomes true within the window, and `left` is true until that instant."""
+
+    start_s: float = 0.0
+    end_s: float = math.inf
+    left: Node
+    right: Node
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expression:
+    """A parsed expression.
+
+    Attributes:
+        text: Text of the expression.
+        source: Origin of the text for messages: an option, or a file and key.
+        root: Root node of the tree.
+        names: Signals, metrics and parameters in order of first use.
+    """
+
+    text: str
+    source: str
+    root: Node
+    names: tuple[str, ...] = field(init=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # Once: each check asks for its names ten times.
+        found = (node.name for node in iterate_nodes(self.root) if isinstance(node, Name))
+        object.__setattr__(self, "names", tuple(dict.fromkeys(found)))
+
+    @property
+    def is_temporal(self) -> bool:
+        """Whether the expression contains `always`, `eventually` or `until` and needs signals."""
+        return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
+
+    def __repr__(self) -> str:
+        return f"<Expression {escape_controls(self.text)}>"
+
+
+def iterate_nodes(node: Node) -> Iterator[Node]:
+    """Yield a node and all nodes below it, in order of the text."""
+    left = [node]
+    while left:
+        node = left.pop()
+        yield node
+        left.extend(reversed(node.list_children()))
+
+
+def parse_expression(text: str, *, source: str = "expression") -> Expression:
     """Return the tree of an expression.
 
     Args:
@@ -42,32 +228,115 @@ def parse_expression(text: str, *, source: str = "expression") -> syntax.Express
     Raises:
         ExpressionError: If the text cannot be parsed; the message gives the column.
     """
-    return syntax.Expression(text=text, source=source, root=_Parser(text, source).parse())
+    return Expression(text=text, source=source, root=_Parser(text, source).parse())
 
 
-_TEMPORAL = ("always", "eventually")
+_WIDTH: Final = 78  # characters of a line that is shown
+_LONGEST_QUOTE: Final = 40  # characters of a token in a message
+
+_TOKEN: Final = re.compile(
+    r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*)"
+    r"""|(?P<text>'[^'\n]*'|"[^"\n]*")"""
+    r"|(?P<space>[ \t\r\n]+)"
+    r"|(?P<operator>->|\*\*|<=|>=|==|!=|[-+*/<>()\[\],])"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Token:
+    """One word of an expression.
+
+    Attributes:
+        kind: Kind of the token; keywords are operators.
+        text: Token as written; `implies` for `->`; texts without their quotes.
+        column: Column, counted from 1.
+    """
+
+    kind: Literal["number", "text", "name", "operator", "end"]
+    text: str
+    column: int
+
+    def __str__(self) -> str:
+        is_long = len(self.text) > _LONGEST_QUOTE
+        shown = f"{self.text[:_LONGEST_QUOTE]}..." if is_long else self.text
+        return "the end" if self.kind == "end" else repr(shown)
+
+
+def split_tokens(text: str, *, source: str) -> list[Token]:
+    """Return the tokens of a text; the last token has the kind `end`."""
+    if len(text) > LONGEST_TEXT:
+        problem = f"expected at most {LONGEST_TEXT:,} characters, found {len(text):,}"
+        raise build_error(source, "", 1, problem)
+    position, tokens = 0, []
+    while position < len(text):
+        match = _TOKEN.match(text, position)
+        if match is None:
+            raise build_error(source, text, position + 1, _describe_character(text[position]))
+        found, kind = match.group(), cast("Any", match.lastgroup)
+        if found == "->" or found in KEYWORDS:
+            kind, found = "operator", found.replace("->", "implies")
+        if match.lastgroup != "space":
+            word = found[1:-1] if kind == "text" else found
+            tokens.append(Token(kind=kind, text=word, column=position + 1))
+        position = match.end()
+    return [*tokens, Token(kind="end", text="", column=len(text.rstrip(" \t\r\n")) + 1)]
+
+
+def _describe_character(character: str) -> str:
+    if character in "'\"":
+        return f"expected a closing {character}, found the end of the line"
+    hints = {"=": "; equality is ==", "^": "; powers are **"}
+    hints |= {"!": "; write not", "&": "; write and", "|": "; write or"}
+    hint = hints.get(character, "")
+    code = "" if character.isascii() else f" (U+{ord(character):04X})"
+    return f"expected a number, name or operator, found {character!r}{code}{hint}"
+
+
+def build_error(source: str, text: str, column: int, problem: str) -> ExpressionError:
+    """Return an error, to be raised, whose message begins with the place."""
+    before, place = text[: column - 1], f"column {column}"
+    if "\n" in text.strip():
+        line, last = before.count("\n") + 1, before.rpartition("\n")[2]
+        place = f"line {line}, column {len(last) + 1}"
+    return ExpressionError(f"{source}: {place}: {problem}", column=column)
+
+
+def draw_caret(text: str, column: int) -> str:
+    """Return the line of a text that contains a column, with a caret below the column.
+
+    Long lines are cut around the column. Control characters are shown as spaces.
+
+    Args:
+        text: Text of an expression.
+        column: Column, counted from 1 over the whole text, as in `ExpressionError.column`.
+    """
+    head = text[: column - 1].rpartition("\n")[2]
+    line = head + text[column - 1 :].partition("\n")[0]
+    start = max(0, min(len(head) - _WIDTH // 2, len(line) - _WIDTH))
+    shown = line[start : start + _WIDTH]
+    printable = "".join(character if character.isprintable() else " " for character in shown)
+    return f"{printable}\n{' ' * (len(head) - start)}^"
 
 
 class _Parser:
     def __init__(self, text: str, source: str) -> None:
-        self._text = text
-        self._source = source
-        self._tokens = syntax.split_tokens(text, source=source)
-        self._place = 0
-        self._open = 0
+        self._text, self._source = text, source
+        self._tokens = split_tokens(text, source=source)
+        self._place = self._open = 0
         self._heights: dict[int, int] = {}
 
-    def parse(self) -> syntax.Node:
+    def parse(self) -> Node:
         root = self._parse_level(1)
         if self._next.kind != "end":
             self._fail(self._next, "expected an operator or the end")
         return root
 
     @property
-    def _next(self) -> syntax.Token:
+    def _next(self) -> Token:
         return self._tokens[self._place]
 
-    def _take(self) -> syntax.Token:
+    def _take(self) -> Token:
         token = self._next
         self._place += token.kind != "end"
         return token
@@ -82,117 +351,90 @@ class _Parser:
         if not self._takes(operator):
             self._fail(self._next, f"expected {operator!r}")
 
-    def _fail(self, token: syntax.Token, expected: str) -> NoReturn:
-        raise syntax.build_error(
-            self._source, self._text, token.column, f"{expected}, found {token}"
-        )
+    def _fail(self, token: Token, expected: str) -> NoReturn:
+        raise build_error(self._source, self._text, token.column, f"{expected}, found {token}")
 
-    def _parse_level(self, loosest: int) -> syntax.Node:
+    def _parse_level(self, loosest: int) -> Node:
         """Parse operands and the operators between them that have at least this precedence."""
         self._open += 1
         self._check_depth(self._open, self._next.column)
-        node = self._parse_prefix()
+        node = self._grow(self._parse_prefix())
         while (binding := self._find_binding()) >= loosest:
-            node = self._parse_infix(node, self._take(), binding)
+            node = self._grow(self._parse_infix(node, self._take(), binding))
         self._open -= 1
         return node
 
     def _find_binding(self) -> int:
         token = self._next
-        is_infix = token.kind == "operator" and token.text in _INFIX
-        return _PRECEDENCE[token.text] if is_infix else 0
+        return PRECEDENCE[token.text] if token.kind == "operator" and token.text in _INFIX else 0
 
-    def _parse_infix(self, left: syntax.Node, token: syntax.Token, binding: int) -> syntax.Node:
-        if binding == _PRECEDENCE["<"]:
-            return self._parse_comparison(left, token)
-        if token.text in {"and", "or"}:
-            return self._parse_joined(left, token, binding)
-        window = self._parse_window() if token.text == "until" else (0.0, math.inf)
-        to_the_right = token.text in {"implies", "until", "**"}
-        if token.text == "**":  # its exponent may be negative: 10**-3
-            right = self._parse_level(_PRECEDENCE["unary -"])
-        else:
-            right = self._parse_level(binding if to_the_right else binding + 1)
-        sides: dict[str, Any] = {"left": left, "right": right, "column": token.column}
-        if token.text == "until":
-            return self._grow(syntax.Until(start_s=window[0], end_s=window[1], **sides))
+    def _parse_infix(self, left: Node, token: Token, binding: int) -> Node:
         operator = cast("Any", token.text)
+        if operator in {"and", "or"} or binding == PRECEDENCE["<"]:
+            return self._parse_chain(left, token, binding)
+        window = self._parse_window() if operator == "until" else {}
+        # `implies` and `until` are right-associative; an exponent may be negative: 10**-3.
+        loosest = {"**": PRECEDENCE["unary -"], "implies": binding, "until": binding}
+        right = self._parse_level(loosest.get(operator, binding + 1))
+        column = token.column
+        if operator == "until":
+            return Until(left=left, right=right, column=column, **window)
         if operator == "implies":
-            return self._grow(
-                syntax.Logic(operator=operator, operands=(left, right), column=token.column)
-            )
-        return self._grow(syntax.Arithmetic(operator=operator, **sides))
+            return Logic(operator=operator, operands=(left, right), column=column)
+        return Arithmetic(operator=operator, left=left, right=right, column=column)
 
-    def _parse_comparison(self, left: syntax.Node, first: syntax.Token) -> syntax.Node:
-        operators, operands = [first], [left, self._parse_level(_PRECEDENCE["<"] + 1)]
-        while self._find_binding() == _PRECEDENCE["<"]:
-            operators.append(self._take())
-            operands.append(self._parse_level(_PRECEDENCE["<"] + 1))
-        node = syntax.Comparison(
-            operators=tuple(cast("Any", token.text) for token in operators),
-            operands=tuple(operands),
-            columns=tuple(token.column for token in operators),
-            column=first.column,
-        )
-        return self._grow(node)
-
-    def _parse_joined(self, left: syntax.Node, first: syntax.Token, binding: int) -> syntax.Node:
-        operands = [left, self._parse_level(binding + 1)]
-        while self._takes(first.text):
+    def _parse_chain(self, left: Node, first: Token, binding: int) -> Node:
+        """Parse comparisons, or truth values that one operator joins, into one node."""
+        tokens, operands = [first], [left, self._parse_level(binding + 1)]
+        while self._find_binding() == binding:
+            tokens.append(self._take())
             operands.append(self._parse_level(binding + 1))
-        operator = cast("Any", first.text)
-        return self._grow(
-            syntax.Logic(operator=operator, operands=tuple(operands), column=first.column)
-        )
+        operators = tuple(cast("Any", token.text) for token in tokens)
+        parts: dict[str, Any] = {"operands": tuple(operands), "column": first.column}
+        if first.text in {"and", "or"}:
+            return Logic(operator=operators[0], **parts)
+        columns = tuple(token.column for token in tokens)
+        return Comparison(operators=operators, columns=columns, **parts)
 
-    def _parse_prefix(self) -> syntax.Node:
+    def _parse_prefix(self) -> Node:
         token = self._take()
         if token.kind == "operator":
             return self._parse_operator(token)
         if token.kind == "number":
             return self._make_number(token)
         if token.kind == "text":
-            return self._grow(syntax.Text(value=token.text, column=token.column))
+            return Text(value=token.text, column=token.column)
         if token.kind == "end":
             self._fail(token, "expected a number or name")
         if self._takes("("):
             return self._parse_call(token)
-        return self._grow(syntax.Name(name=token.text, column=token.column))
+        return Name(name=token.text, column=token.column)
 
-    def _parse_operator(self, token: syntax.Token) -> syntax.Node:
+    def _parse_operator(self, token: Token) -> Node:
         if token.text == "(":
             inside = self._parse_level(1)
             self._expect(")")
             return inside
         if token.text in {"-", "not"}:
-            binding = _PRECEDENCE["not" if token.text == "not" else "unary -"]
+            binding = PRECEDENCE["not" if token.text == "not" else "unary -"]
             operator, operand = cast("Any", token.text), self._parse_level(binding)
-            return self._grow(
-                syntax.Prefix(operator=operator, operand=operand, column=token.column)
-            )
+            return Prefix(operator=operator, operand=operand, column=token.column)
         if token.text in _TEMPORAL:
-            return self._parse_temporal(token)
+            window = self._parse_window()
+            self._expect("(")
+            operator, operand = cast("Any", token.text), self._parse_level(1)
+            self._expect(")")
+            return Temporal(operator=operator, operand=operand, column=token.column, **window)
         if token.text in {"true", "false"}:
-            return self._grow(syntax.Truth(value=token.text == "true", column=token.column))
+            return Truth(value=token.text == "true", column=token.column)
         if token.text == "inf":
-            return self._grow(syntax.Number(value=math.inf, column=token.column))
+            return Number(value=math.inf, column=token.column)
         return self._fail(token, "expected a number or name")
 
-    def _parse_temporal(self, token: syntax.Token) -> syntax.Node:
-        start_s, end_s = self._parse_window()
-        self._expect("(")
-        operand = self._parse_level(1)
-        self._expect(")")
-        operator = cast("Any", token.text)
-        node = syntax.Temporal(
-            operator=operator, start_s=start_s, end_s=end_s, operand=operand, column=token.column
-        )
-        return self._grow(node)
-
-    def _parse_window(self) -> tuple[float, float]:
-        """Parse a window `[a, b]` in seconds; without one, return 0 to infinity."""
+    def _parse_window(self) -> dict[str, Any]:
+        """Parse the bounds of a window `[a, b]` in seconds; without one, return none."""
         if not self._takes("["):
-            return 0.0, math.inf
+            return {}
         start_s = self._parse_bound()
         if math.isinf(start_s):
             self._fail(self._tokens[self._place - 1], "expected a finite first bound [s]")
@@ -202,7 +444,7 @@ class _Parser:
         if end_s < start_s:
             self._fail(end, f"expected a second bound of at least {start_s:g} s")
         self._expect("]")
-        return start_s, end_s
+        return {"start_s": start_s, "end_s": end_s}
 
     def _parse_bound(self) -> float:
         token = self._take()
@@ -212,9 +454,9 @@ class _Parser:
             self._fail(token, "expected a bound in seconds, 0 or more")
         return self._make_number(token).value
 
-    def _parse_call(self, token: syntax.Token) -> syntax.Node:
-        if token.text not in syntax.FUNCTIONS:
-            near = suggest_names(token.text, [*syntax.FUNCTIONS, *_TEMPORAL])
+    def _parse_call(self, token: Token) -> Node:
+        if token.text not in FUNCTIONS:
+            near = suggest_names(token.text, [*FUNCTIONS, *_TEMPORAL])
             self._fail(token, f"expected a function like {near}")
         arguments = []
         if not self._takes(")"):
@@ -222,23 +464,20 @@ class _Parser:
             while self._takes(","):
                 arguments.append(self._parse_level(1))
             self._expect(")")
-        least, most, _ = syntax.FUNCTIONS[token.text]
-        if not least <= len(arguments) <= most:
-            count = (
-                f"{least} or more arguments" if least != most else describe_count(least, "argument")
-            )
+        few, most, _ = FUNCTIONS[token.text]
+        if not few <= len(arguments) <= most:
+            count = describe_count(few, "argument") if few == most else f"{few} or more arguments"
             problem = f"expected {token.text} to have {count}, found {len(arguments)}"
-            raise syntax.build_error(self._source, self._text, token.column, problem)
-        call = syntax.Call(function=token.text, arguments=tuple(arguments), column=token.column)
-        return self._grow(call)
+            raise build_error(self._source, self._text, token.column, problem)
+        return Call(function=token.text, arguments=tuple(arguments), column=token.column)
 
-    def _make_number(self, token: syntax.Token) -> syntax.Number:
+    def _make_number(self, token: Token) -> Number:
         value = float(token.text)
         if math.isinf(value):
             self._fail(token, "expected a number below 1.8e308, or inf")
-        return self._grow(syntax.Number(value=value, column=token.column))
+        return Number(value=value, column=token.column)
 
-    def _grow(self, node: AnyNode) -> AnyNode:
+    def _grow(self, node: Node) -> Node:
         """Update the depth of the tree at a node; refuse a tree that is too deep."""
         below = (self._heights[id(child)] for child in node.list_children())
         self._heights[id(node)] = 1 + max(below, default=0)
@@ -248,86 +487,4 @@ class _Parser:
     def _check_depth(self, depth: int, column: int) -> None:
         if depth > _DEEPEST:
             problem = f"expected at most {_DEEPEST} levels of nesting, found more"
-            raise syntax.build_error(self._source, self._text, column, problem)
-
-
-_ATOM = 11
-
-
-def format_expression(expression: syntax.Expression | syntax.Node) -> str:
-    """Return an expression or a part of it as text with the fewest parentheses."""
-    return _format(expression.root if isinstance(expression, syntax.Expression) else expression)
-
-
-def _format(node: syntax.Node) -> str:
-    match node:
-        case syntax.Name(name=name):
-            text = name
-        case syntax.Call(function=function, arguments=arguments):
-            text = f"{function}({', '.join(map(_format, arguments))})"
-        case syntax.Temporal(operator=operator, operand=operand):
-            text = f"{operator}{_format_window(node)}({_format(operand)})"
-        case syntax.Number(value=value):
-            text = "inf" if math.isinf(value) else f"{value!r}".removesuffix(".0")
-        case syntax.Text(value=value):
-            text = f'"{value}"' if '"' not in value else f"'{value}'"
-        case syntax.Truth(value=value):
-            text = "true" if value else "false"
-        case _:
-            text = _format_operator(node)
-    return text
-
-
-def _format_operator(node: syntax.Node) -> str:
-    binding = _find_binding(node)
-    match node:
-        case syntax.Prefix(operator=operator, operand=operand):
-            space = " " if operator == "not" else ""
-            return f"{operator}{space}{_wrap(operand, binding)}"
-        case syntax.Comparison(operators=operators, operands=operands):
-            first, *others = (_wrap(operand, binding + 1) for operand in operands)
-            pairs = zip(operators, others, strict=True)
-            return " ".join([first, *(f"{operator} {right}" for operator, right in pairs)])
-        case syntax.Logic(operator="and" | "or" as operator, operands=operands):
-            return f" {operator} ".join(_wrap(operand, binding + 1) for operand in operands)
-    return _format_pair(node, *node.list_children())
-
-
-def _format_pair(node: syntax.Node, left: syntax.Node, right: syntax.Node) -> str:
-    """Format a node with two operands; `implies` and `until` are right-associative."""
-    binding = _find_binding(node)
-    match node:
-        case syntax.Arithmetic(operator="**"):
-            return f"{_wrap(left, binding + 1)}**{_wrap(right, _PRECEDENCE['unary -'])}"
-        case syntax.Arithmetic(operator=operator):
-            return f"{_wrap(left, binding)} {operator} {_wrap(right, binding + 1)}"
-        case syntax.Until():
-            word = f"until{_format_window(node)}"
-        case _:
-            word = "implies"
-    return f"{_wrap(left, binding + 1)} {word} {_wrap(right, binding)}"
-
-
-def _wrap(node: syntax.Node, loosest: int) -> str:
-    text = _format(node)
-    return text if _find_binding(node) >= loosest else f"({text})"
-
-
-def _format_window(node: syntax.Temporal | syntax.Until) -> str:
-    if (node.start_s, node.end_s) == (0.0, math.inf):
-        return ""
-    ends = (_format(syntax.Number(value=end_s)) for end_s in (node.start_s, node.end_s))
-    return f"[{', '.join(ends)}]"
-
-
-def _find_binding(node: syntax.Node) -> int:
-    match node:
-        case syntax.Prefix(operator=operator):
-            return _PRECEDENCE["unary -" if operator == "-" else "not"]
-        case syntax.Logic(operator=operator) | syntax.Arithmetic(operator=operator):
-            return _PRECEDENCE[operator]
-        case syntax.Comparison():
-            return _PRECEDENCE["<"]
-        case syntax.Until():
-            return _PRECEDENCE["until"]
-    return _ATOM
+            raise build_error(self._source, self._text, column, problem)

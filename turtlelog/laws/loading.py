@@ -144,7 +144,7 @@ def _require_nameable(declared: Declaration, place: str) -> None:
             raise LawError(f"{place}: loop: expected {expected}, found {loop.name!r}")
     if not declared.states:
         return
-    from turtlelog.expressions.syntax import KEYWORDS  # most laws have no states
+    from turtlelog.expressions.parser import KEYWORDS  # most laws have no states
 
     for state in declared.states:
         if state in KEYWORDS:
