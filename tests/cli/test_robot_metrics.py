@@ -86,6 +86,44 @@ def test_a_jump_that_is_the_largest_measured_speed_is_told(call: Call, tmp_path:
         assert f"m{share} and takes 12 s." in answer
 
 
+@pytest.mark.parametrize(
+    ("noise_m", "period_s", "told"),
+    [
+        (0.02, 0.02, "17.3 m long, 3 m through the median of each second, and takes"),
+        (0.001, 0.02, "3.07 m long and takes"),  # driven are 2.99 m
+        (0.1, 0.2, "8.33 m long and takes"),  # a robot itself may turn round within 0.4 s
+    ],
+)
+def test_a_path_that_noise_lengthens_is_told_without_it(
+    noise_m: float, period_s: float, told: str, call: Call, tmp_path: Path
+) -> None:
+    time_s = np.arange(0.0, 10.0, period_s)
+    random = np.random.default_rng(0)
+    x_m, y_m = np.array([[0.3], [0.0]]) * time_s + random.normal(0.0, noise_m, (2, len(time_s)))
+    rows = [f"{t:.3f},{x:.6f},{y:.6f},0" for t, x, y in zip(time_s, x_m, y_m, strict=True)]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    answer = call("metrics", table).flat
+    assert f"the path is {told}" in answer
+    said = "The path length counts steps back and forth between poses, as from noise; through the"
+    assert (said in answer) is ("median" in told)
+    assert (call("metrics", table, "--json").json[0]["scatter"] is None) is ("median" not in told)
+
+
+def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
+    call: Call, tmp_path: Path
+) -> None:
+    rows = [f"{i / 50},{0.3 * i / 50},{5.0 * (i % 30 == 7)},0" for i in range(600)]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    answer = call("metrics", table).flat
+    assert "is 203 m long, 3.59 m through the median of each second, and takes 12 s" in answer
+    assert "steps back and forth between poses" in answer
+    five = call("metrics", *[table] * 5).flat
+    assert five.count("counts steps back and forth between poses") == 3
+    assert "Jumps or steps like these are in 2 more runs." in five
+
+
 def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(
     call: Call, robot: Path
 ) -> None:

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.metrics_answer import list_needed, print_chosen, print_essential
+from turtlelog.cli.metrics_answer import list_needed, list_scatter, print_chosen, print_essential
 from turtlelog.cli.usage import Whole
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
@@ -85,6 +85,7 @@ class MeasuredFile:
         name: Name of the run.
         ending: End of the run at its goal, in words; None without a goal.
         jumps: Jumps of the poses that the path length counts as driven, in words; None without.
+        scatter: Path and turning without steps back and forth, in words; None without such steps.
         metrics: Requested metrics. Default: all metrics.
     """
 
@@ -92,6 +93,7 @@ class MeasuredFile:
     name: str
     ending: str | None
     jumps: str | None
+    scatter: str | None
     metrics: list[dict[str, Any]]
 
 
@@ -192,6 +194,7 @@ def metrics(
                     name=one.name,
                     ending=None if one.goal_end is None else one.goal_end.describe(),
                     jumps=one.notes.get("jumps"),
+                    scatter=next(list_scatter(one, "", one.metrics), None),
                     metrics=[metric.to_dict() for metric in one.metrics.values()],
                 )
                 for one in summaries

@@ -17,6 +17,7 @@ _MOST_SAID: Final = 3
 
 _PATH: Final = "run.path_length"
 _FASTEST: Final = "run.measured_speed_max"
+_TURNING: Final = "run.total_turning"
 
 _SILENT: Final = 1.5
 """Silence as a multiple of the usual time between samples."""
@@ -311,18 +312,39 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
 
 
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
-    """Return sentences on path lengths that contain jumps of the poses."""
+    """Return sentences on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
         return []
-    found = {one.name: one.notes["jumps"] for one in summaries if "jumps" in one.notes}
-    if len(summaries) == 1:
-        told = [f"The path length counts as driven: {text}." for text in found.values()]
-        if _FASTEST in shown and (at := summaries[0].notes.get("fastest_is_jump")):
-            told.append(f"The largest measured speed is the jump at {at}.")
-        return told
-    told = [f"The path length of {name} counts as driven: {text}." for name, text in found.items()]
-    more = len(told) - _MOST_SAID
-    return told if more < 1 else [*told[:_MOST_SAID], f"Path lengths of {more} more contain jumps."]
+    told: list[list[str]] = []
+    for one in summaries:
+        which, said = "" if len(summaries) == 1 else f" of {one.name}", []
+        if "jumps" in one.notes:
+            said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
+        if len(summaries) == 1 and _FASTEST in shown and (at := one.notes.get("fastest_is_jump")):
+            said.append(f"The largest measured speed is the jump at {at}.")
+        said.extend(list_scatter(one, which, shown))
+        told.extend([said] if said else [])
+    first = [sentence for said in told[:_MOST_SAID] for sentence in said]
+    more = describe_count(len(told) - _MOST_SAID, "more run")
+    return (
+        first if len(told) <= _MOST_SAID else [*first, f"Jumps or steps like these are in {more}."]
+    )
+
+
+def list_scatter(
+    summary: "tl.compare.RunSummary", which: str, shown: Collection[str]
+) -> Iterator[str]:
+    """Yield the sentence on steps back and forth, and what is left without them."""
+    path = summary.notes.get("path_without_scatter")
+    turning = summary.notes.get("turning_without_scatter") if _TURNING in shown else None
+    found = {"path length": path, "total turning": turning}
+    left = {name: length for name, length in found.items() if length is not None}
+    if left:
+        yield (
+            f"The {join_words([*left])}{which} {'counts' if len(left) == 1 else 'count'} steps"
+            " back and forth between poses, as from noise; through the median pose of each second:"
+            f" {join_words([*left.values()])}."
+        )
 
 
 def _format_runs(summaries: "Sequence[tl.compare.RunSummary]") -> str:

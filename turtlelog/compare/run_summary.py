@@ -222,7 +222,7 @@ def summarise_measured(
         parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
         file=file,
-        notes={**run.notes, **_describe_jumps(run, metrics)},
+        notes={**run.notes, **_describe_poses(run, metrics)},
         declaration=run.declaration,
         lacks=list_lacks(run),
         conditions=find_conditions(run, known) if len(run.poses) else None,
@@ -237,18 +237,24 @@ _LARGE: Final = 0.05
 """Share of a path length from which jumps are told beside it. Wheel odometry is as wrong itself."""
 
 
-def _describe_jumps(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """Return a note on the jumps of a robot's poses, if its path length contains them."""
+def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
+    """Return notes on jumps and scatter of a robot's poses, if its path length contains them."""
     path = metrics.get("run.path_length")
     if path is None or path.value is None or run.poses.speed_m_s is not None:
         return {}
-    from turtlelog.measure.breaks import describe_breaks, find_jumps  # only bags need these
+    from turtlelog.measure import breaks, rates  # only bags need these
 
-    jumps = find_jumps(run)
+    notes = {}
+    scatter = rates.find_scatter(run)
+    if scatter.path_m is not None:
+        notes["path_without_scatter"] = format_short(scatter.path_m, "m")
+    if scatter.turning_rad is not None:
+        notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
+    jumps = breaks.find_jumps(run)
     share = sum(jump.excess_m for jump in jumps) / (path.value or math.inf)
     if share <= _SHOWN:
-        return {}
-    notes = {"jumps": describe_breaks(run)["jumps"]}
+        return notes
+    notes["jumps"] = breaks.describe_breaks(run)["jumps"]
     if share >= _LARGE:
         notes["jumped_share"] = f"{100.0 * share:.0f} %"
     fastest = metrics.get("run.measured_speed_max")
@@ -418,9 +424,15 @@ def describe_end(summary: RunSummary) -> str:
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
-    jumped = summary.notes.get("jumped_share")
-    jumps = "" if jumped is None else f", {jumped} of it jumps,"
-    return f"the path is {length} long{jumps} and takes {duration}"
+    beside = [
+        f", {summary.notes[name]} {words},"
+        for name, words in (
+            ("jumped_share", "of it jumps"),
+            ("path_without_scatter", "through the median of each second"),
+        )
+        if name in summary.notes
+    ]
+    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}"
 
 
 _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"

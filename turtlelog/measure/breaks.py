@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, join_words
 from turtlelog.measure.motion import GAP_STEPS
-from turtlelog.measure.rates import NEIGHBOURS
+from turtlelog.measure.rates import NEIGHBOURS, find_changing_rows
 from turtlelog.measure.reductions import compute_median
 from turtlelog.run import PoseColumns, Run, take_rows
 from turtlelog.run.angles import subtract_headings
@@ -133,7 +133,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses = run.poses
     if _has_courses(run):  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
-    rows = _find_changing_rows(poses)
+    rows = find_changing_rows(poses)
     if len(rows) < len(poses):
         poses = take_rows(poses, rows)
     if len(poses) < 3:
@@ -237,17 +237,6 @@ def _find_far_steps(
         if is_far.mean() <= _STRAYS:
             break
     return is_far
-
-
-def _find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
-    """Return the rows of poses that differ from the previous pose, if most poses repeat it."""
-    # Some programs publish each pose several times. In other recordings, a repeated pose shows that
-    # the robot is at rest, and it counts.
-    moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
-    changing = np.flatnonzero(moved) + 1
-    if len(changing) < 2 or compute_median(np.diff(changing)) < 2:
-        return np.arange(len(poses))
-    return np.concatenate([[0], changing])
 
 
 def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:
