@@ -107,6 +107,7 @@ def test_a_path_that_noise_lengthens_is_told_without_it(
     assert f"the path is {told}" in answer
     said = "The path length counts steps back and forth between poses, as from noise; through the"
     assert (said in answer) is ("median" in told)
+    assert ("differences of poses, and contain their noise." in answer) is ("median" in told)
     assert (call("metrics", table, "--json").json[0]["scatter"] is None) is ("median" not in told)
 
 

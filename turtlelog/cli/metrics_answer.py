@@ -308,7 +308,12 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
         yield "Measured rates are those that the robot reports."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
-        yield f"Measured rates are differences of poses{which}."
+        noise = ", and contain their noise" if any(map(_has_scatter, lawless)) else ""
+        yield f"Measured rates are differences of poses{which}{noise}."
+
+
+def _has_scatter(summary: "tl.compare.RunSummary") -> bool:
+    return "rates" in summary.lacks and "path_without_scatter" in summary.notes
 
 
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
