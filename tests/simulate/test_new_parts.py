@@ -163,7 +163,7 @@ LATE = "    late_s: Time = absent(0.0)\n"
 LINES = {
     "laws/loading.py": ('    "open_loop",\n', '    "open_loop",\n    "creep",\n'),
     "effects/__init__.py": ('    "precision",\n', '    "weaken",\n    "precision",\n'),
-    "plants/kinds.py": ('    "lagged",\n', '    "lagged",\n    "sled",\n'),
+    "plants/__init__.py": ('    "lagged",\n', '    "lagged",\n    "sled",\n'),
     # And a key of an effect that is there.
     "effects/late.py": (LATE, f"{LATE}    lateness: Time = absent(0.0)\n"),
 }

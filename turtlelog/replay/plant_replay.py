@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line, format_short
 from turtlelog.errors import ReplayError
 from turtlelog.parts import NEVER_NS
-from turtlelog.plants import LAGGED, Turtle, find_plant
-from turtlelog.plants.kinds import PLANTS, read_plant
+from turtlelog.plants import LAGGED, PLANTS, Turtle, find_plant, read_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.differences import (
     Difference,

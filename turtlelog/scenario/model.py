@@ -13,7 +13,7 @@ from turtlelog.effects import EFFECTS
 from turtlelog.errors import ParameterError, ScenarioError
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.parts import Effect, Place, Plant, absent
-from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants import PLANTS
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 from turtlelog.run.paths import Path
 from turtlelog.scenario.file_tables import DEFAULT_LAW

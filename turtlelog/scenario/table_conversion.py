@@ -24,7 +24,7 @@ from turtlelog.errors import (
     join_names,
 )
 from turtlelog.parts import Complaint
-from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants import PLANTS
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.file_tables import (
     DEFAULT_LAW,

@@ -28,7 +28,7 @@ from turtlelog.errors import LawError
 from turtlelog.laws import AnyLaw, LawPart
 from turtlelog.laws.base import GoalNumbers
 from turtlelog.parts import Effect, Place, Plant, PlantPart, Stream
-from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants import PLANTS
 from turtlelog.run.loops import Declaration
 from turtlelog.run.path_pieces import PathNumbers
 from turtlelog.scenario import Disturbance, Limits, LoopSettings, Scenario, Sensing, Shaping

@@ -20,7 +20,7 @@ from turtlelog.display import format_number
 from turtlelog.errors import SimulationError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.parts import Plant, PlantPart
-from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants import PLANTS
 from turtlelog.processes import count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario

@@ -14,7 +14,7 @@ import msgspec
 from turtlelog import laws
 from turtlelog.errors import SimulationError
 from turtlelog.parts import LARGEST_FLOAT, Plant
-from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants import PLANTS
 from turtlelog.run import Event
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import LAW_FAILED, STEP_BUDGET, name_stop, number_stop

@@ -23,7 +23,7 @@ from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRI
 from turtlelog.measure.response import list_corners
 from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
-from turtlelog.plants.kinds import PLANTS
+from turtlelog.plants import PLANTS
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import REFERENCES as REFERENCES_OF, ControlLoop
 from turtlelog.run.paths import Path
