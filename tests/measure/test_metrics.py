@@ -9,7 +9,7 @@ from tests.measure.runs import GOAL_M, make_straight_run, set_times
 from tests.sequential import ROTATE
 from turtlelog.errors import MeasureError
 from turtlelog.measure import choose_metrics
-from turtlelog.measure.metrics.whole import PAPER_WINDOW_S
+from turtlelog.measure.metrics.goal_and_path import PAPER_WINDOW_S
 from turtlelog.run.loops import Declaration
 
 PAPER = Path(__file__).parents[2].parent / "shared" / "paper"

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from turtlelog.measure.metrics.clock import (
+from turtlelog.measure.metrics.sampling_times import (
     compute_jitter,
     compute_rate,
     compute_spread,

@@ -4,4 +4,4 @@
 # isort: skip_file
 
 from turtlelog.measure.metrics import loop_metrics, commands_and_theory
-from turtlelog.measure.metrics import whole, travel, following, clock
+from turtlelog.measure.metrics import goal_and_path, travel, following, sampling_times

@@ -1,4 +1,4 @@
-"""Metrics of a whole run and of its end: goal, duration, way, cross-track and commands."""
+"""Metrics of a whole run: its goal and its end, duration, path, cross-track and commands."""
 
 import math
 from collections.abc import Callable
