@@ -81,6 +81,10 @@ Place = Literal[
 - `push`: disturbance of the plant's speed and turn rate in the step to a tick; `time_ns` is a time
   in this step, `period_ns` the length of the step.
 - `next_push`: the next time after `time_ns` at which the disturbance changes within a step [ns].
+
+`dt_s` is known only at `shape` and `limit`, `time_ns` only at `push` and `next_push`. A step at
+`sense` gets neither the tick nor the time; an effect that needs them there counts poses in its
+state.
 """
 
 Complaint = tuple[str, str, str]
