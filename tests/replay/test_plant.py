@@ -13,7 +13,7 @@ from turtlelog.log.ros2 import read_bag
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 from turtlelog.replay import PlantReplay, PoseError, ReplayError, replay_plant
-from turtlelog.replay.recorded_motion import place_commands, read_motion
+from turtlelog.replay.breaks_and_commands import place_commands, read_motion
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import PAPER_RUNS
 

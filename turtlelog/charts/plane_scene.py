@@ -14,7 +14,7 @@ from turtlelog.measure.breaks import find_gaps
 from turtlelog.measure.references import hold_reference
 from turtlelog.plants import LAGGED, TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
-from turtlelog.replay.recorded_motion import find_breaks, read_motion
+from turtlelog.replay.breaks_and_commands import find_breaks, read_motion
 from turtlelog.run import Run
 from turtlelog.run.paths import Path
 

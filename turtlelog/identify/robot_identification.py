@@ -27,7 +27,7 @@ from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, Robo
 from turtlelog.identify.structure_choice import LEAST_BELOW, choose_structure
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
-from turtlelog.replay.recorded_motion import (
+from turtlelog.replay.breaks_and_commands import (
     find_breaks,
     follow_commands,
     place_commands,

@@ -1,6 +1,6 @@
 """Breaks in the poses of any robot: segments without poses, and steps that it cannot have made.
 
-For turtlesim, whose poses contain the applied command, a replay through the plant shows more.
+For turtlesim, whose poses contain the applied command, `replay/breaks_and_commands.py` finds more.
 
 Between two poses a robot moves about as far as just before and just after. A jump of its pose adds
 a step that neither neighbouring step has: the excess. This holds at any speed.

@@ -1,3 +1,10 @@
+from .breaks_and_commands import (
+    CommandUse as CommandUse,
+    Gap as Gap,
+    Jump as Jump,
+    follow_commands as follow_commands,
+    moves_as_turtlesim as moves_as_turtlesim,
+)
 from .differences import (
     Difference as Difference,
     PlantStretch as PlantStretch,
@@ -17,11 +24,4 @@ from .plant_replay import (
     PlantReplay as PlantReplay,
     drive_commands as drive_commands,
     replay_plant as replay_plant,
-)
-from .recorded_motion import (
-    CommandUse as CommandUse,
-    Gap as Gap,
-    Jump as Jump,
-    follow_commands as follow_commands,
-    moves_as_turtlesim as moves_as_turtlesim,
 )

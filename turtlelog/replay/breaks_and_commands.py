@@ -1,4 +1,4 @@
-"""The tick-by-tick motion in a recording: its interruptions, and the command taken in each tick.
+"""Motion in a recording of turtlesim: its jumps and gaps, and the command taken in each tick.
 
 A recording shows when a command was published, but not when the plant took it, because queues and
 transport lie between. The applied velocity in each pose shows which command the plant took. The

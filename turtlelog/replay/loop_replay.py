@@ -14,8 +14,8 @@ from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.plants import find_plant
 from turtlelog.replay import differences
+from turtlelog.replay.breaks_and_commands import advise_other_mode
 from turtlelog.replay.differences import Answers, Difference, Pairing, ReplayResult, RowCount
-from turtlelog.replay.recorded_motion import advise_other_mode
 from turtlelog.run import Run, SampleColumns, require_run
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import FINISHED, FROM_OUTSIDE, MAX_DURATION, name_stop

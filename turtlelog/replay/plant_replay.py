@@ -15,18 +15,7 @@ from turtlelog.errors import ReplayError
 from turtlelog.parts import NEVER_NS
 from turtlelog.plants import LAGGED, PLANTS, Turtle, find_plant, read_plant
 from turtlelog.plants.turtlesim import TICK_S
-from turtlelog.replay.differences import (
-    Difference,
-    Pairing,
-    PlantStretch,
-    PoseError,
-    ReplayResult,
-    SignalDifference,
-    compare_pairing,
-    find_earliest,
-    find_pose_error,
-)
-from turtlelog.replay.recorded_motion import (
+from turtlelog.replay.breaks_and_commands import (
     CommandUse,
     Gap,
     Jump,
@@ -37,6 +26,17 @@ from turtlelog.replay.recorded_motion import (
     read_motion,
     require_driveable,
     require_whole,
+)
+from turtlelog.replay.differences import (
+    Difference,
+    Pairing,
+    PlantStretch,
+    PoseError,
+    ReplayResult,
+    SignalDifference,
+    compare_pairing,
+    find_earliest,
+    find_pose_error,
 )
 from turtlelog.run import CommandColumns, PoseColumns, Run, require_run
 from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
