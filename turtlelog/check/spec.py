@@ -16,6 +16,7 @@ from turtlelog.compare import Delta, Tolerance, TrajectorySettings, compare_traj
 from turtlelog.display import describe_count
 from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.escapes import escape_controls
+from turtlelog.files.text_files import name_key
 from turtlelog.log import ReadChoice, read_trajectory
 from turtlelog.measure import (
     METRICS,
@@ -33,7 +34,6 @@ from turtlelog.run import Run, Trajectory, build_planar_trajectory
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
 from turtlelog.scenario import Scenario, describe_unknown_key, flatten_scenario
-from turtlelog.scenario.file_tables import name_key
 
 FORMAT: Final = 1
 """Format of specifications; newer formats are refused."""

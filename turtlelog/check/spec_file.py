@@ -28,12 +28,17 @@ from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.display import LATEST_S
 from turtlelog.errors import CheckError, CompareError, LogError, TurtlelogError
 from turtlelog.expressions import Expression, Until, iterate_nodes, parse_expression
-from turtlelog.files.text_files import describe_missing, parse_toml, read_text_file
+from turtlelog.files.text_files import (
+    describe_missing,
+    describe_value,
+    name_key,
+    parse_toml,
+    read_text_file,
+)
 from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal_option, parse_wheelbase, parse_wheels
 from turtlelog.scenario import describe_unknown_key
-from turtlelog.scenario.file_tables import describe_value, name_key
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "trajectory", "read")

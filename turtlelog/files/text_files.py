@@ -1,18 +1,26 @@
-"""Reading and writing of the user's small text and TOML files, within size limits."""
+"""Reading and writing of the user's small text and TOML files, within size limits.
 
+The end of the file has the words in which errors describe the values of a table.
+"""
+
+import dataclasses
 import errno
 import os
 import re
 import stat
 import textwrap
 import time
+import types
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 from turtlelog.errors import RemoteError, describe_error, find_near, join_names
 from turtlelog.files.urls import RemotePath, make_path
+
+if TYPE_CHECKING:
+    from msgspec import Meta
 
 MOST_BYTES: Final = 2**20
 """Largest size of a file of settings: some ten thousand checks, which take a second to read."""
@@ -248,3 +256,53 @@ def describe_missing(path: str | Path, others: Iterable[str] = ()) -> str:
     near = [name for stem in find_near(path.stem, stems) for name in stems[stem]][:3]
     shown = [str(path.with_name(name)) if name in names else name for name in near]
     return f"no such file; did you mean {join_names(shown)}?" if near else "no such file"
+
+
+_WORDS: Final = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
+
+
+def describe_type(hint: Any) -> str:
+    """Return a description of a type's values: `a number > 0`, `bearing or heading`, `a table`."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        from msgspec import Meta  # only errors need it
+
+        bounds = next((found for found in args[1:] if isinstance(found, Meta)), None)
+        return f"{describe_type(args[0])}{_describe_bounds(bounds)}"
+    if origin is Literal:
+        return " or ".join(map(str, args))
+    if origin in {Union, types.UnionType}:
+        return " or ".join(describe_type(arg) for arg in args if arg is not type(None))
+    if origin in {tuple, list}:
+        return f"a list of {len(args)}" if origin is tuple and Ellipsis not in args else "a list"
+    is_table = origin is not None or dataclasses.is_dataclass(hint) or hint is dict
+    return _WORDS.get(hint, "a table" if is_table else str(getattr(hint, "__name__", hint)))
+
+
+def describe_value(value: Any, *, longest: int = 60) -> str:
+    """Return a value as in a scenario file, cut if it is long; `no value` for None."""
+    if value is None:
+        return "no value"
+    try:
+        text = str(value).lower() if isinstance(value, bool) else repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    if hasattr(value, "isoformat"):
+        text = value.isoformat()
+    return text if len(text) <= longest else f"{text[:longest]}... ({len(text)} characters)"
+
+
+def name_key(key: str) -> str:
+    """Return a key in a form that fits into one line."""
+    return key if key.isprintable() else repr(key)
+
+
+def _describe_bounds(bounds: "Meta | None") -> str:
+    if bounds is None:
+        return ""
+    if bounds.ge is not None and bounds.le is not None:
+        return f" from {bounds.ge:.10g} to {bounds.le:.10g}"
+    if bounds.gt is not None and bounds.le is not None:
+        return f" > {bounds.gt:g} and up to {bounds.le:g}"
+    low = "" if bounds.gt is None else f" > {bounds.gt:g}"
+    return low if bounds.ge is None else f" >= {bounds.ge:g}"

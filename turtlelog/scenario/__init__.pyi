@@ -1,10 +1,3 @@
-from .file_tables import (
-    DEFAULT_LAW as DEFAULT_LAW,
-    PAPER_RUNS as PAPER_RUNS,
-    PRESETS as PRESETS,
-    flatten_tables as flatten_tables,
-    nest_parameters as nest_parameters,
-)
 from .model import (
     Disturbance as Disturbance,
     LawChoice as LawChoice,
@@ -26,6 +19,13 @@ from .overrides import (
     parse_assignments as parse_assignments,
     replay_commands as replay_commands,
     unwrap_number as unwrap_number,
+)
+from .presets import (
+    DEFAULT_LAW as DEFAULT_LAW,
+    PAPER_RUNS as PAPER_RUNS,
+    PRESETS as PRESETS,
+    flatten_tables as flatten_tables,
+    nest_parameters as nest_parameters,
 )
 from .scenario_file import (
     format_scenario as format_scenario,

@@ -16,7 +16,7 @@ from turtlelog.parts import Effect, Place, Plant, absent
 from turtlelog.plants import PLANTS
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 from turtlelog.run.paths import Path
-from turtlelog.scenario.file_tables import DEFAULT_LAW
+from turtlelog.scenario.presets import DEFAULT_LAW
 
 _OPTIONS: Final[Any] = {"frozen": True, "slots": True, "kw_only": True}
 

@@ -11,8 +11,8 @@ from turtlelog.files.text_files import parse_toml
 from turtlelog.laws import find_law, name_given_law
 from turtlelog.run import Run
 from turtlelog.run.paths import PATH_KEYS
-from turtlelog.scenario.file_tables import set_nested
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario, require_scenario
+from turtlelog.scenario.presets import set_nested
 from turtlelog.scenario.scenario_file import load_scenario
 from turtlelog.scenario.table_conversion import (
     build_scenario,

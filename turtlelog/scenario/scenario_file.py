@@ -16,6 +16,7 @@ from turtlelog.errors import ScenarioError, describe_unknown
 from turtlelog.files.text_files import (
     describe_csv_error,
     describe_missing,
+    describe_value,
     format_toml,
     parse_toml,
     read_text_file,
@@ -23,8 +24,8 @@ from turtlelog.files.text_files import (
 from turtlelog.files.urls import make_path
 from turtlelog.laws.open_loop import MOST_ROWS
 from turtlelog.run.paths import MOST_POINTS
-from turtlelog.scenario.file_tables import PAPER_RUNS, PRESET_TABLES, PRESETS, describe_value
 from turtlelog.scenario.model import Scenario, require_scenario
+from turtlelog.scenario.presets import PAPER_RUNS, PRESET_TABLES, PRESETS
 from turtlelog.scenario.table_conversion import build_scenario, nest_scenario
 
 

@@ -23,18 +23,12 @@ from turtlelog.errors import (
     find_near,
     join_names,
 )
+from turtlelog.files.text_files import describe_type, describe_value, name_key
 from turtlelog.parts import Complaint
 from turtlelog.plants import PLANTS
 from turtlelog.run import Parameter, Run
-from turtlelog.scenario.file_tables import (
-    DEFAULT_LAW,
-    describe_type,
-    describe_value,
-    flatten_tables,
-    name_key,
-    nest_parameters,
-)
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario, require_scenario
+from turtlelog.scenario.presets import DEFAULT_LAW, flatten_tables, nest_parameters
 
 _LONGEST_KIND = 300
 """Longest path and class that are shown in full, so that users can look at them before they trust

@@ -1,20 +1,16 @@
-"""The tables of scenario files: presets by name, values by dotted key, types and values in words.
+"""The presets as tables of scenario files, and the values of tables by dotted key.
 
 Apart from the reading of files, because an error about a missing file needs only the names.
 """
 
-import dataclasses
 import math
-import types
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from msgspec import Meta
-
     from turtlelog.run import Parameter
 
 
@@ -130,53 +126,3 @@ def flatten_tables(tables: Mapping[str, Any]) -> "dict[str, Parameter]":
         else:
             found[key] = value
     return found
-
-
-_WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
-
-
-def describe_type(hint: Any) -> str:
-    """Return a description of a type's values: `a number > 0`, `bearing or heading`, `a table`."""
-    origin, args = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        from msgspec import Meta  # only errors need it
-
-        bounds = next((found for found in args[1:] if isinstance(found, Meta)), None)
-        return f"{describe_type(args[0])}{_describe_bounds(bounds)}"
-    if origin is Literal:
-        return " or ".join(map(str, args))
-    if origin in {Union, types.UnionType}:
-        return " or ".join(describe_type(arg) for arg in args if arg is not type(None))
-    if origin in {tuple, list}:
-        return f"a list of {len(args)}" if origin is tuple and Ellipsis not in args else "a list"
-    is_table = origin is not None or dataclasses.is_dataclass(hint) or hint is dict
-    return _WORDS.get(hint, "a table" if is_table else str(getattr(hint, "__name__", hint)))
-
-
-def describe_value(value: Any, *, longest: int = 60) -> str:
-    """Return a value as in a scenario file, cut if it is long; `no value` for None."""
-    if value is None:
-        return "no value"
-    try:
-        text = str(value).lower() if isinstance(value, bool) else repr(value)
-    except ValueError:
-        return "a number of thousands of digits"
-    if hasattr(value, "isoformat"):
-        text = value.isoformat()
-    return text if len(text) <= longest else f"{text[:longest]}... ({len(text)} characters)"
-
-
-def name_key(key: str) -> str:
-    """Return a key in a form that fits into one line."""
-    return key if key.isprintable() else repr(key)
-
-
-def _describe_bounds(bounds: "Meta | None") -> str:
-    if bounds is None:
-        return ""
-    if bounds.ge is not None and bounds.le is not None:
-        return f" from {bounds.ge:.10g} to {bounds.le:.10g}"
-    if bounds.gt is not None and bounds.le is not None:
-        return f" > {bounds.gt:g} and up to {bounds.le:g}"
-    low = "" if bounds.gt is None else f" > {bounds.gt:g}"
-    return low if bounds.ge is None else f" >= {bounds.ge:g}"
