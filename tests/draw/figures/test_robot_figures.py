@@ -63,6 +63,15 @@ def test_of_several_robots_each_has_its_measured_rate_and_its_commands_in_its_co
     ]
 
 
+def test_a_command_is_thin_beside_the_measured_rate_of_another_robot() -> None:
+    poses = replace(make_robot().poses, measured_turn_rate_rad_s=None, measured_speed_m_s=None)
+    unmeasured = replace(make_robot("b"), poses=poses)
+    axes = tl.draw.draw_figure("turn-rate", [make_robot("a"), unmeasured]).axes[0]
+    widths = {(line.get_label(), line.get_linewidth()) for line in axes.get_lines()}
+    assert {width for label, width in widths if label == "commanded"} == {0.5}
+    assert "b" not in {label for label, _ in widths}
+
+
 def test_the_overview_of_a_robot_holds_its_path_and_what_is_there() -> None:
     figure = tl.draw.draw_figure("panel", [make_robot()])
     assert [axes.get_ylabel().split()[0] for axes in figure.axes] == [

@@ -1,5 +1,7 @@
 """Figures of a part of time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -28,11 +30,22 @@ def test_time_axes_are_cut_and_curves_have_the_height_that_they_have_there() -> 
 def test_an_axis_ends_where_its_curves_rest_from_the_first_part_on_and_says_until_when() -> None:
     (axes,) = draw_figure("heading", [RUN]).axes
     assert 2.5 < axes.get_xlim()[1] < 0.6 * float(RUN.duration_s)
-    assert axes.get_xlabel() == "time from the first sample [s]\nat rest until 12.6 s"
+    assert axes.get_xlabel() == "time from the first sample [s]\nunchanged until 12.6 s"
     for name in ("along-track", "wanted-turn-rate", "panel"):
         *_, axes = draw_figure(name, [RUN]).axes
         assert axes.get_xlim()[1] > float(RUN.duration_s)
         assert axes.get_xlabel() == "time from the first sample [s]"
+
+
+def test_only_a_robot_whose_position_rests_too_is_called_at_rest() -> None:
+    last = int(np.searchsorted(RUN.poses.time_ns, RUN.start_ns + 2_600_000_000))
+    rows = np.minimum(np.arange(len(RUN.poses)), last)
+    held = {"xy_m": RUN.poses.xy_m[rows], "heading_rad": RUN.poses.heading_rad[rows]}
+    (axes,) = draw_figure("heading", [replace(RUN, poses=replace(RUN.poses, **held))]).axes
+    assert axes.get_xlabel() == "time from the first sample [s]\nat rest until 12.6 s"
+    turned = replace(RUN.poses, heading_rad=held["heading_rad"])
+    (axes,) = draw_figure("heading", [replace(RUN, poses=turned)]).axes
+    assert axes.get_xlabel() == "time from the first sample [s]\nunchanged until 12.6 s"
 
 
 @pytest.mark.parametrize(("at_s", "is_cut"), [(5.9, True), (6.1, False)])

@@ -355,7 +355,7 @@ def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
     if window_s is None:
         # Constant commands do not show that a robot is at rest.
         if not page.has_marks and (not runs or any(len(run.poses) for run in runs)):
-            _end_at_rest(list_time_axes(figure), _find_span(runs)[1] if runs else 0.0)
+            _end_at_rest(list_time_axes(figure), runs)
         return
     for axes in list_time_axes(figure):
         is_free = axes.get_autoscaley_on()
@@ -364,7 +364,7 @@ def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
             fit_height(axes, window_s)
 
 
-def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
+def _end_at_rest(found: Sequence[Axes], runs: Sequence[Run]) -> None:
     """End axes where their curves come to rest in the first half, with a note."""
     is_linear = all(axes.get_yscale() == "linear" for axes in found)
     lengths_s = {axes.get_xlim()[1] for axes in found}
@@ -374,10 +374,27 @@ def _end_at_rest(found: Sequence[Axes], end_s: float) -> None:
     rest_s = max(find_rest(own, float(np.ptp(axes.get_ylim()))) for axes, own in curves.items())
     if not 0.0 < rest_s < _MOST_AT_REST * min(lengths_s):
         return
+    shown_s = (1.0 + _AFTER_REST) * rest_s
+    # A robot that drives straight ahead leaves its heading and its commands unchanged.
+    state = "at rest" if all(_find_standstill(run) <= shown_s for run in runs) else "unchanged"
     for axes in found:
-        axes.set_xlim(right=(1.0 + _AFTER_REST) * rest_s)
+        axes.set_xlim(right=shown_s)
         if label := axes.get_xlabel():
-            axes.set_xlabel(f"{label}\nat rest until {end_s:.3g} s")
+            end_s = _find_span(runs)[1] if runs else 0.0
+            axes.set_xlabel(f"{label}\n{state} until {end_s:.3g} s")
+
+
+def _find_standstill(run: Run) -> float:
+    """Return the time from which a robot stays within 1 % of its motion of its last pose [s]."""
+    poses = run.poses
+    time_s = (poses.time_ns - run.start_ns) / 1e9
+    turned_rad = np.unwrap(poses.heading_rad)
+    return max(
+        find_rest([(time_s, values) for values in columns], float(np.ptp(columns, axis=1).max()))
+        if len(time_s)
+        else 0.0
+        for columns in (poses.xy_m.T, turned_rad[None])
+    )
 
 
 def _list_curves(axes: Axes) -> Iterator[tuple[Line2D, Values, Values]]:

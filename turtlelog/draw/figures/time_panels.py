@@ -144,12 +144,16 @@ def _draw_curves(
     is_alone, is_many = len(runs) == 1, len(runs) > many_runs.MANY
     aims: set[tuple[bytes, bytes]] = set()
     colors = many_runs.choose_colors_by_value(runs)
-    for number, (run, looks) in enumerate(figure_curves.style_runs(runs)):
+    listed_by_run = [
+        list_plotted(run, plot, plotted_curves.choose_kinds(number, len(runs)))
+        for number, run in enumerate(runs)
+    ]
+    # A thick line is one quantity for all runs: the measured rate, if one run has it.
+    is_answered = not is_alone and any(one.kind == "measured" for it in listed_by_run for one in it)
+    for number, (_, looks) in enumerate(figure_curves.style_runs(runs)):
         if number in restless and plotted_curves.leaves_out(len(runs), plot):
             continue
-        listed = list_plotted(run, plot, plotted_curves.choose_kinds(number, len(runs)))
-        is_answered = any(one.kind == "measured" for one in listed) and not is_alone
-        for found in (one for one in listed if one.kind != "outlier"):
+        for found in (one for one in listed_by_run[number] if one.kind != "outlier"):
             if found.kind == "aim":
                 # Runs that track one path by time have equal references.
                 aim = (found.curve.time_s.tobytes(), found.curve.values.tobytes())
