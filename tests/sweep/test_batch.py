@@ -20,7 +20,7 @@ from turtlelog.simulate.many import COST_S, CompiledCode
 from turtlelog.sweep.batch import measured_rows
 from turtlelog.sweep.batch.batch_arrays import COURSES, CURVES, FREE_KEYS, STATUSES, prepare_rows
 from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.sweep_plan import build_row_scenario
 from turtlelog.sweep.sweep_rows import list_row_metrics
 
 LOOPS: Final = ("rotate", "translate", "reorient")

@@ -37,7 +37,7 @@ from turtlelog.sweep.batch import batch_kernel, path_kernel
 from turtlelog.sweep.batch.batch_entry import measure_row
 from turtlelog.sweep.batch.batch_kernel import PATH, REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
 from turtlelog.sweep.batch.path_kernel import PathMemory
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.sweep_plan import build_row_scenario
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
 """Metrics of a loop's curve by name, in column order."""

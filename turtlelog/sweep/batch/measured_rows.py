@@ -38,7 +38,7 @@ from turtlelog.simulate.compiled.twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch import batch_arrays as arrays
 from turtlelog.sweep.batch.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep.sweep_plan import build_row_scenario
 
 _ENTRY: Final = "turtlelog.sweep.batch.batch_entry"
 _MEASURING_S: Final = 5.0
