@@ -28,10 +28,9 @@ from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import REFERENCES as REFERENCES_OF, ControlLoop
 from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, loop_parts
+from turtlelog.simulate import compiled_loop, declare_scenario, loop_parts
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled import compiled_loop
-from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
+from turtlelog.simulate.compiled_twins import Twins, as_record, compile_entry, stamp_functions
 from turtlelog.simulate.many import find_loop
 from turtlelog.sweep.batch import batch_kernel, path_kernel
 from turtlelog.sweep.batch.batch_entry import measure_row
@@ -202,9 +201,7 @@ def _compile_measurement(coverage: Coverage) -> Any:
         scope = {name: twins.compile(function) for name, function in functions.items()}
         return {**scope, "ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
 
-    return compiled_loop.compile_entry(
-        measure_row, name_measurement(coverage), bind, type_measurement(coverage)
-    )
+    return compile_entry(measure_row, name_measurement(coverage), bind, type_measurement(coverage))
 
 
 def type_measurement(coverage: Coverage) -> Any:

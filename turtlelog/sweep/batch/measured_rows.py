@@ -26,7 +26,7 @@ from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loop import (
+from turtlelog.simulate.compiled_loop import (
     CompiledRunner,
     build_pieces,
     compile_loop,
@@ -34,7 +34,7 @@ from turtlelog.simulate.compiled.compiled_loop import (
     draw_streams,
     name_loop,
 )
-from turtlelog.simulate.compiled.twins import is_kept
+from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep.batch import batch_arrays as arrays
 from turtlelog.sweep.batch.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
