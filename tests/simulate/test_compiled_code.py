@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.simulate.compiled_twins import is_kept, remove_others
+from turtlelog.simulate.compiled_twins import is_kept, remove_stored
 from turtlelog.simulate.many import CompiledCode
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
@@ -85,7 +85,7 @@ def test_older_versions_of_a_function_are_removed(module: Path) -> None:
     names += ["loop_p_12-11.py.1.nbc", "loop_pid_11-11.py.nbi", "loop_p_11-11.py.txt"]
     for name in names:
         (cache / f"some_loops.{name}").touch()
-    remove_others("some_loops", "loop_p", "loop_p_12")
+    remove_stored("some_loops", "loop_p", kept="loop_p_12")
     assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
 
 

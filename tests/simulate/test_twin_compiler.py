@@ -1,3 +1,4 @@
+import pickle
 import pkgutil
 import sys
 from collections.abc import Callable
@@ -39,6 +40,7 @@ def compile_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[A
     (tmp_path / "small_entry.py").write_text(ENTRY, "utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.delitem(sys.modules, "small_entry", raising=False)
     entry = import_module("small_entry").measure
 
@@ -69,6 +71,21 @@ def test_entry_from_the_cache_calls_its_own_twins(compile_step: Callable[[Any], 
     assert not first.stats.cache_hits
     assert second.stats.cache_hits
     assert second(0.3, 0.4) == first(0.3, 0.4)
+
+
+@pytest.mark.parametrize("gone", [b"cno_such_module\nKind\n.", b"cpickle\nNoSuchKind\n."])
+def test_code_stored_with_a_class_that_has_moved_is_compiled_again(
+    compile_step: Callable[[Any], Any], tmp_path: Path, gone: bytes
+) -> None:
+    compile_step(step)
+    (index,) = tmp_path.rglob("*.nbi")
+    version = pickle.dumps(sys.modules["numba"].__version__, protocol=-1)
+    assert index.read_bytes().startswith(version)
+    index.write_bytes(version + gone)
+    made = compile_step(step)
+    assert made(0.3, 0.4) == step(0.3, 0.4)
+    assert not made.stats.cache_hits
+    assert compile_step(step).stats.cache_hits
 
 
 def test_other_numba_compiles_with_its_own_compiler(

@@ -227,9 +227,14 @@ def _compile_entry(
     bound = FunctionType(entry.__code__, scope, entry.__name__)
     bound.__qualname__, bound.__module__ = name, entry.__module__
     options = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False, **special}
-    made = njit(signature, **options)(bound)
+    compiler, function = njit(signature, **options), name.rpartition("_")[0]
+    try:
+        made = compiler(bound)
+    except (ImportError, AttributeError):  # a class in the stored code's types has moved
+        remove_stored(entry.__module__, function)
+        made = compiler(bound)
     if not made.stats.cache_hits:
-        remove_others(entry.__module__, name.rpartition("_")[0], name)
+        remove_stored(entry.__module__, function, kept=name)
     return made
 
 
@@ -406,13 +411,13 @@ def is_kept(module: str, function: str) -> bool:
         return False
 
 
-def remove_others(module: str, function: str, kept: str) -> None:
-    """Remove versions of a function from numba's cache, except the one whose name has `kept`."""
+def remove_stored(module: str, function: str, *, kept: str | None = None) -> None:
+    """Remove all versions of a function from numba's cache, except one with the name `kept`."""
     source = _find_source(module)
     for folder in _list_cache_folders(source):
         with suppress(OSError):
             for file in folder.glob(f"{source.stem}.{function}_*.nb?"):
-                if kept not in file.name:
+                if kept is None or kept not in file.name:
                     file.unlink(missing_ok=True)
 
 
