@@ -22,8 +22,8 @@ from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import ManyRuns, declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
-from turtlelog.sweep.batch.batch_arrays import OK, STATUSES, is_batched
-from turtlelog.sweep.batch.measured_rows import is_covered, measure_rows
+from turtlelog.sweep.batch import is_covered, measure_rows
+from turtlelog.sweep.batch_arrays import OK, STATUSES, is_batched
 from turtlelog.sweep.partial_table import (
     Columns,
     KeptParts,

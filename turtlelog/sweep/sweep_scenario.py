@@ -29,7 +29,7 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep import sweep_rows
-from turtlelog.sweep.batch.measured_rows import find_batch
+from turtlelog.sweep.batch import find_batch
 from turtlelog.sweep.partial_table import KeptParts, has_results, name_partial, require_same
 from turtlelog.sweep.result_table import (
     ComputedItems,
