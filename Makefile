@@ -29,7 +29,7 @@ test test-all:
 
 # Once: each worker of the tests would compile the loops, and the tests' own files, for itself.
 LOOPS := $(wildcard turtlelog/*.py turtlelog/effects/*.py turtlelog/laws/*.py turtlelog/plants/*.py) \
-	$(wildcard turtlelog/simulate/*.py turtlelog/simulate/*/*.py turtlelog/run/*.py turtlelog/sweep/batch/*.py)
+	$(wildcard turtlelog/simulate/*.py turtlelog/run/*.py turtlelog/sweep/batch*.py)
 .venv/compiled: .venv/installed-dev $(LOOPS)
 	$(BIN)/python -m tests.compile_loops
 	$(BIN)/python -m pytest --collect-only -q > /dev/null

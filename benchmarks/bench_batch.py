@@ -15,7 +15,7 @@ import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_commands
 from turtlelog.measure import measure_run
 from turtlelog.scenario import Scenario
-from turtlelog.sweep.batch.measured_rows import MeasuredRows, find_batch, measure_rows
+from turtlelog.sweep.batch import MeasuredRows, find_batch, measure_rows
 
 METRICS = (
     *("rotate.settling_time", "translate.settling_time", "translate.overshoot"),

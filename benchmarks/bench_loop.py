@@ -17,7 +17,7 @@ from benchmarks.table import Cost, Row, run_alone, time_calls
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import resolve_scenario
 from turtlelog.simulate import iterate_ticks
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner
+from turtlelog.simulate.compiled_loop import CompiledRunner
 from turtlelog.simulate.many import find_loop
 
 SECONDS = 1600.0  # of simulated time: 100,000 samples

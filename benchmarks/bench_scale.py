@@ -27,7 +27,7 @@ REPEATS = 3
 SWEEP = """
 import contextlib, io, os, resource
 from turtlelog.cli.app import main
-from turtlelog.sweep.table.stored_rows import KeptParts
+from turtlelog.sweep.partial_table import KeptParts
 close = KeptParts.close
 def tell(kept, **options):
     said["partial"] = kept.path.stat().st_size / 1e6

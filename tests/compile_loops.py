@@ -18,8 +18,8 @@ from turtlelog.laws import LAWS
 from turtlelog.processes import count_cores
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate.many import find_loop
-from turtlelog.sweep.batch.batch_arrays import compile_goals, compile_paths, is_batched
-from turtlelog.sweep.batch.measured_rows import find_batch
+from turtlelog.sweep.batch import find_batch
+from turtlelog.sweep.batch_arrays import compile_goals, compile_paths, is_batched
 
 EVERYDAY: Final = {
     *("sequential-p turtlesim", "sequential-pid turtlesim", "sequential-pid lagged"),

@@ -1,6 +1,6 @@
 """Functions of numbers that control laws, plants and effects may call, plain and compiled.
 
-Compiled loops run the same source, except for the functions that `simulate/compiled/`
+Compiled loops run the same source, except for the functions that `simulate/compiled_twins.py`
 replaces by others with the same values.
 """
 

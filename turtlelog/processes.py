@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
+from threading import Event
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
@@ -57,6 +58,9 @@ _REMOTE_S: Final = 0.2
 
 CAN_FORK: Final = sys.platform == "linux"
 """Whether a process can be forked safely: on other systems, system libraries forbid it."""
+
+COMPILING: Final = Event()
+"""Set while this process compiles code, which takes seconds once: a progress bar shows this."""
 
 
 class Watched(ABC):

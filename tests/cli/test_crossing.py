@@ -32,7 +32,7 @@ SHARERS = {
     "turtlelog.compare.run_summary": [["metrics", *ALL, *BRIEF], ["compare", *ALL, *BRIEF]],
     "turtlelog.cli.compare_reference": [["compare", *ALL[:3], "--reference", "kp10.mcap"]],
     "turtlelog.cli.check": [["check", "spec.toml", *ALL, "--junit", "junit.xml"]],
-    "turtlelog.sweep.table.recording_table": [
+    "turtlelog.sweep.recording_table": [
         ["metrics", *ALL, *BRIEF, "-o", "metrics.parquet"],
         ["check", "spec.toml", *ALL, "-o", "verdicts.parquet"],
     ],

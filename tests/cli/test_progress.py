@@ -13,7 +13,7 @@ import turtlelog as tl
 from tests.cli.conftest import Call
 from turtlelog.cli.options import iterate_runs
 from turtlelog.cli.work import end_progress, show_progress
-from turtlelog.simulate.compiled import COMPILING
+from turtlelog.processes import COMPILING
 
 ROOT = Path(__file__).parents[2]
 on_terminals = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals there")

@@ -15,7 +15,7 @@ import turtlelog as tl
 from turtlelog.errors import LogError
 from turtlelog.log import parquet_file
 from turtlelog.log.parquet_file import MOST_ROWS, ParquetFile
-from turtlelog.sweep.table.result_table import (
+from turtlelog.sweep.result_table import (
     ResultColumn,
     ResultTable,
     open_result_table,

@@ -65,7 +65,7 @@ def test_a_new_metric_is_a_column_of_a_compiled_sweep(copy: Path) -> None:
     pytest.importorskip("numba")
     code = (
         "from turtlelog.scenario import get_preset\n"
-        "from turtlelog.sweep.batch.measured_rows import find_batch, measure_rows\n"
+        "from turtlelog.sweep.batch import find_batch, measure_rows\n"
         "base = get_preset('paper-kp4')\n"
         "loops = find_batch(base)\n"
         "loops._loops = loops.load()\n"

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from turtlelog.measure import reductions
-from turtlelog.simulate.compiled.twins import take_twin
+from turtlelog.simulate.compiled_twins import take_twin
 
 ROWS = 9000
 """More than numpy's `einsum` adds in one go."""

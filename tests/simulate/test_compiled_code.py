@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.simulate.compiled.twins import is_kept, remove_others
+from turtlelog.simulate.compiled_twins import is_kept, remove_stored
 from turtlelog.simulate.many import CompiledCode
 
 PYTHON = f"py{sys.version_info.major}{sys.version_info.minor}"
@@ -35,18 +35,18 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "some_loops.py"
 
 
-def find_cost_s(function: str = "") -> float:
+def find_cost_s(function: str) -> float:
     kept = partial(is_kept, "some_loops", function)
     return CompiledCode(object, kept, cost_s=1.0, first_s=9.0).cost_s
 
 
 def test_loops_cost_more_before_they_are_in_the_cache(module: Path) -> None:
-    assert find_cost_s() == 9.0
+    assert find_cost_s("run") == 9.0
     cache = module.parent / "__pycache__" / f"some_loops.run-1.{PYTHON}.nbi"
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
     os.utime(module, (1e9, 1e9))
-    assert find_cost_s() == 1.0
+    assert find_cost_s("run") == 1.0
 
 
 def test_loops_cost_more_where_their_source_has_changed_since(module: Path) -> None:
@@ -54,22 +54,11 @@ def test_loops_cost_more_where_their_source_has_changed_since(module: Path) -> N
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
     os.utime(cache, (1e9, 1e9))
-    assert find_cost_s() == 9.0
-
-
-def test_loops_cost_more_where_a_file_beside_them_has_changed_since(module: Path) -> None:
-    cache = module.parent / "__pycache__" / f"some_loops.run-1.{PYTHON}.nbi"
-    cache.parent.mkdir(exist_ok=True)
-    cache.touch()
-    for path, time_s in ((module, 1e9), (cache, 1.1e9)):
-        os.utime(path, (time_s, time_s))
-    assert find_cost_s() == 1.0
-    (module.parent / "steps.py").touch()
-    assert find_cost_s() == 9.0
+    assert find_cost_s("run") == 9.0
 
 
 def test_loops_that_cost_the_same_either_way_are_loaded_at_once(module: Path) -> None:
-    loops = CompiledCode(object, lambda: is_kept(module.stem), cost_s=1.0)
+    loops = CompiledCode(object, lambda: is_kept(module.stem, "run"), cost_s=1.0)
     assert loops.expect(1, 0.9) is None
     assert loops.find() is None
 
@@ -96,7 +85,7 @@ def test_older_versions_of_a_function_are_removed(module: Path) -> None:
     names += ["loop_p_12-11.py.1.nbc", "loop_pid_11-11.py.nbi", "loop_p_11-11.py.txt"]
     for name in names:
         (cache / f"some_loops.{name}").touch()
-    remove_others("some_loops", "loop_p", "loop_p_12")
+    remove_stored("some_loops", "loop_p", kept="loop_p_12")
     assert {path.name.partition(".")[2] for path in cache.iterdir()} == {*names[2:]}
 
 
@@ -105,9 +94,9 @@ def test_a_loop_that_is_compiled_anew_replaces_its_older_versions(tmp_path: Path
     (tmp_path / "small.py").write_text("def small(value):\n    return value + STAMP\n", "utf-8")
     code = (
         "from numba import types; import small\n"
-        "from turtlelog.simulate.compiled import compiled_loop\n"
+        "from turtlelog.simulate import compiled_twins\n"
         "kind = types.int64(types.int64)\n"
-        "compiled_loop.compile_entry(small.small, 'rows_p_12', lambda _: {'STAMP': 2}, kind)\n"
+        "compiled_twins.compile_entry(small.small, 'rows_p_12', lambda _: {'STAMP': 2}, kind)\n"
     )
     hashed = sha1(str(tmp_path).encode(), usedforsecurity=False).hexdigest()
     cache = tmp_path / "cache" / f"{tmp_path.name}_{hashed}"
@@ -183,7 +172,7 @@ def test_an_index_of_another_python_is_of_no_use(module: Path) -> None:
     cache = module.parent / "__pycache__" / "some_loops.run-1.py27.nbi"
     cache.parent.mkdir(exist_ok=True)
     cache.touch()
-    assert find_cost_s() == 9.0
+    assert find_cost_s("run") == 9.0
 
 
 @pytest.mark.everyday("beside")
@@ -200,16 +189,16 @@ def test_loops_are_found_where_numba_keeps_them(
         pytest.skip("the user's cache is known on Linux alone")
     elif place == "user":
         (module.parent / "__pycache__").write_text("no folder", encoding="utf-8")
-    assert find_cost_s() == 9.0
+    assert find_cost_s("double") == 9.0
     subprocess.run([sys.executable, "-c", "import some_loops"], cwd=module.parent, check=True)
-    assert find_cost_s() == 1.0
+    assert find_cost_s("double") == 1.0
 
 
 PARTS = """
 from importlib import import_module
 
-from turtlelog.simulate.compiled import COMPILING
-from turtlelog.simulate.compiled.twins import is_kept
+from turtlelog.processes import COMPILING
+from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.many import CompiledCode, call_beside
 
 PARTS = "first_part", "second_part"
@@ -221,7 +210,7 @@ def load():
 if __name__ == "__main__":
     loops = CompiledCode(
         load,
-        lambda: all(map(is_kept, PARTS)),
+        lambda: all(is_kept(part, "double") for part in PARTS),
         cost_s=1.0,
         first_s=9.0,
         beside=[BESIDE],

@@ -29,8 +29,8 @@ from turtlelog.scenario import (
     resolve_scenario,
 )
 from turtlelog.simulate import declare_scenario, simulate_many, simulate_run
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner
-from turtlelog.simulate.compiled.twins import Twins, build_dtype
+from turtlelog.simulate.compiled_loop import CompiledRunner
+from turtlelog.simulate.compiled_twins import Twins, build_dtype
 from turtlelog.simulate.loop_parts import build_settings
 from turtlelog.simulate.many import COST_S, CompiledCode, find_loop, find_saving
 

@@ -248,7 +248,7 @@ def test_new_parts_are_compiled_as_they_run_plain(copy: Path) -> None:
     code = (
         "from turtlelog.scenario import get_preset, override_scenario\n"
         "from turtlelog.simulate import simulate_run\n"
-        "from turtlelog.simulate.compiled.compiled_loop import CompiledRunner\n"
+        "from turtlelog.simulate.compiled_loop import CompiledRunner\n"
         "from turtlelog.simulate.many import find_loop\n"
         "changes = {'law.kind': 'creep', 'plant.kind': 'sled', 'limits.weakening': 0.3,\n"
         "           'sensing.noise_position_m': 0.1}\n"

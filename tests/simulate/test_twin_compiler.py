@@ -1,3 +1,5 @@
+import pickle
+import pkgutil
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -7,8 +9,7 @@ from typing import Any
 import pytest
 
 from turtlelog.arithmetic import called, hypot, wrap_angle
-from turtlelog.simulate.compiled.compiled_loop import compile_entry
-from turtlelog.simulate.compiled.twins import Twins
+from turtlelog.simulate.compiled_twins import Twins, compile_entry, stamp_functions
 
 ENTRY = """
 def measure(x, y):
@@ -39,6 +40,7 @@ def compile_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[A
     (tmp_path / "small_entry.py").write_text(ENTRY, "utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.delitem(sys.modules, "small_entry", raising=False)
     entry = import_module("small_entry").measure
 
@@ -71,10 +73,25 @@ def test_entry_from_the_cache_calls_its_own_twins(compile_step: Callable[[Any], 
     assert second(0.3, 0.4) == first(0.3, 0.4)
 
 
+@pytest.mark.parametrize("gone", [b"cno_such_module\nKind\n.", b"cpickle\nNoSuchKind\n."])
+def test_code_stored_with_a_class_that_has_moved_is_compiled_again(
+    compile_step: Callable[[Any], Any], tmp_path: Path, gone: bytes
+) -> None:
+    compile_step(step)
+    (index,) = tmp_path.rglob("*.nbi")
+    version = pickle.dumps(sys.modules["numba"].__version__, protocol=-1)
+    assert index.read_bytes().startswith(version)
+    index.write_bytes(version + gone)
+    made = compile_step(step)
+    assert made(0.3, 0.4) == step(0.3, 0.4)
+    assert not made.stats.cache_hits
+    assert compile_step(step).stats.cache_hits
+
+
 def test_other_numba_compiles_with_its_own_compiler(
     compile_step: Callable[[Any], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "turtlelog.simulate.compiled.twin_compiler", None)
+    monkeypatch.setitem(sys.modules, "turtlelog.simulate.twin_compiler", None)
     made = compile_step(step)
     assert made(0.3, 0.4) == step(0.3, 0.4)
     assert name_library(made) == "JITCodeLibrary"
@@ -106,3 +123,25 @@ def test_large_twin_is_not_repeated_where_it_is_called(
     code = made.overloads[made.signatures[0]].library.get_llvm_str()
     assert made(1.0, 0.5) == long_step(1.0, 0.5)
     assert ("define internal" in code) != is_repeated
+
+
+@pytest.mark.parametrize("file", ["compiled_twins.py", "twin_compiler.py"])
+def test_stamp_changes_with_the_files_that_compile(
+    monkeypatch: pytest.MonkeyPatch, file: str
+) -> None:
+    before, read = stamp_functions([step]), pkgutil.get_data
+
+    def read_edited(package: str, name: str) -> bytes | None:
+        return b"edited" if name == file else read(package, name)
+
+    assert stamp_functions([step]) == before
+    monkeypatch.setattr(pkgutil, "get_data", read_edited)
+    assert stamp_functions([step]) != before
+
+
+def test_stamp_needs_no_sources(monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_none(package: str, name: str) -> bytes:
+        raise FileNotFoundError(name)
+
+    monkeypatch.setattr(pkgutil, "get_data", read_none)
+    assert stamp_functions([step]) != stamp_functions([add])

@@ -7,8 +7,8 @@ from typing import Any
 
 import turtlelog as tl
 from turtlelog.sweep import ResultColumn, ResultTable, SweepPlan, build_plan, write_result_table
+from turtlelog.sweep.result_table import choose_type
 from turtlelog.sweep.sweep_rows import find_key_unit
-from turtlelog.sweep.table.result_table import choose_type
 
 Compute = Callable[..., float | str]
 """Of the values of the keys: a value, or the status that there is none."""

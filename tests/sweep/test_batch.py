@@ -17,10 +17,10 @@ from turtlelog.measure.metric import Status
 from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 from turtlelog.simulate.many import COST_S, CompiledCode
-from turtlelog.sweep.batch import measured_rows
-from turtlelog.sweep.batch.batch_arrays import COURSES, CURVES, FREE_KEYS, STATUSES, prepare_rows
-from turtlelog.sweep.batch.measured_rows import MeasuredRows, measure_rows
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep import batch
+from turtlelog.sweep.batch import MeasuredRows, measure_rows
+from turtlelog.sweep.batch_arrays import COURSES, CURVES, FREE_KEYS, STATUSES, prepare_rows
+from turtlelog.sweep.sweep_plan import build_row_scenario
 from turtlelog.sweep.sweep_rows import list_row_metrics
 
 LOOPS: Final = ("rotate", "translate", "reorient")
@@ -206,7 +206,7 @@ def test_metric_is_the_same_asked_for_alone_and_with_all_others(preset: str) -> 
 def test_batch_that_another_process_compiled_runs_from_the_cache() -> None:
     code = (
         "from turtlelog.scenario import get_preset\n"
-        "from turtlelog.sweep.batch.measured_rows import find_batch, measure_rows\n"
+        "from turtlelog.sweep.batch import find_batch, measure_rows\n"
         "loops = find_batch(get_preset('paper'))\n"
         "loops._loops = loops.load()\n"
         "keys = {'law.kp_linear': [2.0, 4.0]}\n"
@@ -215,7 +215,7 @@ def test_batch_that_another_process_compiled_runs_from_the_cache() -> None:
         "found = loops.cost_s, is_new, rows.compiled\n"
         "print(*found, *(value.hex() for value in rows.values['run.path_length']))"
     )
-    loops = measured_rows.find_batch(PAPER)
+    loops = batch.find_batch(PAPER)
     assert loops is not None
     load(loops)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -383,7 +383,7 @@ def test_no_batch_is_found_for_laws_that_it_does_not_take(tmp_path: Path) -> Non
     path = tmp_path / "own.py"
     path.write_text(OWN, "utf-8")
     own = override_scenario(PAPER, {"law.kind": f"{path}:P"})
-    found = [measured_rows.find_batch(one) for one in (PAPER, own, TRACKING, OPEN)]
+    found = [batch.find_batch(one) for one in (PAPER, own, TRACKING, OPEN)]
     assert [one is not None for one in found] == [True, True, True, False]
 
 

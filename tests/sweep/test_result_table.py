@@ -10,9 +10,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from turtlelog.errors import LogError
-from turtlelog.sweep import ResultColumn, ResultTable, read_result_table, write_result_table
-from turtlelog.sweep.table import result_table
-from turtlelog.sweep.table.result_table import choose_type, read_result_facts
+from turtlelog.sweep import (
+    ResultColumn,
+    ResultTable,
+    read_result_table,
+    result_table,
+    write_result_table,
+)
+from turtlelog.sweep.result_table import choose_type, read_result_facts
 
 
 def make_table(rows: int = 3, **facts: str) -> ResultTable:

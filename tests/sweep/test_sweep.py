@@ -11,13 +11,13 @@ from turtlelog.simulate.many import find_loop
 from turtlelog.sweep import (
     ResultTable,
     RowRecords,
+    batch,
     build_plan,
     load_row_scenario,
     prepare_sweep,
     read_result_table,
     run_sweep,
 )
-from turtlelog.sweep.batch import measured_rows
 from turtlelog.sweep.sweep_rows import find_key_unit, is_batch
 
 NOISY = {"sensing.noise_position_m": 0.01, "loop.loss_probability": 0.05, "seed": 3}
@@ -104,7 +104,7 @@ COVERED = ["translate.overshoot", "rotate.settling_time", "final.position_error"
 def test_table_is_the_same_from_the_compiled_batch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
-    loops = measured_rows.find_batch(tl.load_scenario(preset))
+    loops = batch.find_batch(tl.load_scenario(preset))
     assert loops is not None
     kernel = loops.load()
     if kernel is None:

@@ -27,8 +27,8 @@ from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.ros2.bag_rows import open_bag
 from turtlelog.measure import SIGNALS, Metric, find_metric_kind, measure_run
 from turtlelog.run import Run
-from turtlelog.sweep.table.result_table import open_result_table
-from turtlelog.sweep.table.stored_rows import ERROR, FILE, Cell, Key, Row
+from turtlelog.sweep.partial_table import ERROR, FILE, Cell, Key, Row
+from turtlelog.sweep.result_table import open_result_table
 
 if TYPE_CHECKING:
     from turtlelog.sweep import RecordingTable

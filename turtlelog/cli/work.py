@@ -17,6 +17,7 @@ import turtlelog as tl
 from turtlelog.cli.console import print_note, print_run_notes
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.processes import COMPILING
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -86,8 +87,6 @@ class ProgressLine:
                     return
 
     def _describe(self) -> str:
-        from turtlelog.simulate.compiled import COMPILING
-
         text = self._label
         if self._total is not None:
             text = f"{text} {int(self.done)}/{self._total:g} {self._unit}"

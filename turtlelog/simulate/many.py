@@ -21,14 +21,13 @@ from turtlelog.errors import SimulationError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants import PLANTS
-from turtlelog.processes import count_cores
+from turtlelog.processes import COMPILING, count_cores
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
 from turtlelog.simulate.collect import simulate_run
-from turtlelog.simulate.compiled import COMPILING
-from turtlelog.simulate.compiled.compiled_loop import CompiledRunner, compile_loop, name_loop
-from turtlelog.simulate.compiled.twins import is_kept
+from turtlelog.simulate.compiled_loop import CompiledRunner, compile_loop, name_loop
+from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 
 COST_S: Final = 1.0
@@ -309,7 +308,7 @@ class ManyRuns(Iterator[Simulated]):
             return err
 
 
-ENTRY: Final = "turtlelog.simulate.compiled.compiled_entry"
+ENTRY: Final = "turtlelog.simulate.compiled_entry"
 
 
 def is_loop_kept(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> bool:

@@ -5,10 +5,20 @@ from .find_recordings import (
     hash_recording as hash_recording,
     is_one_recording as is_one_recording,
 )
-from .plan import (
-    Sampling as Sampling,
-    SweepPlan as SweepPlan,
-    build_plan as build_plan,
+from .recording_table import (
+    RecordingTable as RecordingTable,
+    TabulatedFiles as TabulatedFiles,
+    describe_former as describe_former,
+    describe_values as describe_values,
+    plan_metric_table as plan_metric_table,
+    tabulate_recordings as tabulate_recordings,
+)
+from .result_table import (
+    ResultColumn as ResultColumn,
+    ResultTable as ResultTable,
+    read_result_facts as read_result_facts,
+    read_result_table as read_result_table,
+    write_result_table as write_result_table,
 )
 from .sweep_analysis import (
     Border as Border,
@@ -24,6 +34,11 @@ from .sweep_analysis import (
     list_varied as list_varied,
     tell_borders as tell_borders,
 )
+from .sweep_plan import (
+    Sampling as Sampling,
+    SweepPlan as SweepPlan,
+    build_plan as build_plan,
+)
 from .sweep_rows import (
     RowRecords as RowRecords,
 )
@@ -36,22 +51,7 @@ from .sweep_scenario import (
     run_sweep as run_sweep,
     sweep_scenario as sweep_scenario,
 )
-from .table.recording_table import (
-    RecordingTable as RecordingTable,
-    TabulatedFiles as TabulatedFiles,
-    describe_former as describe_former,
-    describe_values as describe_values,
-    plan_metric_table as plan_metric_table,
-    tabulate_recordings as tabulate_recordings,
-)
-from .table.result_table import (
-    ResultColumn as ResultColumn,
-    ResultTable as ResultTable,
-    read_result_facts as read_result_facts,
-    read_result_table as read_result_table,
-    write_result_table as write_result_table,
-)
-from .table.swept_results import (
+from .sweep_table import (
     SweepTable as SweepTable,
     SweptAxis as SweptAxis,
     SweptMetric as SweptMetric,
@@ -61,7 +61,7 @@ from .table.swept_results import (
     read_swept_results as read_swept_results,
     read_table_results as read_table_results,
 )
-from .table.swept_views import (
+from .sweep_views import (
     SweptCells as SweptCells,
     SweptView as SweptView,
     choose_view as choose_view,

@@ -21,14 +21,14 @@ from turtlelog.display import describe_count
 from turtlelog.errors import TurtlelogError
 from turtlelog.scenario import flatten_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-from turtlelog.sweep.table.swept_results import (
+from turtlelog.sweep.sweep_table import (
     SEED,
     SweptAxis,
     SweptMetric,
     SweptResults,
     list_declared_loops,
 )
-from turtlelog.sweep.table.swept_views import SweptView, fill_cells, find_usual_place, is_gain
+from turtlelog.sweep.sweep_views import SweptView, fill_cells, find_usual_place, is_gain
 from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
 from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
 

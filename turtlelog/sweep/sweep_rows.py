@@ -22,17 +22,9 @@ from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import ManyRuns, declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
-from turtlelog.sweep.batch.batch_arrays import OK, STATUSES, is_batched
-from turtlelog.sweep.batch.measured_rows import is_covered, measure_rows
-from turtlelog.sweep.plan import SweepPlan, build_row_scenario
-from turtlelog.sweep.table.result_table import (
-    STATUS,
-    ComputedItems,
-    ResultColumn,
-    ResultTable,
-    StoredTable,
-)
-from turtlelog.sweep.table.stored_rows import (
+from turtlelog.sweep.batch import is_covered, measure_rows
+from turtlelog.sweep.batch_arrays import OK, STATUSES, is_batched
+from turtlelog.sweep.partial_table import (
     Columns,
     KeptParts,
     Key,
@@ -41,6 +33,14 @@ from turtlelog.sweep.table.stored_rows import (
     WindowedRows,
     build_result_columns,
 )
+from turtlelog.sweep.result_table import (
+    STATUS,
+    ComputedItems,
+    ResultColumn,
+    ResultTable,
+    StoredTable,
+)
+from turtlelog.sweep.sweep_plan import SweepPlan, build_row_scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

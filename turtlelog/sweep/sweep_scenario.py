@@ -29,16 +29,16 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
 from turtlelog.sweep import sweep_rows
-from turtlelog.sweep.batch.measured_rows import find_batch
-from turtlelog.sweep.plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
-from turtlelog.sweep.table.result_table import (
+from turtlelog.sweep.batch import find_batch
+from turtlelog.sweep.partial_table import KeptParts, has_results, name_partial, require_same
+from turtlelog.sweep.result_table import (
     ComputedItems,
     choose_type,
     open_result_table,
     write_result_table,
 )
-from turtlelog.sweep.table.stored_rows import KeptParts, has_results, name_partial, require_same
-from turtlelog.sweep.table.swept_results import SweepTable, read_sweep_table
+from turtlelog.sweep.sweep_plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
+from turtlelog.sweep.sweep_table import SweepTable, read_sweep_table
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

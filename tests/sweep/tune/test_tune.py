@@ -9,7 +9,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.sweep import tune
-from turtlelog.sweep.batch.measured_rows import measure_rows
+from turtlelog.sweep.batch import measure_rows
 from turtlelog.sweep.tune.search import explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [

@@ -20,8 +20,8 @@ from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import STROKES, fix_style, to_rgb
 from turtlelog.sweep.sweep_analysis import ColumnLimits, LoopLimits, choose_limits
-from turtlelog.sweep.table.swept_results import SweptAxis, SweptMetric
-from turtlelog.sweep.table.swept_views import SweptView, fill_cells
+from turtlelog.sweep.sweep_table import SweptAxis, SweptMetric
+from turtlelog.sweep.sweep_views import SweptView, fill_cells
 
 _MOST_VECTORS: Final = 2_500
 """Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each. More cells become

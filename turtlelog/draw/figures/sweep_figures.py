@@ -30,7 +30,7 @@ from turtlelog.sweep.sweep_analysis import (
     find_sensitivities,
     list_gain_keys,
 )
-from turtlelog.sweep.table.swept_results import (
+from turtlelog.sweep.sweep_table import (
     SweepTable,
     SweptAxis,
     SweptMetric,
@@ -38,7 +38,7 @@ from turtlelog.sweep.table.swept_results import (
     read_swept_results,
     read_table_results,
 )
-from turtlelog.sweep.table.swept_views import SweptView, choose_view, fill_cells, require_values
+from turtlelog.sweep.sweep_views import SweptView, choose_view, fill_cells, require_values
 
 _PANEL_INCH: Final = 2.5
 """Height of a map with its title and the label of its lower side [inch]."""

@@ -32,8 +32,8 @@ from turtlelog.libraries import load_library
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.sweep.sweep_analysis import LoopLimits, find_borders, tell_borders
-from turtlelog.sweep.table.swept_results import SweptMetric
-from turtlelog.sweep.table.swept_views import SweptView, find_best_rows, list_shown_values
+from turtlelog.sweep.sweep_table import SweptMetric
+from turtlelog.sweep.sweep_views import SweptView, find_best_rows, list_shown_values
 from turtlelog.version import __version__
 
 _MOST_COLUMNS: Final = 4

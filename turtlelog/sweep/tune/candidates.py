@@ -24,7 +24,7 @@ from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes,
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.plan import KP, build_row_scenario
+from turtlelog.sweep.sweep_plan import KP, build_row_scenario
 from turtlelog.sweep.sweep_rows import RowChunk, RowResults, is_batch, simulate_rows
 
 Point = tuple[float | int, ...]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import TuneError
-from turtlelog.sweep.plan import EqualSteps, parse_key_values
+from turtlelog.sweep.sweep_plan import EqualSteps, parse_key_values
 from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point, TuningGoal
 
 _SPREAD: Final = 32

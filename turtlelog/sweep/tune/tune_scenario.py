@@ -26,7 +26,7 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep.plan import KP
+from turtlelog.sweep.sweep_plan import KP
 from turtlelog.sweep.tune import search
 from turtlelog.sweep.tune.candidates import Candidates, TuningGoal, spread_keys
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import ScenarioError, SweepError, quote_name
 from turtlelog.scenario import Scenario, override_scenario, parse_assignments
-from turtlelog.sweep.table.result_table import ColumnType, choose_type
+from turtlelog.sweep.result_table import ColumnType, choose_type
 
 MOST_DRAWN: Final = 10_000_000
 """Largest number of rows of a sample. A sample is drawn at once and takes 80 MB for each key."""

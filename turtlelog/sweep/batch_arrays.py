@@ -28,16 +28,15 @@ from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import REFERENCES as REFERENCES_OF, ControlLoop
 from turtlelog.run.paths import Path
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, loop_parts
+from turtlelog.simulate import compiled_loop, declare_scenario, loop_parts
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled import compiled_loop
-from turtlelog.simulate.compiled.twins import Twins, as_record, stamp_functions
+from turtlelog.simulate.compiled_entry import measure_row
+from turtlelog.simulate.compiled_twins import Twins, as_record, compile_entry, stamp_functions
 from turtlelog.simulate.many import find_loop
-from turtlelog.sweep.batch import batch_kernel, path_kernel
-from turtlelog.sweep.batch.batch_entry import measure_row
-from turtlelog.sweep.batch.batch_kernel import PATH, REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
-from turtlelog.sweep.batch.path_kernel import PathMemory
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep import batch_kernel, batch_path_kernel
+from turtlelog.sweep.batch_kernel import PATH, REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
+from turtlelog.sweep.batch_path_kernel import PathMemory
+from turtlelog.sweep.sweep_plan import build_row_scenario
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
 """Metrics of a loop's curve by name, in column order."""
@@ -132,12 +131,12 @@ PATHS: Final = Coverage(
     f"{__name__}:compile_paths",
     _choose_curves([PATH]),
     {
-        "PREPARE_ROW": path_kernel.prepare_path_row,
-        "FIND_STRETCH": path_kernel.find_path_stretch,
-        "READ_CURVE": path_kernel.read_path_curve,
-        "READ_COURSE": path_kernel.read_path_course,
+        "PREPARE_ROW": batch_path_kernel.prepare_path_row,
+        "FIND_STRETCH": batch_path_kernel.find_path_stretch,
+        "READ_CURVE": batch_path_kernel.read_path_curve,
+        "READ_COURSE": batch_path_kernel.read_path_course,
     },
-    path_kernel.USES_OF_PATH,
+    batch_path_kernel.USES_OF_PATH,
 )
 """Laws without a goal, whose loops all refer to the path."""
 
@@ -202,9 +201,7 @@ def _compile_measurement(coverage: Coverage) -> Any:
         scope = {name: twins.compile(function) for name, function in functions.items()}
         return {**scope, "ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
 
-    return compiled_loop.compile_entry(
-        measure_row, name_measurement(coverage), bind, type_measurement(coverage)
-    )
+    return compile_entry(measure_row, name_measurement(coverage), bind, type_measurement(coverage))
 
 
 def type_measurement(coverage: Coverage) -> Any:

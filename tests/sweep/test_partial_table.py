@@ -18,11 +18,11 @@ from turtlelog.sweep import (
     load_row_scenario,
     prepare_sweep,
     read_result_table,
+    result_table,
     run_sweep,
     sweep_rows,
 )
-from turtlelog.sweep.table import result_table
-from turtlelog.sweep.table.stored_rows import KeptParts, name_partial
+from turtlelog.sweep.partial_table import KeptParts, name_partial
 
 GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
 SWEEP = ("sweep", "paper-kp4", "--grid", GRID[0], "--grid", GRID[1], "--metric", "final.*")

@@ -1,4 +1,4 @@
-"""Rows of tables in parts: kept in a file while a table is made, and packed in columns."""
+"""A table while it is made: its parts, kept in a partial file, and its rows, packed in columns."""
 
 import hashlib
 import os
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError
 from turtlelog.files.urls import RemotePath
 from turtlelog.libraries import load_library
-from turtlelog.sweep.table import result_table
-from turtlelog.sweep.table.result_table import ResultColumn
+from turtlelog.sweep import result_table
+from turtlelog.sweep.result_table import ResultColumn
 
 Cell = str | int | float | None
 CellType = Literal["text", "real", "whole"]

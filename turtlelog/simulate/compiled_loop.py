@@ -4,10 +4,8 @@ Numba stores the loop on disk. The name of a loop contains a stamp of all source
 the same parts are removed.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, make_dataclass
 from functools import cache, lru_cache, partial
-from types import FunctionType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,16 +19,15 @@ from turtlelog.run.path_pieces import PathPiece
 from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT, name_stop
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import collect, loop, loop_parts
+from turtlelog.simulate import collect, compiled_entry, loop, loop_parts
 from turtlelog.simulate.class_law import declare_scenario, is_built_in
-from turtlelog.simulate.compiled import compiled_entry
-from turtlelog.simulate.compiled.twins import (
+from turtlelog.simulate.compiled_twins import (
     TwinError,
     Twins,
     as_record,
     build_dtype,
+    compile_entry,
     describe_numba_error,
-    remove_others,
     stamp_functions,
 )
 from turtlelog.simulate.rows import EventRow, SampleRow, TickRow, describe_event
@@ -222,38 +219,6 @@ def compile_rows(loop: CompiledLoop, measure: Any, measures: Any) -> Any:
 
 def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
     return np.empty(1, kinds.settings), np.empty(1, kinds.state), kinds.allocate(1, 1)
-
-
-def compile_entry(
-    entry: Any, name: str, bind: Callable[[Any], dict[str, Any]], signature: Any
-) -> Any:
-    """Return an entry function compiled under a name with its stamp, and for a type.
-
-    Numba's cache finds the function by this name; older versions are removed. `bind` is a function
-    of the compiler of twins that returns the names in capitals.
-    """
-    try:
-        from turtlelog.simulate.compiled.twin_compiler import EntryCompiler, TwinCompiler
-
-        special = {"pipeline_class": EntryCompiler}
-        return _compile_entry(entry, name, bind(TwinCompiler), signature, special)
-    except Exception:  # numba's compiler knows its own version, and code that ours does not
-        return _compile_entry(entry, name, bind(None), signature, {})
-
-
-def _compile_entry(
-    entry: Any, name: str, scope: dict[str, Any], signature: Any, special: dict[str, Any]
-) -> Any:
-    from numba import njit
-
-    scope = {**scope, "__name__": entry.__module__}
-    bound = FunctionType(entry.__code__, scope, entry.__name__)
-    bound.__qualname__, bound.__module__ = name, entry.__module__
-    options = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False, **special}
-    made = njit(signature, **options)(bound)
-    if not made.stats.cache_hits:
-        remove_others(entry.__module__, name.rpartition("_")[0], name)
-    return made
 
 
 def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:

@@ -19,7 +19,7 @@ from turtlelog.sweep import (
     read_swept_results,
     require_values,
 )
-from turtlelog.sweep.table.result_table import list_row_numbers
+from turtlelog.sweep.result_table import list_row_numbers
 
 KP, DELAY, SEED = "law.kp_linear", "loop.transport_delay_ticks", "seed"
 GAINS = ("law.kp_linear", "law.kp_angular")

@@ -6,7 +6,7 @@ import pytest
 
 from turtlelog.errors import SweepError
 from turtlelog.sweep import Sampling, SweepPlan, build_plan
-from turtlelog.sweep.plan import MOST_DRAWN, MOST_ROWS, parse_key_values
+from turtlelog.sweep.sweep_plan import MOST_DRAWN, MOST_ROWS, parse_key_values
 
 
 def list_values(text: str) -> list[Any]:

@@ -1,8 +1,8 @@
-"""The entry functions of compiled loops, in a file of their own.
+"""The entry functions of compiled code, in a file of their own: loops, batches and measurements.
 
 Numba's cache depends on the time and size of the entry function's file. The functions that it calls
-determine the stamp in its name (`compiled_loop`). The names in capitals are bound to a loop's
-twins.
+determine the stamp in its name (`compiled_twins`). The names in capitals are bound to compiled
+functions and to constants.
 """
 
 # ruff: noqa: F821
@@ -50,4 +50,30 @@ def run_rows(simulate, measure, begun, rows, told, entries):
         fact.turn_limit = settings.limits.turn_rate_rad_s
         entry = (asked, values[number], reasons[number])
         measure(facts, rows.ticks, rows.samples, lines[number:after], loops, memory, entry)
+    return STAMP
+
+
+def measure_row(facts, ticks, samples, line, loops, memory, entry):
+    """Measure a row: write values, or the reasons for missing values.
+
+    `entry` contains the requested columns, the values, and the numbers of reasons.
+    """
+    asked, values, reasons = entry
+    ticks, samples = ticks[: facts[0].ticks], samples[: facts[0].samples]
+    start_ns, end_ns = PREPARE_ROW(facts[0], ticks, samples, loops, memory)
+    row = ROW(facts[0], ticks, samples, line[0], loops, memory, start_ns, end_ns)
+    for number in range(len(loops)):
+        first, after = number * CURVES, (number + 1) * CURVES
+        if not IS_ANY(asked, first, after):
+            continue
+        begin, end, reason = FIND_STRETCH(row, number)
+        if reason == 0:
+            curve = READ_CURVE(row, number, begin, end)
+            MEASURE_CURVE(curve, asked[first:after], values[first:after], reasons[first:after])
+        else:
+            reasons[first:after] = reason
+    begin = len(loops) * CURVES
+    MEASURE_COURSE(READ_COURSE(row), asked[begin:], values[begin:], reasons[begin:])
+    pose = ticks[samples[0].pose_sequence]
+    values[-2], values[-1] = pose.x_m, pose.y_m
     return STAMP

@@ -22,8 +22,8 @@ from turtlelog.run.loops import ControlLoop
 from turtlelog.run.tables import Tabular
 from turtlelog.scenario import Scenario, build_scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
-from turtlelog.sweep.plan import build_row_scenario
-from turtlelog.sweep.table import result_table
+from turtlelog.sweep import result_table
+from turtlelog.sweep.sweep_plan import build_row_scenario
 
 Values = NDArray[np.float64]
 

@@ -17,10 +17,9 @@ from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.measure import MeasureSettings, measure_run
 from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
+from turtlelog.sweep import result_table
 from turtlelog.sweep.find_recordings import FoundRecording, hash_recording
-from turtlelog.sweep.table import result_table
-from turtlelog.sweep.table.result_table import STATUS, ResultColumn
-from turtlelog.sweep.table.stored_rows import (
+from turtlelog.sweep.partial_table import (
     ERROR,
     FILE,
     Cell,
@@ -34,6 +33,7 @@ from turtlelog.sweep.table.stored_rows import (
     WindowedRows,
     build_result_columns,
 )
+from turtlelog.sweep.result_table import STATUS, ResultColumn
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:

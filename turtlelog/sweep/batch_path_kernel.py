@@ -11,7 +11,7 @@ from numpy import rint
 from turtlelog.arithmetic import called, wrap_angle
 from turtlelog.measure.response import Track
 from turtlelog.run.path_pieces import follow
-from turtlelog.sweep.batch.batch_kernel import (
+from turtlelog.sweep.batch_kernel import (
     ALONG,
     CROSS,
     HEADING,

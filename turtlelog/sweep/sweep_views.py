@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError, suggest_names
 from turtlelog.measure import find_metric_kind
 from turtlelog.scenario import flatten_scenario
-from turtlelog.sweep.table.swept_results import (
+from turtlelog.sweep.sweep_table import (
     SEED,
     SweptAxis,
     SweptMetric,

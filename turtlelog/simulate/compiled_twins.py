@@ -69,16 +69,26 @@ def take_twin(thing: Any) -> Any:
 
 
 def stamp_functions(functions: typing.Iterable[Function], *more: Any) -> str:
-    """Return a stamp of all code and constants that functions use, as they are compiled.
+    """Return a stamp of all code and constants that functions use, and of what compiles them.
 
     Raises:
         TwinError: If a function uses an object that numba would freeze silently.
     """
     stamp = _Stamp()
-    stamp.add_text(*more)
+    stamp.add_text(*_read_compiler(), *more)
     for function in functions:
         stamp.add(function, "")
     return stamp.digest.hexdigest()[:16]
+
+
+def _read_compiler() -> list[bytes | None]:
+    """Return the sources of this file and of the compiler; empty where there are no sources."""
+    from pkgutil import get_data
+
+    try:
+        return [get_data(__name__, f"{name}.py") for name in ("compiled_twins", "twin_compiler")]
+    except OSError:  # numba stores nothing then
+        return []
 
 
 class _Stamp:
@@ -189,6 +199,43 @@ class Twins:
     def _take(self, thing: Any) -> Any:
         is_ours = isinstance(thing, FunctionType) or (callable(thing) and thing in _TWINS)
         return self.compile(thing) if is_ours else thing
+
+
+def compile_entry(
+    entry: Any, name: str, bind: Callable[[Any], dict[str, Any]], signature: Any
+) -> Any:
+    """Return an entry function compiled under a name with its stamp, and for a type.
+
+    Numba's cache finds the function by this name; older versions are removed. `bind` is a function
+    of the compiler of twins that returns the names in capitals.
+    """
+    try:
+        from turtlelog.simulate.twin_compiler import EntryCompiler, TwinCompiler
+
+        special = {"pipeline_class": EntryCompiler}
+        return _compile_entry(entry, name, bind(TwinCompiler), signature, special)
+    except Exception:  # numba's compiler knows its own version, and code that ours does not
+        return _compile_entry(entry, name, bind(None), signature, {})
+
+
+def _compile_entry(
+    entry: Any, name: str, scope: dict[str, Any], signature: Any, special: dict[str, Any]
+) -> Any:
+    from numba import njit
+
+    scope = {**scope, "__name__": entry.__module__}
+    bound = FunctionType(entry.__code__, scope, entry.__name__)
+    bound.__qualname__, bound.__module__ = name, entry.__module__
+    options = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False, **special}
+    compiler, function = njit(signature, **options), name.rpartition("_")[0]
+    try:
+        made = compiler(bound)
+    except (ImportError, AttributeError):  # a class in the stored code's types has moved
+        remove_stored(entry.__module__, function)
+        made = compiler(bound)
+    if not made.stats.cache_hits:
+        remove_stored(entry.__module__, function, kept=name)
+    return made
 
 
 _CODES: Final[dict[Any, str]] = {float: "f8", int: "i8", bool: "?"}
@@ -345,17 +392,16 @@ _TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = MappingProxyTyp
 """Functions of compiled code that replace Python functions."""
 
 
-def is_kept(module: str, function: str = "") -> bool:
-    """Return whether numba's cache has the code of a module or of a function, without loading it.
+def is_kept(module: str, function: str) -> bool:
+    """Return whether numba's cache has the code of an entry function, without loading its module.
 
-    Code older than a file in the module's folder may need to be compiled again, unless the name of
-    the function is given, which contains the stamp.
+    The name of the function contains the stamp of all that it is compiled from. In addition, numba
+    checks the entry function's own file.
     """
     source = _find_source(module)
     python = f"py{sys.version_info.major}{sys.version_info.minor}"
     try:
-        files = [source] if function else source.parent.glob("*.py")
-        changed_s = max(file.stat().st_mtime for file in files)
+        changed_s = source.stat().st_mtime
         return any(
             index.stat().st_mtime >= changed_s
             for folder in _list_cache_folders(source)
@@ -365,13 +411,13 @@ def is_kept(module: str, function: str = "") -> bool:
         return False
 
 
-def remove_others(module: str, function: str, kept: str) -> None:
-    """Remove versions of a function from numba's cache, except the one whose name has `kept`."""
+def remove_stored(module: str, function: str, *, kept: str | None = None) -> None:
+    """Remove all versions of a function from numba's cache, except one with the name `kept`."""
     source = _find_source(module)
     for folder in _list_cache_folders(source):
         with suppress(OSError):
             for file in folder.glob(f"{source.stem}.{function}_*.nb?"):
-                if kept not in file.name:
+                if kept is None or kept not in file.name:
                     file.unlink(missing_ok=True)
 
 

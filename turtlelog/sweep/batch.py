@@ -26,7 +26,7 @@ from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled.compiled_loop import (
+from turtlelog.simulate.compiled_loop import (
     CompiledRunner,
     build_pieces,
     compile_loop,
@@ -34,13 +34,12 @@ from turtlelog.simulate.compiled.compiled_loop import (
     draw_streams,
     name_loop,
 )
-from turtlelog.simulate.compiled.twins import is_kept
+from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
-from turtlelog.sweep.batch import batch_arrays as arrays
-from turtlelog.sweep.batch.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
-from turtlelog.sweep.plan import build_row_scenario
+from turtlelog.sweep import batch_arrays as arrays
+from turtlelog.sweep.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
+from turtlelog.sweep.sweep_plan import build_row_scenario
 
-_ENTRY: Final = "turtlelog.sweep.batch.batch_entry"
 _MEASURING_S: Final = 5.0
 """Additional time for compiling the measurement together with the loop [s]."""
 
@@ -73,12 +72,14 @@ def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> many.CompiledCo
         return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
 
     def is_batch_kept() -> bool:
-        names = many.ENTRY, f"rows_{name_loop(*kind)}"
-        return is_kept(_ENTRY, arrays.name_measurement(coverage)) and is_kept(*names)
+        if not many.is_loop_kept(*kind):
+            return False
+        names = f"rows_{name_loop(*kind)}", arrays.name_measurement(coverage)
+        return all(is_kept(many.ENTRY, name) for name in names)
 
     return many.CompiledCode(
         load,
-        lambda: many.is_loop_kept(*kind) and is_batch_kept(),
+        is_batch_kept,
         cost_s=many.COST_S,
         first_s=many.FIRST_S + _MEASURING_S,
         beside=(coverage.compiler,),

@@ -15,9 +15,9 @@ from turtlelog.sweep import (
     find_recordings,
     plan_metric_table,
     read_result_table,
+    recording_table,
     tabulate_recordings,
 )
-from turtlelog.sweep.table import recording_table
 
 Tabulate = Callable[..., TabulatedFiles]
 ONLY = ("run.duration", "rotate.*", "final.position_error")
@@ -105,7 +105,7 @@ def test_what_has_not_changed_is_not_opened(
 ) -> None:
     first = tabulate(folder).output.read_bytes()
     assert len(opened) == 8
-    monkeypatch.setattr("turtlelog.sweep.table.recording_table.hash_recording", lambda path: 1 / 0)
+    monkeypatch.setattr("turtlelog.sweep.recording_table.hash_recording", lambda path: 1 / 0)
     done = tabulate(folder)
     assert done.read == 0
     assert len(opened) == 8
@@ -163,7 +163,7 @@ def test_another_version_measures_anew(
 ) -> None:
     tabulate(folder)
     opened.clear()
-    monkeypatch.setattr("turtlelog.sweep.table.recording_table.__version__", "0.0.1")
+    monkeypatch.setattr("turtlelog.sweep.recording_table.__version__", "0.0.1")
     tabulate(folder)
     assert len(opened) == 8
 
@@ -216,8 +216,8 @@ def test_a_table_of_many_groups_is_that_of_one(
     folder: Path, cells: int, monkeypatch: pytest.MonkeyPatch, runs: list[Path]
 ) -> None:
     before = read_columns(tabulate(folder).output)
-    monkeypatch.setattr("turtlelog.sweep.table.result_table._CELLS_GROUPED", cells)
-    monkeypatch.setattr("turtlelog.sweep.table.recording_table._COLUMNS_LOOKED", 1)
+    monkeypatch.setattr("turtlelog.sweep.result_table._CELLS_GROUPED", cells)
+    monkeypatch.setattr("turtlelog.sweep.recording_table._COLUMNS_LOOKED", 1)
     assert tabulate(folder).read == 0
     assert read_columns(folder / "table.parquet") == before
     shutil.copy(runs[0], folder / "deep" / "3.mcap")

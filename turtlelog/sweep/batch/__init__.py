@@ -1,1 +1,0 @@
-"""Simulation and measurement of many scenarios in compiled code, without trajectories."""
