@@ -41,7 +41,7 @@ _MOST_COLUMNS: Final = 3
 """Largest number of loops side by side in a table; more loops do not fit a line."""
 
 _IDEAL: Final = "without command limits"
-"""Condition of recommended gains."""
+"""Condition of recommended gains, in the second sentence."""
 
 _UNLIMITED: Final = "Theory leaves out command limits, which change overshoot and settling time."
 
@@ -237,7 +237,7 @@ def format_file(
     for one in known:  # loops that are alike share a sentence
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
     head = [f"{join_words(names)}: {text}" for text, names in said.items()]
-    head = [_conclude(name, advice, wishes), *head, *_describe_clipping(known, advice)]
+    head = [*_conclude(name, advice, wishes), *head, *_describe_clipping(known, advice)]
     return _join(head, tables, rest)
 
 
@@ -250,18 +250,18 @@ class _Advice(NamedTuple):
     is_kept: bool
 
 
-def _conclude(name: str, advice: Sequence[_Advice], wishes: Wishes) -> str:
-    """Return the recommended gains of each loop, and the loops that need no change."""
+def _conclude(name: str, advice: Sequence[_Advice], wishes: Wishes) -> Iterator[str]:
+    """Yield the recommended gains of each loop, the gains to keep, and what both are for."""
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
     rule = next((one.best.rule for one in advice if one.best), None)
     if rule is None:
-        return f"{name}: theory has no recommended gains."
-    wish = f"for {wishes.describe(rule)}, {_IDEAL}"
-    if not changed:
-        return f"{name}: no change is needed {wish}: {kept}."
-    text = f"{name}: recommended {wish}: {changed}"
-    return f"{text}; no change is needed of {kept}." if kept else f"{text}."
+        yield f"{name}: theory has no recommended gains."
+        return
+    told = [f"recommended {changed}"] if changed else []
+    told += [f"keep {kept}"] if kept else []
+    yield f"{name}: {'; '.join(told)}."
+    yield f"This is for {wishes.describe(rule)}, {_IDEAL}."
 
 
 def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
@@ -332,10 +332,12 @@ def _list_recommended(
         return
     wish = wishes.describe(best.rule)
     if given.gains and recommended.keeps(given):
-        yield f"{show_gains(given.gains)} needs no change, {ideal}: {tell_gains(given)}."
+        yield f"{show_gains(given.gains)} needs no change: {tell_gains(given)}."
+        yield f"This holds {ideal}."
         yield f"{show_gains(best.gains)} for {wish} is no better: {tell_gains(best)}."
         return
-    yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}, {ideal}."
+    yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}."
+    yield f"This holds {ideal}."
     compared = compare_gains(best, given)
     yield f"{compared[:1].upper()}{compared[1:]}"
 
