@@ -191,3 +191,13 @@ def test_a_gain_goes_to_the_law_that_is_chosen(call: Call, tmp_path: Path) -> No
     words = ("--set", f"law.kind={law}:TurnAndDrive", "--kp", "2")
     answer = call("scenario", "textbook", *words)
     assert "kp_angular = 2.0" in answer.out
+
+
+def test_without_docstrings_help_and_lists_say_what_is_missing() -> None:
+    """Python with -OO starts in a process of its own, three times."""
+    command = [sys.executable, "-OO", "-m", "turtlelog"]
+    for words, is_told in ((["list", "metrics"], True), (["--help"], True), (["--version"], False)):
+        done = subprocess.run(
+            [*command, *words], check=True, timeout=60, capture_output=True, text=True
+        )
+        assert ("Python runs without docstrings" in done.stderr) is is_told

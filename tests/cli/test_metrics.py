@@ -84,7 +84,7 @@ def test_all_shows_every_metric_and_why_values_are_missing(call: Call, kp4: Path
     out = call("metrics", kp4, "--all").out
     assert out.startswith("kp4.mcap: missed the goal by 8.52 mm (allowed: 6.69 mm) after")
     assert all(re.search(rf"^{re.escape(name)} ", out, re.M) for name in METRICS)
-    assert "not_reached: the response does not overshoot twice." in out
+    assert "not reached: the response does not overshoot twice." in out
     assert "--all" not in out
     assert max(map(len, out.splitlines())) <= 80
 

@@ -49,7 +49,8 @@ def test_the_first_line_names_what_the_recommended_gains_leave_out(
 ) -> None:
     text = call("theory", "--dead-time", ticks, "--kp", "4").out
     assert re.match(
-        rf"Recommended for 5 % overshoot: P with Kp = [\d.]+ 1/s, without command {left_out}\.",
+        r"Recommended for 5 % overshoot: P with Kp = [\d.]+ 1/s\."
+        rf" This holds without command {left_out}\.",
         " ".join(text.split()),
     )
 
@@ -57,10 +58,10 @@ def test_the_first_line_names_what_the_recommended_gains_leave_out(
 @pytest.mark.parametrize(
     ("kp", "first", "kept"),
     [
-        ("3.66", "Recommended for 5 % overshoot: P with Kp = 4.95 1/s, without command", None),
-        ("3.68", "Kp = 3.68 1/s needs no change, without command limits: no overshoot", 3.68),
-        ("4.95", "Kp = 4.95 1/s needs no change, without command limits: overshoots by 5", 4.95),
-        ("5", "Recommended for 5 % overshoot: P with Kp = 4.95 1/s, without command", None),
+        ("3.66", "Recommended for 5 % overshoot: P with Kp = 4.95 1/s.\n", None),
+        ("3.68", "Kp = 3.68 1/s needs no change: no overshoot", 3.68),
+        ("4.95", "Kp = 4.95 1/s needs no change: overshoots by 5", 4.95),
+        ("5", "Recommended for 5 % overshoot: P with Kp = 4.95 1/s.\n", None),
     ],
 )
 def test_gains_are_kept_that_overshoot_no_more_and_settle_no_later_than_recommended_ones(
@@ -88,7 +89,7 @@ def test_a_scenario_keeps_the_gains_of_one_loop_and_changes_those_of_the_other(
 ) -> None:
     answer = call("theory", kp4)
     text = " ".join(answer.out.split())
-    assert "Kp = 5.85 1/s (rotate); no change is needed of Kp = 4 1/s (translate)." in text
+    assert "Kp = 5.85 1/s (rotate); keep Kp = 4 1/s (translate)." in text
     assert "--set law.kp_angular=5.85 Poles" in text.replace(str(kp4), "kp4.mcap")
     loops = call("theory", kp4, "--json").json["loops"]
     assert [loop["kept_kp"] for loop in loops] == [None, 4.0]
@@ -106,13 +107,28 @@ def test_gains_to_try_are_of_one_controller(call: Call, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--kp 4",
+        "--kp 300",
+        "--kp 4 --dead-time 6",
+        "--kp 2 --ki 1 --lag 0.1",
+        "paper-kp10",
+        "lagged",
+    ],
+)
+def test_the_first_line_is_a_whole_sentence(words: str, call: Call) -> None:
+    assert call("theory", *words.split()).out.partition("\n")[0].endswith(".")
+
+
 def test_theory_reads_well_in_a_terminal(call: Call) -> None:
     answer = call("theory", "--dead-time", "6", "--kp", "1,2,4,10,16")
     assert (answer.code, answer.err) == (0, "")
     lines = answer.out.splitlines()
     assert lines[:7] == [
-        "Kp = 4 1/s needs no change, without command limits: overshoots by 0.29 %,",
-        "settles in 0.512 s.",
+        "Kp = 4 1/s needs no change: overshoots by 0.29 %, settles in 0.512 s.",
+        "This holds without command limits.",
         "Kp = 4.95 1/s for 5 % overshoot is no better: overshoots by 5.00 %, settles in",
         "0.624 s.",
         "Overshoot begins above Kp = 3.541 1/s, instability at 15.07 1/s.",
@@ -215,8 +231,8 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
     assert re.search(r"overshoots +by 22.43 % +without end", text)
     lines = text.splitlines()
-    first = "Recommended for 5 % overshoot: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2,"
-    assert lines[:2] == [first, "without command limits."]
+    first = "Recommended for 5 % overshoot: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2."
+    assert lines[:2] == [first, "This holds without command limits."]
     assert lines[2].startswith(
         "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 % instead of 22.4 "
     )
@@ -256,8 +272,8 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     assert rotate["sources"]["gains"] == "from the scenario"
     lines = call("theory", kp10).out.splitlines()
     words = " ".join(lines)
-    first = "kp10.mcap: recommended for 5 % overshoot, without command limits: Kp = 7.14 1/s"
-    assert words.startswith(f"{first} (rotate), Kp = 4.95 1/s (translate).")
+    first = "kp10.mcap: recommended Kp = 7.14 1/s (rotate), Kp = 4.95 1/s (translate)."
+    assert lines[:2] == [first, "This is for 5 % overshoot, without command limits."]
     assert "rotate: better than Kp = 10 1/s in overshoot (5 % instead of 22.6 %), settling" in words
     assert "gain margin and phase margin; stable for Kp below 15.07 1/s." in words
     assert "--set law.kp_angular=7.14 --set law.kp_linear=4.95" in words
@@ -391,7 +407,7 @@ def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
     assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
     assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
     words = ("theory", "--dead-time", "6", "--phase-margin", "90", "--kp", "1")
-    first = "Recommended for the rule of SIMC: P with Kp = 4.81 1/s, without command limits."
+    first = "Recommended for the rule of SIMC: P with Kp = 4.81 1/s."
     assert call(*words).out.startswith(f"{first}\n")
     text = " ".join(call(*words, "--details").out.split())
     assert "No P for 90 deg margin and PI for 90 deg margin: the integrator alone lags" in text

@@ -112,7 +112,7 @@ def test_a_numbered_name_that_is_taken_is_not_given_twice() -> None:
 def test_the_table_of_metrics_gives_every_reason_once() -> None:
     scenario = tl.override_scenario(tl.load_scenario("paper-kp1"), {"max_duration_s": 2.0})
     notes = tl.compare.tabulate_metrics([tl.simulate_run(scenario)] * 2).notes
-    assert "no_phase: the run has no phase translate." in notes
+    assert "no phase: the run has no phase translate." in notes
     assert len(set(notes)) == len(notes)
 
 

@@ -1,5 +1,6 @@
 import csv
 import io
+from dataclasses import replace
 
 import pytest
 
@@ -48,6 +49,15 @@ def test_csv_keeps_full_precision() -> None:
         ["a|b", "0.12345", "ok"],
         ["longer", "", "not_reached"],
     ]
+
+
+def test_a_status_is_in_words_for_people_and_a_name_for_programs() -> None:
+    status = tl.measure.Status.NOT_REACHED
+    table = replace(TABLE, rows=(("a", 1.0, status),))
+    shown = [tl.draw.format_table(table, kind).rstrip() for kind in ("txt", "md", "tex")]
+    assert all("not reached" in text for text in (*shown, table._repr_html_()))
+    assert tl.draw.format_table(table, "csv").splitlines()[1] == "a,1.0,not_reached"
+    assert table.rows[0][2] == "not_reached"
 
 
 def test_latex_uses_booktabs_and_escapes_its_special_characters() -> None:

@@ -219,11 +219,18 @@ def main(tokens: Sequence[str] | None = None) -> None:
 
 _ALL: Final = "--help-all"
 
+_NO_DOCSTRINGS: Final = (
+    "help and the meanings of metrics are incomplete, because Python runs without docstrings: leave"
+    " out -OO or PYTHONOPTIMIZE=2"
+)
+
 
 def _call(tokens: Sequence[str] | None) -> Any:
     tokens = sys.argv[1:] if tokens is None else tokens
     _help_formatter.shows_all = _ALL in tokens
     tokens = ["--help" if token == _ALL else token for token in tokens]
+    if sys.flags.optimize > 1 and not {"list", "help", "--help"}.isdisjoint(tokens):
+        console.print_note(_NO_DOCSTRINGS)
     with _stop_on_request(), _print_remote_notes(), limit_downloads():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")

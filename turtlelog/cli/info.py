@@ -117,7 +117,7 @@ class InfoAnswer:
     simulated_by: Mapping[str, str]
     absent: tuple[str, ...]
     missing: tuple[str, ...]
-    clock: Mapping[str, Any] | None
+    clock: "tl.run.Clock | None"
     not_understood: tuple[str, ...]
     notes: Mapping[str, str]
     run: ReadRun | None
@@ -295,9 +295,12 @@ def _tell_state(answer: InfoAnswer) -> str:
     if not answer.complete:
         is_empty = answer.summary.endswith(NOTHING_LEFT)
         return "truncated: nothing left" if is_empty else "not complete"
-    reason = (answer.stop_reason or "").replace("_", " ")
     ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
-    return ending or reason
+    return ending or _tell_reason(answer)
+
+
+def _tell_reason(answer: InfoAnswer) -> str:
+    return (answer.stop_reason or "").replace("_", " ")
 
 
 def _fill(head: str, text: str) -> str:
@@ -337,8 +340,9 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         ]
         yield f"robot {robot.name}", "; ".join(parts)
     if not answer.summary.endswith(NOTHING_LEFT):
-        reason = (answer.stop_reason or "").replace("_", " ")
-        told = ": ".join(filter(None, (reason, (answer.ending or "").removeprefix("ended "))))
+        told = ": ".join(
+            filter(None, (_tell_reason(answer), (answer.ending or "").removeprefix("ended ")))
+        )
         yield from [("ended", told)] if told else []
 
 

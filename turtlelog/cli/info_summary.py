@@ -108,8 +108,7 @@ class Summary:
         ending: How the run ended at its goal, as text; None if unknown.
         run: Summary of the run in the file; None if the run was not read.
         missing: Missing data, each with its use.
-        clock: Clock that times the poses, as in JSON; None if there is only one clock, or poses
-            were not read.
+        clock: Clock that times the poses; None if there is only one clock, or poses were not read.
         notes: Notes on the poses, by name.
     """
 
@@ -117,7 +116,7 @@ class Summary:
     ending: str | None = None
     run: ReadRun | None = None
     missing: tuple[str, ...] = ()
-    clock: Mapping[str, Any] | None = None
+    clock: "tl.run.Clock | None" = None
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -305,26 +304,19 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     }
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run)
-    clock = run.clock
+    kind = _describe_kind(run)
     return Summary(
-        text=_describe_run(run),
+        text=_describe_run(run, kind),
         ending=_describe_ending(run),
         run=ReadRun(
-            kind=_describe_kind(run),
+            kind=kind,
             duration_s=run.duration_s,
             poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
             commands=_describe_rows(run, "command_topic", run.commands.time_ns),
             samples=len(run.samples),
         ),
         missing=tuple(_list_missing(run, info)),
-        clock=None
-        if clock is None
-        else {
-            "used": clock.used,
-            "ratio": clock.ratio,
-            "offset_s": clock.offset_s,
-            "jitter_s": clock.jitter_s,
-        },
+        clock=run.clock,
         notes=notes,
     )
 
@@ -356,10 +348,10 @@ def _describe_kind(run: "tl.Run") -> str:
 _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")
 
 
-def _describe_run(run: "tl.Run") -> str:
+def _describe_run(run: "tl.Run", kind: str) -> str:
     if not len(run.poses):
         return f"no poses, {_describe_commands(run)}"
-    pose_topic, kind = _name_topic(run, "pose_topic"), _describe_kind(run)
+    pose_topic = _name_topic(run, "pose_topic")
     rate = _describe_rate(run.poses.time_ns)
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
     amount += f" {rate}" if rate and not pose_topic else ""

@@ -149,7 +149,9 @@ def _describe_range(summaries: "Sequence[tl.compare.RunSummary]", name: str) -> 
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
     if not values:
-        return f"has no value ({', '.join(dict.fromkeys(one.status for one in found.values()))})"
+        return (
+            f"has no value ({', '.join(dict.fromkeys(one.status.words for one in found.values()))})"
+        )
     units = tl.compare.list_metric_units([*found.values()])
     if len(units) > 1:
         return f"is in {join_words(units)}"
@@ -245,7 +247,7 @@ def _show(metric: "tl.Metric | None") -> str:
     if metric is None:
         return "-"
     if metric.value is None:
-        return metric.status.value.replace("_", " ")
+        return metric.status.words
     if metric.id.endswith("_share"):
         return f"{100.0 * metric.value:.0f} %"
     return format_short(metric.value, metric.unit)

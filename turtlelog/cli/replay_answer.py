@@ -298,9 +298,9 @@ def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> list[MetricChange]
             id=name,
             unit=first.unit,
             recorded=first.value,
-            recorded_status=first.status.value,
+            recorded_status=first.status,
             replayed=second.value,
-            replayed_status=second.status.value,
+            replayed_status=second.status,
             difference=None
             if first.value is None or second.value is None
             else second.value - first.value,

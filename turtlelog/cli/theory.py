@@ -1,6 +1,5 @@
 """`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -16,7 +15,7 @@ from turtlelog.cli.theory_answer import format_file, format_integrator, format_t
 from turtlelog.cli.theory_gains import (
     Recommended,
     RecommendedGains,
-    Wishes,
+    WishOptions,
     build_recommended,
     find_kept,
 )
@@ -73,42 +72,6 @@ class LoopOptions:
         return [f"--{name.replace('_', '-')}" for name in given]
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WishOptions:
-    """Requirements for recommended gains.
-
-    Attributes:
-        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
-            5, unless only --phase-margin is given.
-        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180. Default:
-            60, unless only --overshoot is given.
-    """
-
-    overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None
-    phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
-
-    def read(self) -> "Wishes":
-        """Return the requirements.
-
-        Raises:
-            UsageError: If a number is out of its range.
-        """
-        percent, degrees = self.overshoot, self.phase_margin
-        if percent is not None and not 0.0 <= percent < 100.0:
-            raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
-        if degrees is not None and not 0.0 < degrees < 180.0:
-            expected = "degrees above 0 and below 180"
-            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
-        if percent is None and degrees is None:
-            return Wishes(
-                overshoot_percent=tl.theory.OVERSHOOT_PERCENT,
-                phase_margin_rad=tl.theory.PHASE_MARGIN_RAD,
-            )
-        margin_rad = None if degrees is None else math.radians(degrees)
-        return Wishes(overshoot_percent=percent, phase_margin_rad=margin_rad)
-
-
 _TERMS: Final = ("ki", "kd", "filter", "gain", "lag", "dead_time_s", "low_pass")
 
 
@@ -151,7 +114,7 @@ def theory(
     """
     options = options or LoopOptions()
     try:
-        wanted = (wishes or WishOptions()).read()
+        wanted = (wishes or WishOptions()).complete()
         if scenario is None:
             _answer_loop(options, wanted, details=details, json=json)
         else:
@@ -180,7 +143,7 @@ _OPTIONS: Final = {
 """Options by the names of quantities in errors."""
 
 
-def _answer_loop(options: LoopOptions, wanted: Wishes, *, details: bool, json: bool) -> None:
+def _answer_loop(options: LoopOptions, wanted: WishOptions, *, details: bool, json: bool) -> None:
     """Print the answer for P, PI, PD or PID control of an integrator, at each Kp."""
     if options.assignments:
         raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
@@ -293,7 +256,7 @@ def _answer_file(
     word: str,
     options: LoopOptions,
     topics: ReadingOptions | None,
-    wanted: Wishes,
+    wanted: WishOptions,
     *,
     details: bool,
     json: bool,

@@ -13,11 +13,11 @@ import turtlelog as tl
 from turtlelog.cli.console import build_table, fill_lines, find_width
 from turtlelog.cli.theory_gains import (
     Recommended,
-    Wishes,
+    WishOptions,
     compare_gains,
     show_gains,
     tabulate_recommended,
-    tell_gains,
+    tell_step,
 )
 from turtlelog.cli.theory_loops import (
     LoopAnswer,
@@ -41,13 +41,13 @@ _MOST_COLUMNS: Final = 3
 """Largest number of loops side by side in a table; more loops do not fit a line."""
 
 _IDEAL: Final = "without command limits"
-"""Condition of recommended gains."""
+"""Condition of recommended gains, in the second sentence."""
 
 _UNLIMITED: Final = "Theory leaves out command limits, which change overshoot and settling time."
 
 
 def format_integrator(
-    loops: "list[SampledLoop]", recommended: Recommended, wishes: Wishes, *, shows_all: bool
+    loops: "list[SampledLoop]", recommended: Recommended, wishes: WishOptions, *, shows_all: bool
 ) -> str:
     """Return the answer for P on 1/s."""
     head = [
@@ -180,7 +180,7 @@ def _tell(value: object) -> str:
 
 
 def format_terms(
-    answers: Sequence[LoopAnswer], recommended: Recommended, wishes: Wishes, *, shows_all: bool
+    answers: Sequence[LoopAnswer], recommended: Recommended, wishes: WishOptions, *, shows_all: bool
 ) -> str:
     """Return the answer for a loop with more than P on 1/s, at each Kp."""
     known = [answer.found for answer in answers if answer.found]
@@ -206,7 +206,7 @@ def format_file(
     word: str,
     answers: Sequence[LoopAnswer],
     groups: Sequence[Recommended],
-    wishes: Wishes,
+    wishes: WishOptions,
     *,
     shows_all: bool,
 ) -> str:
@@ -237,7 +237,7 @@ def format_file(
     for one in known:  # loops that are alike share a sentence
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
     head = [f"{join_words(names)}: {text}" for text, names in said.items()]
-    head = [_conclude(name, advice, wishes), *head, *_describe_clipping(known, advice)]
+    head = [*_conclude(name, advice, wishes), *head, *_describe_clipping(known, advice)]
     return _join(head, tables, rest)
 
 
@@ -250,18 +250,18 @@ class _Advice(NamedTuple):
     is_kept: bool
 
 
-def _conclude(name: str, advice: Sequence[_Advice], wishes: Wishes) -> str:
-    """Return the recommended gains of each loop, and the loops that need no change."""
+def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iterator[str]:
+    """Yield the recommended gains of each loop, the gains to keep, and what both are for."""
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
     rule = next((one.best.rule for one in advice if one.best), None)
     if rule is None:
-        return f"{name}: theory has no recommended gains."
-    wish = f"for {wishes.describe(rule)}, {_IDEAL}"
-    if not changed:
-        return f"{name}: no change is needed {wish}: {kept}."
-    text = f"{name}: recommended {wish}: {changed}"
-    return f"{text}; no change is needed of {kept}." if kept else f"{text}."
+        yield f"{name}: theory has no recommended gains."
+        return
+    told = [f"recommended {changed}"] if changed else []
+    told += [f"keep {kept}"] if kept else []
+    yield f"{name}: {'; '.join(told)}."
+    yield f"This is for {wishes.describe(rule)}, {_IDEAL}."
 
 
 def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
@@ -280,19 +280,18 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
         return ""
     own = next((one for one in advice if one.loop == answer.title), None)
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
-    motion = tell_gains(own.given) if own and own.is_kept else tell_motion(loop)
+    motion = tell_step(own.given.motion) if own and own.is_kept else tell_motion(loop)
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
     return f"{said}; stable for Kp {_show_late_range(loop, answer.model)}."
 
 
 def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
     """Return the errors from which limits clip commands, at the recommended gains of P."""
+    chosen = {one.loop: one.given if one.is_kept else one.best for one in advice}
     sizes = []
     for one in known:
-        chosen = next(
-            (of.given if of.is_kept else of.best for of in advice if of.loop == one.title), None
-        )
-        gains = None if chosen is None else chosen.gains
+        best = chosen.get(one.title)
+        gains = None if best is None else best.gains
         if one.model is None or math.isinf(one.model.limit):
             continue
         if gains is None or gains.ki or gains.kd:
@@ -321,7 +320,7 @@ def _narrow(table: "tl.compare.Table") -> "tl.compare.Table":
 
 
 def _list_recommended(
-    recommended: Recommended, wishes: Wishes, *, ideal: str = _IDEAL
+    recommended: Recommended, wishes: WishOptions, *, ideal: str = _IDEAL
 ) -> Iterator[str]:
     """Yield whether given gains need a change, and recommended gains, or why there are none."""
     (given,) = recommended.given
@@ -332,10 +331,12 @@ def _list_recommended(
         return
     wish = wishes.describe(best.rule)
     if given.gains and recommended.keeps(given):
-        yield f"{show_gains(given.gains)} needs no change, {ideal}: {tell_gains(given)}."
-        yield f"{show_gains(best.gains)} for {wish} is no better: {tell_gains(best)}."
+        yield f"{show_gains(given.gains)} needs no change: {tell_step(given.motion)}."
+        yield f"This holds {ideal}."
+        yield f"{show_gains(best.gains)} for {wish} is no better: {tell_step(best.motion)}."
         return
-    yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}, {ideal}."
+    yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}."
+    yield f"This holds {ideal}."
     compared = compare_gains(best, given)
     yield f"{compared[:1].upper()}{compared[1:]}"
 

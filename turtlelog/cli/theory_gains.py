@@ -3,24 +3,49 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
+
+from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.console import build_table
 from turtlelog.display import format_short, join_words
+from turtlelog.errors import UsageError
 
 
+@Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wishes:
-    """Requirements; None: no requirement.
+class WishOptions:
+    """Requirements for recommended gains.
 
     Attributes:
-        overshoot_percent: Overshoot of the step [%].
-        phase_margin_rad: Phase margin [rad].
+        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100. Default:
+            5, unless only --phase-margin is given.
+        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180. Default:
+            60, unless only --overshoot is given.
     """
 
-    overshoot_percent: float | None
-    phase_margin_rad: float | None
+    overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None
+    phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
+
+    def complete(self) -> "WishOptions":
+        """Return the requirements; without any, those of theory.
+
+        Raises:
+            UsageError: If a number is out of its range.
+        """
+        percent, degrees = self.overshoot, self.phase_margin
+        if percent is not None and not 0.0 <= percent < 100.0:
+            raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
+        if degrees is not None and not 0.0 < degrees < 180.0:
+            expected = "degrees above 0 and below 180"
+            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
+        if percent is not None or degrees is not None:
+            return self
+        return WishOptions(
+            overshoot=tl.theory.OVERSHOOT_PERCENT,
+            phase_margin=math.degrees(tl.theory.PHASE_MARGIN_RAD),
+        )
 
     def recommend(
         self,
@@ -35,8 +60,8 @@ class Wishes:
             process,
             period_s=period_s,
             filter_s=filter_s,
-            overshoot_percent=self.overshoot_percent,
-            phase_margin_rad=self.phase_margin_rad,
+            overshoot_percent=self.overshoot,
+            phase_margin_rad=None if self.phase_margin is None else math.radians(self.phase_margin),
         )
         measured = [tl.theory.measure_gains(one, process, period_s=period_s) for one in given]
         return Recommended(found, tuple(measured))
@@ -73,9 +98,9 @@ class Wishes:
     def describe(self, rule: str) -> str:
         """Return the result of a rule: `5 % overshoot`, `60 deg phase margin`, or its name."""
         if rule == "overshoot":
-            return f"{self.overshoot_percent:g} % overshoot"
-        if rule == "phase-margin" and self.phase_margin_rad is not None:
-            return f"{math.degrees(self.phase_margin_rad):g} deg phase margin"
+            return f"{self.overshoot:g} % overshoot"
+        if rule == "phase-margin":
+            return f"{self.phase_margin:g} deg phase margin"
         return f"the rule of {_RULE_NAMES[rule]}"
 
 
@@ -129,25 +154,19 @@ def show_gains(gains: "tl.theory.PidGains") -> str:
     return join_words(said)
 
 
-def tell_step(overshoot_percent: float | None, settling_time_s: float | None) -> str:
+def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None") -> str:
     """Return overshoot and settling time of a stable loop after a step, as text."""
     said = []
-    if overshoot_percent is not None:
-        is_none = overshoot_percent < NO_OVERSHOOT
-        said.append("no overshoot" if is_none else f"overshoots by {overshoot_percent:.2f} %")
-    if settling_time_s is not None:
-        said.append(f"settles in {settling_time_s:.3g} s")
+    if motion is not None and motion.overshoot_percent is not None:
+        percent = motion.overshoot_percent
+        said.append("no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %")
+    if motion is not None and motion.settling_time_s is not None:
+        said.append(f"settles in {motion.settling_time_s:.3g} s")
     return ", ".join(said)
 
 
 NO_OVERSHOOT: Final = 0.005
 """Overshoot below which the shown digits are 0 [%]."""
-
-
-def tell_gains(one: "tl.theory.Recommendation") -> str:
-    """Return overshoot and settling time of a loop with these gains after a step, as text."""
-    motion = one.motion
-    return "" if motion is None else tell_step(motion.overshoot_percent, motion.settling_time_s)
 
 
 def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommendation") -> str:
@@ -157,12 +176,14 @@ def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommenda
         return f"{name} is unstable."
     better: list[str] = []
     worse: list[str] = []
-    for new, old in zip(_list_figures(best), _list_figures(given), strict=True):
-        if new.value is None or old.value is None or new.tell() == old.tell():
+    pairs = zip(_list_figures(best), _list_figures(given), strict=True)
+    for (noun, unit, more_is_better), (new, old) in zip(_FIGURES, pairs, strict=True):
+        if new is None or old is None:
             continue
-        found = better if (new.value > old.value) == new.more_is_better else worse
-        values = f" ({new.tell()} instead of {old.tell()})" if new.unit else ""
-        found.append(f"{new.noun}{values}")
+        shown, before = format_short(new, unit), format_short(old, unit)
+        if shown != before:
+            values = f" ({shown} instead of {before})" if unit else ""
+            (better if (new > old) == more_is_better else worse).append(f"{noun}{values}")
     if not better:
         return ""
     said = [f"better than {name} in {join_words(better)}"]
@@ -170,22 +191,18 @@ def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommenda
     return f"{'; '.join(said)}."
 
 
-class _Figure(NamedTuple):
-    """A figure of gains: name, value (None if unknown), and whether more is better.
-
-    The value of a margin has no unit, and is only in the table.
-    """
-
-    noun: str
-    unit: str
-    value: float | None
-    more_is_better: bool
-
-    def tell(self) -> str:
-        return "" if self.value is None else format_short(self.value, self.unit)
+_FIGURES: Final = (
+    ("overshoot", "%", False),
+    ("settling time", "s", False),
+    ("gain margin", "", True),
+    ("phase margin", "", True),
+)
+"""Figures of gains: name, unit (the value of a margin is only in the table), and whether more is
+better."""
 
 
-def _list_figures(one: "tl.theory.Recommendation") -> list[_Figure]:
+def _list_figures(one: "tl.theory.Recommendation") -> tuple[float | None, ...]:
+    """Return the values of the figures; None if unknown."""
     motion, margins = one.motion, one.margins
     overshoot = None if motion is None else motion.overshoot_percent
     if overshoot is not None and overshoot < NO_OVERSHOOT:
@@ -194,12 +211,7 @@ def _list_figures(one: "tl.theory.Recommendation") -> list[_Figure]:
     factor = None if margins is None else margins.gain_margin
     phase_rad = None if margins is None else margins.phase_margin_rad
     phase_deg = None if phase_rad is None else math.degrees(phase_rad)
-    return [
-        _Figure("overshoot", "%", overshoot, more_is_better=False),
-        _Figure("settling time", "s", settles_s, more_is_better=False),
-        _Figure("gain margin", "", factor, more_is_better=True),
-        _Figure("phase margin", "", phase_deg, more_is_better=True),
-    ]
+    return overshoot, settles_s, factor, phase_deg
 
 
 _RULES: Final = ("overshoot", "phase-margin")
@@ -253,7 +265,7 @@ def build_recommended(recommended: Recommended) -> list[RecommendedGains]:
 
 
 def tabulate_recommended(
-    recommended: Recommended, wishes: Wishes, *, shows_all: bool
+    recommended: Recommended, wishes: WishOptions, *, shows_all: bool
 ) -> "tl.compare.Table":
     """Return a table of recommended gains."""
     of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
@@ -271,13 +283,12 @@ def tabulate_recommended(
     for one in found:
         if one.gains is not None:
             gains = one.gains.kp, one.gains.ki or None, one.gains.kd or None
-            figures = (figure.value for figure in _list_figures(one))
-            rows.append((wishes.tell(one), *gains, *figures))
+            rows.append((wishes.tell(one), *gains, *_list_figures(one)))
     notes = _list_notes(recommended, wishes, shows_all=shows_all)
     return build_table(f"Recommended gains{of}", heads, rows, notes)
 
 
-def _list_notes(recommended: Recommended, wishes: Wishes, *, shows_all: bool) -> Iterator[str]:
+def _list_notes(recommended: Recommended, wishes: WishOptions, *, shows_all: bool) -> Iterator[str]:
     if recommended.most_dead_time_s is not None:
         most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
         yield f"They are for the most dead time, {most}."

@@ -327,8 +327,7 @@ def tell_motion(loop: "tl.theory.PidLoop") -> str:
     """Return whether a loop is stable, with its overshoot and settling time, as text."""
     if not loop.stable:
         return "unstable"
-    step = tell_step(loop.overshoot_percent, loop.settling_time_s)
-    return f"stable, {step or 'but its slowest part hardly decays'}"
+    return f"stable, {tell_step(loop) or 'but its slowest part hardly decays'}"
 
 
 def _tell_sources(model: "tl.theory.LoopModel") -> str:

@@ -1,7 +1,7 @@
 """`turtlelog tune`: the best values of keys, their neighbourhood, and their robustness."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -14,6 +14,9 @@ from turtlelog.cli.usage import Whole
 from turtlelog.cli.work import WorkOptions, show_progress
 from turtlelog.errors import UsageError
 from turtlelog.files.urls import make_path
+
+if TYPE_CHECKING:
+    from turtlelog.sweep.tune import SearchedKey, TunedScenario, TuningGoal, Variation
 
 _MOST_VARIANTS: Final = 1_000_000
 
@@ -47,7 +50,7 @@ class GoalOptions:
     evaluations: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
     seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
-    def parse_goal(self) -> "tl.sweep.tune.TuningGoal":
+    def parse_goal(self) -> "TuningGoal":
         """Return the goal of tuning."""
         if self.minimise is not None and self.maximise is not None:
             raise UsageError("tune takes --minimise or --maximise, not both")
@@ -70,10 +73,9 @@ class GoalOptions:
 
     def choose_seed(self) -> int:
         """Return the seed."""
-        seed = self.seed or 0
-        if seed < 0:
-            raise UsageError(f"--seed {seed}: must be 0 or greater")
-        return seed
+        if (self.seed or 0) < 0:
+            raise UsageError(f"--seed {self.seed}: must be 0 or greater")
+        return self.seed or 0
 
 
 @Parameter(name="*")
@@ -108,11 +110,9 @@ class RobustnessOptions:
             raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {most}")
         return self.monte_carlo
 
-    def list_variations(
-        self, scenario: "tl.Scenario", varied: list[str]
-    ) -> "list[tl.sweep.tune.Variation]":
+    def list_variations(self, scenario: "tl.Scenario", varied: list[str]) -> "list[Variation]":
         """Return the keys chosen at random for each variant, in addition to seeds and delays."""
-        found: list[tl.sweep.tune.Variation] = []
+        found: list[Variation] = []
         if self.robot is not None:
             found += tl.sweep.tune.read_intervals(self.robot, scenario)
         if self.spread:
@@ -120,12 +120,7 @@ class RobustnessOptions:
             given = tl.sweep.tune.parse_searched_keys(self.spread, known, source="--spread")
             names = {one.key for one in given}
             found = [one for one in found if one.key not in names]
-            found += [
-                tl.sweep.tune.Variation(
-                    key=one.key, low=one.low, high=one.high, is_whole=one.is_whole
-                )
-                for one in given
-            ]
+            found += [console.copy_fields(tl.sweep.tune.Variation, one) for one in given]
         for one in found:
             if one.key in varied:
                 raise UsageError(f"--spread: {one.key} is tuned by --grid; leave one of them out")
@@ -190,8 +185,14 @@ def tune(
     scenario = load_changed_scenario(base, changes)
     scenario, keys = _parse_keys(scenario, goal.grid or [], changes, trust_law=work.trust_law)
     more = robustness.list_variations(scenario, [key.key for key in keys])
+    running: dict[str, Any] = {
+        "trust_law": work.trust_law,
+        "step_budget_s": options.choose_step_budget(work.step_budget_ms),
+    }
     with work.find_any_place() as place:
-        found, spread = _search(scenario, keys, goal, wanted, seed, place, work=work), None
+        running["jobs"] = place
+        most = goal.count_evaluations(len(keys))
+        found, spread = _search(scenario, keys, wanted, most, seed, running), None
         if "name" not in list_given_keys(changes):
             told = [f"{key}={value:.6g}" for key, value in found.values.items()]
             name = " ".join([found.scenario.name, *told])
@@ -207,10 +208,8 @@ def tune(
                     variations,
                     runs=runs,
                     seed=seed,
-                    jobs=place,
                     watch=progress.set,
-                    trust_law=work.trust_law,
-                    step_budget_s=options.choose_step_budget(work.step_budget_ms),
+                    **running,
                 )
     if json:
         console.print_json(build_tune_answer(found, spread))
@@ -221,7 +220,7 @@ def tune(
 
 def _parse_keys(
     scenario: "tl.Scenario", vary: list[str], changes: LawOptions | None, *, trust_law: bool
-) -> "tuple[tl.Scenario, tuple[tl.sweep.tune.SearchedKey, ...]]":
+) -> "tuple[tl.Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
     given = list_given_keys(changes)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
@@ -232,31 +231,26 @@ def _parse_keys(
     return tl.sweep.tune.complete_searched(scenario, vary, source="--grid", trust_law=trust_law)
 
 
-def _search(  # noqa: PLR0913  (what a search takes)
+def _search(
     scenario: "tl.Scenario",
-    keys: "tuple[tl.sweep.tune.SearchedKey, ...]",
-    goal: GoalOptions,
-    wanted: "tl.sweep.tune.TuningGoal",
+    keys: "tuple[SearchedKey, ...]",
+    goal: "TuningGoal",
+    most: int,
     seed: int,
-    place: Any,
-    *,
-    work: TuneOptions,
-) -> "tl.sweep.tune.TunedScenario":
-    """Return the best values and their neighbourhood."""
-    most = goal.count_evaluations(len(keys))
+    running: dict[str, Any],
+) -> "TunedScenario":
+    """Return the best of about `most` candidates and its neighbourhood."""
     expected = most + tl.sweep.tune.NEIGHBOURS * len(keys)
     with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
         candidates = tl.sweep.tune.Candidates(
             scenario,
             [key.key for key in keys],
-            wanted,
-            jobs=place,
+            goal,
             expected=expected,
             watch=progress.set,
-            trust_law=work.trust_law,
-            step_budget_s=options.choose_step_budget(work.step_budget_ms),
             tell=_tell_late,
             source="--grid",
+            **running,
         )
         try:
             return tl.sweep.tune.tune_candidates(candidates, keys, evaluations=most, seed=seed)

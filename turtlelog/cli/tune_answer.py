@@ -1,10 +1,10 @@
 """The answer of `tune` as text and as JSON."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import turtlelog as tl
 from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
@@ -94,23 +94,18 @@ class TuneAnswer:
 def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAnswer:
     """Return the answer for JSON; `spread` are the results of variants, if any were simulated."""
     tuned = found.tuned
-    return TuneAnswer(
+    return copy_fields(
+        TuneAnswer,
+        tuned,
         best=found.values,
         objective=tuned.best.objective,
         minimise=None if found.goal.is_maximised else found.goal.objective.text,
         maximise=found.goal.objective.text if found.goal.is_maximised else None,
         unit=found.unit or None,
         is_feasible=tuned.best.is_feasible,
-        constraints=[
-            copy_fields(ConstraintAnswer, one, margin=_tell_margin(one.margin))
-            for one in tuned.best.constraints
-        ],
-        evaluations=tuned.evaluations,
-        failed=tuned.failed,
+        constraints=[copy_fields(ConstraintAnswer, one) for one in tuned.best.constraints],
         failure=tuned.failure or None,
-        feasible=tuned.feasible,
         at_bounds=[*tuned.at_bounds],
-        is_flat=tuned.is_flat,
         neighbourhood=[
             copy_fields(
                 RangeAnswer,
@@ -138,7 +133,10 @@ def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
     tables = [_tabulate_best(found)]
     if found.tuned.best.constraints:
         rows = (
-            (one.expression, one.value, _tell_margin(one.margin), "yes" if one.holds else "no")
+            (
+                *(one.expression, one.value, one.margin if math.isfinite(one.margin) else None),
+                "yes" if one.holds else "no",
+            )
             for one in found.tuned.best.constraints
         )
         heads = ("constraint", "value", "margin", "holds")
@@ -169,25 +167,22 @@ def _conclude(found: "TunedScenario") -> str:
     return f"{values}: {name} is {value}, the {word} of {count}."
 
 
-def _describe_room(found: "TunedScenario") -> list[str]:
-    """Return which best values are at a bound, and the ranges in which the loss stays small."""
-    around, tuned = found.around, found.tuned
-    if tuned.is_flat:
-        return []
-    told = [
-        f"{key.key} is at its bound: beyond {format_number(number)} it may be better."
-        for key, number in zip(found.keys, tuned.best.point, strict=True)
-        if key.key in tuned.at_bounds and _goes_on(found, key, number)
-    ]
-    if around is None or not around.ranges:
-        return told
-    slack = format_short(around.slack, found.unit)
-    ways = [_describe_range(one) for one in around.ranges]
-    alone = "" if len(ways) == 1 else " (each changed alone)"
-    return [
-        *told,
-        f"Every value tried from {join_words(ways)}{alone} is at most {slack} worse than the best.",
-    ]
+def _describe_room(found: "TunedScenario") -> Iterator[str]:
+    """Yield which best values are at a bound, and the ranges in which the loss stays small."""
+    if found.tuned.is_flat:
+        return
+    for key in found.keys:
+        number = found.values[key.key]
+        if key.key in found.tuned.at_bounds and _goes_on(found, key, number):
+            yield f"{key.key} is at its bound: beyond {format_number(number)} it may be better."
+    if found.around is not None:
+        slack = format_short(found.around.slack, found.unit)
+        ways = [_describe_range(one) for one in found.around.ranges]
+        alone = "" if len(ways) == 1 else " (each changed alone)"
+        yield (
+            f"Every value tried from {join_words(ways)}{alone} is at most {slack} worse than the"
+            " best."
+        )
 
 
 def _goes_on(found: "TunedScenario", key: "SearchedKey", number: float) -> bool:
@@ -214,63 +209,47 @@ def _describe_range(found: "KeyRange") -> str:
 
 
 def _tabulate_best(found: "TunedScenario") -> "tl.compare.Table":
-    around = {one.key: one for one in found.around.ranges} if found.around else {}
-    if not around:
-        rows: list[tuple[Any, ...]] = [*found.values.items()]
-        return build_table("Values of the keys", ("key", "best"), rows, _list_notes(found))
+    notes = _list_notes(found)
+    if found.around is None:
+        return build_table("Values of the keys", ("key", "best"), found.values.items(), notes)
     rows = []
-    for key, value in found.values.items():
-        one = around.get(key)
-        if one is None:
-            rows.append((key, value, *(None,) * 4))
-            continue
+    for one in found.around.ranges:
         low, high = (end.replace("objective", "worse") for end in (one.low_end, one.high_end))
         reasons = one.low_constraint or low, one.high_constraint or high
-        rows.append((key, value, one.low, one.high, *reasons))
+        rows.append((one.key, found.values[one.key], one.low, one.high, *reasons))
     heads = ("key", "best", "from", "to", "below", "above")
-    return build_table("How far each key can go", heads, rows, _list_notes(found))
+    return build_table("How far each key can go", heads, rows, notes)
 
 
-def _list_notes(found: "TunedScenario") -> list[str]:
-    tuned, best, unit = found.tuned, found.tuned.best, found.unit
-    notes = []
+def _list_notes(found: "TunedScenario") -> Iterator[str]:
     if found.around:
-        slack = format_number(found.around.slack, unit)
-        notes.append(
+        slack = format_number(found.around.slack, found.unit)
+        yield (
             "From and to: as far as this key alone can go, in the steps of the search, until the"
             f" objective is worse by {slack}, or a constraint breaks."
         )
-    goal = found.goal
+    goal, tuned = found.goal, found.tuned
     kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
-    is_signed = kind is not None and kind.better is None and (best.objective or 0.0) < 0.0
+    is_signed = kind is not None and kind.better is None and (tuned.best.objective or 0.0) < 0.0
     if is_signed and not goal.is_maximised:  # neither direction is better
-        notes.append(
-            f"{goal.metric} has a sign: abs({goal.metric}) is least where it is nearest to 0."
-        )
+        yield f"{goal.metric} has a sign: abs({goal.metric}) is least where it is nearest to 0."
     if tuned.failed:
-        notes.append(
-            f"{describe_count(tuned.failed, 'candidate')} failed, the first: {tuned.failure}."
-        )
-    return notes
-
-
-def _tell_margin(margin: float) -> float | None:
-    return margin if math.isfinite(margin) else None
+        yield f"{describe_count(tuned.failed, 'candidate')} failed, the first: {tuned.failure}."
 
 
 def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "tl.compare.Table":
-    values = {
-        "median": spread.median,
-        "5 % below": spread.low,
-        "5 % above": spread.high,
-        "worst": spread.worst,
-    }
-    varied = [
+    rows = (
+        ("median", spread.median),
+        ("5 % below", spread.low),
+        ("5 % above", spread.high),
+        ("worst", spread.worst),
+    )
+    varied = "; ".join(
         f"{one.key} from {format_number(one.low)} to {format_number(one.high)}"
         for one in spread.varied
-    ]
+    )
     notes = [
-        f"Drawn, each by itself: {'; '.join(varied)}.",
+        f"Drawn, each by itself: {varied}.",
         f"The objective has a value in {spread.with_value} of {spread.runs}.",
     ]
     if found.goal.constraints:
@@ -279,4 +258,4 @@ def _tabulate_spread(found: "TunedScenario", spread: "Spread") -> "tl.compare.Ta
         notes.append("The scenario has no random effects: its seed changes nothing.")
     objective = tl.compare.Column(title=found.goal.objective.text, unit=found.unit)
     title = f"{describe_count(spread.runs, 'variant')} of the best"
-    return build_table(title, ("of them", objective), values.items(), notes)
+    return build_table(title, ("of them", objective), rows, notes)

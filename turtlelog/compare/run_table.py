@@ -236,7 +236,7 @@ def _get_value(metric: Metric | None, *, has_one_unit: bool) -> Cell:
     if metric is None:
         return None
     if metric.value is None:
-        return metric.status.value
+        return metric.status
     return metric.value if has_one_unit else format_number(metric.value, metric.unit)
 
 
@@ -303,7 +303,7 @@ def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
                 reasons = named.setdefault(metric.status, {})
                 reasons.setdefault(metric.reason, {})[name] = None
     return tuple(
-        f"{status.value}{_name_some([*names]) if len(reasons) > 1 else ''}: {reason}."
+        f"{status.words}{_name_some([*names]) if len(reasons) > 1 else ''}: {reason}."
         for status, reasons in named.items()
         for reason, names in reasons.items()
     )

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from turtlelog.display import describe_count, fit_line, format_html, format_notebook, format_number
+from turtlelog.measure import Status
 from turtlelog.run.loops import RESERVED, ControlLoop, Declaration
 from turtlelog.run.tables import Tabular
 
@@ -45,7 +46,7 @@ class Table(Tabular):
     Attributes:
         title: Title in one line. LaTeX numbers tables itself, and leaves out a leading `Table 1: `.
         columns: Columns, at least one.
-        rows: Rows, each as long as `columns`; None: no value.
+        rows: Rows, each as long as `columns`; None: no value. A Status is shown in words.
         notes: Sentences below the table.
         breaks: First rows of new groups; a terminal shows an empty line before each.
         marks: Marks of the best and the worst cells of a column, by row and column.
@@ -86,16 +87,19 @@ class Table(Tabular):
 
     def _repr_html_(self) -> str:
         heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
+        rows = [[one.words if isinstance(one, Status) else one for one in row] for row in self.rows]
         from html import escape  # a notebook alone needs it
 
         notes = [f"<p>{escape(note)}</p>" for note in self.notes]
-        return format_notebook(self.title, format_html(self.rows, heads=heads), *notes)
+        return format_notebook(self.title, format_html(rows, heads=heads), *notes)
 
 
 def format_cell(cell: Cell, column: Column) -> str:
     """Return a cell as text; `-` if there is no value."""
     if cell is None:
         return "-"
+    if isinstance(cell, Status):
+        return cell.words
     if isinstance(cell, float) and column.digits is not None:
         return f"{cell:.{column.digits}f}"
     return format_number(cell) if isinstance(cell, float) else str(cell)

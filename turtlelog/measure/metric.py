@@ -40,6 +40,11 @@ class Status(enum.StrEnum):
     UNDETERMINED = "undetermined"
     """Several values fit the recording equally well, or no value fits."""
 
+    @property
+    def words(self) -> str:
+        """Status as text for people: `not reached`."""
+        return self.value.replace("_", " ")
+
 
 class MetricWatch(Protocol):
     """Object that is called when a metric is compared, for example to report checks."""
