@@ -14,7 +14,7 @@ from .figures import (
     write_tables as write_tables,
     write_trajectory_figure as write_trajectory_figure,
 )
-from .movie_file import write_movie as write_movie
+from .movie import write_movie as write_movie
 from .notebook_view import show_run as show_run
 from .report import (
     CheckLine as CheckLine,

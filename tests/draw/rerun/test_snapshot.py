@@ -9,7 +9,7 @@ import pytest
 from rerun.experimental import ViewerClient
 
 from tests.draw.rerun.rrds import list_entities, make_foreign_run
-from turtlelog.charts.plotted_curves import TIMELINE
+from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.draw import ViewReport, open_viewer, write_run_rrd, write_snapshot
 from turtlelog.draw.rerun import snapshot, viewer
 from turtlelog.draw.rerun.snapshot import open_camera

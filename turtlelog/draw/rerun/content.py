@@ -9,7 +9,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import VisibleTimeRanges
 
-from turtlelog.charts import palette, plotted_curves
+from turtlelog.charts import palette, plotted_curves, time_plots
 from turtlelog.charts.close_up import (
     CloseUp,
     WorstPlace,
@@ -20,7 +20,6 @@ from turtlelog.charts.close_up import (
 from turtlelog.charts.curves import Values, find_end_of_turn
 from turtlelog.charts.many_runs import MANY, MANY_PATHS
 from turtlelog.charts.plane_scene import tell_gap
-from turtlelog.charts.time_plots import list_controlled
 from turtlelog.display import describe_count
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
@@ -154,14 +153,14 @@ def describe_content(
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
         timelines=(
-            plotted_curves.TIMELINE,
+            time_plots.TIMELINE,
             entities.TICKS,
-            plotted_curves.WALL_TIMELINE,
-            *map(plotted_curves.name_phase_timeline, phases),
+            time_plots.WALL_TIMELINE,
+            *map(time_plots.name_phase_timeline, phases),
         ),
         notes=_list_notes(runs, series),
         controlled=frozenset(
-            entities.name_plot(plot) for run in runs for plot in list_controlled(run)
+            entities.name_plot(plot) for run in runs for plot in time_plots.list_controlled(run)
         ),
     )
 
@@ -386,7 +385,7 @@ def view_document(title: str) -> rrb.View:
 
 def view_events(content: Content) -> rrb.View:
     """Return the view that lists the events."""
-    timelines = [plotted_curves.TIMELINE]
+    timelines = [time_plots.TIMELINE]
     return rrb.TextLogView(
         origin="/",
         contents=[join_path(prefix, entities.EVENTS) for prefix in content.prefixes],

@@ -11,7 +11,8 @@ import rerun.blueprint as rrb
 from turtlelog.charts import palette
 from turtlelog.charts.curves import Values
 from turtlelog.charts.many_runs import GainScale
-from turtlelog.charts.plotted_curves import TIMELINE, Column, StateGroup
+from turtlelog.charts.plotted_curves import Column, StateGroup
+from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.draw.rerun import content as views, entities
 from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.entities import join_path

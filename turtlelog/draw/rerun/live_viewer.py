@@ -15,7 +15,8 @@ import rerun.blueprint as rrb
 from rerun.notebook import Viewer
 
 from turtlelog.charts import palette
-from turtlelog.charts.plotted_curves import HEADROOM, TIMELINE
+from turtlelog.charts.plotted_curves import HEADROOM
+from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path

@@ -18,7 +18,7 @@ import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.charts.curves import Values, choose_rows
-from turtlelog.charts.plotted_curves import TIMELINE, WALL_TIMELINE, find_phase_zeros
+from turtlelog.charts.time_plots import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.compare import name_runs
 from turtlelog.display import join_words, parse_utc
 from turtlelog.draw.output_files import replace_file

@@ -15,7 +15,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Curve, Values, select_curve_rows
 from turtlelog.charts.plane_scene import move_near
-from turtlelog.charts.plotted_curves import TIMELINE
+from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.display import cut_name
 from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles

@@ -9,7 +9,7 @@ from typing import Final
 
 from rerun.experimental import ViewerClient
 
-from turtlelog.charts.plotted_curves import TIMELINE, WALL_TIMELINE
+from turtlelog.charts.time_plots import TIMELINE, WALL_TIMELINE
 from turtlelog.draw.output_files import replace_file
 from turtlelog.draw.rerun.entities import TICKS
 from turtlelog.draw.rerun.viewer import (
