@@ -42,9 +42,9 @@ from turtlelog.compare import order_by_gain
 from turtlelog.draw.figures.figure_curves import NAMES_HEIGHT, choose_run_lines, name_runs_above
 from turtlelog.draw.figures.page import LOOKS, fix_style, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
-from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
+from turtlelog.log import replace_when_complete
 from turtlelog.run import Run
 
 Picture = NDArray[np.uint8]
@@ -95,7 +95,7 @@ def write_movie(
         runs, timeline=timeline, length_s=length_s, pictures_per_s=PICTURES_PER_S[suffix]
     )
     pictures = draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture)
-    with replace_file(path) as part:
+    with replace_when_complete(path, raising=ShowError) as part:
         (_encode_mp4 if suffix == ".mp4" else _encode_gif)(pictures, part)
 
 

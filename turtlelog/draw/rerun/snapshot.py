@@ -10,7 +10,6 @@ from typing import Final
 from rerun.experimental import ViewerClient
 
 from turtlelog.charts.time_plots import TIMELINE, WALL_TIMELINE
-from turtlelog.draw.output_files import replace_file
 from turtlelog.draw.rerun.entities import TICKS
 from turtlelog.draw.rerun.viewer import (
     ViewerProcess,
@@ -20,6 +19,7 @@ from turtlelog.draw.rerun.viewer import (
     wait_for_viewer,
 )
 from turtlelog.errors import ShowError
+from turtlelog.log import replace_when_complete
 
 _LOAD_S: Final = 60.0
 _PICTURES: Final = 20
@@ -110,7 +110,7 @@ class Camera:
             raise ShowError(
                 f"viewer: expected a picture of {width}x{height} pixels, found: {err}"
             ) from err
-        with replace_file(png_path) as part_path:
+        with replace_when_complete(png_path, raising=ShowError) as part_path:
             part_path.write_bytes(picture)
         return report
 

@@ -21,8 +21,8 @@ from urllib.error import URLError
 from urllib.parse import quote, urlencode, urlsplit
 from urllib.request import ProxyHandler, build_opener
 
-from turtlelog.draw.output_files import write_policy
 from turtlelog.errors import ShowError
+from turtlelog.escapes import write_policy
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
