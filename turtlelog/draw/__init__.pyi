@@ -1,4 +1,3 @@
-from .documents import document_run as document_run
 from .figures import (
     FIGURES as FIGURES,
     Page as Page,
@@ -46,4 +45,8 @@ from .rerun.viewer import (
     open_window as open_window,
     serve_recordings as serve_recordings,
 )
-from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table
+from .tables import (
+    TABLE_FORMATS as TABLE_FORMATS,
+    document_run as document_run,
+    format_table as format_table,
+)

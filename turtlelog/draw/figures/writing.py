@@ -17,13 +17,12 @@ from turtlelog.charts.close_up import ARRIVED_M, ON_PATH_M, format_length
 from turtlelog.charts.curve_marks import list_characteristics
 from turtlelog.charts.curves import lack_samples
 from turtlelog.charts.plane_scene import list_paths
-from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures import figure_kinds, marked_panels, page as pages
 from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend, label_runs
 from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
 from turtlelog.draw.figures.page import FIGURE_FORMATS, Page, ShownFigure, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.table_formats import format_latex
+from turtlelog.draw.tables import choose_essentials, format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
 from turtlelog.files.urls import make_path
 from turtlelog.log import replace_when_complete

@@ -19,11 +19,11 @@ from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.display import describe_count, show_angle
-from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.report import sections
 from turtlelog.draw.report.drawing import Drawn, Plots
 from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.tables import choose_essentials
 from turtlelog.errors import ShowError
 from turtlelog.escapes import write_policy_tag
 from turtlelog.explain import Attribution

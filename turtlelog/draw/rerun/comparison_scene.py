@@ -17,7 +17,6 @@ from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.time_plots import TIME_PLOTS, label_error
 from turtlelog.compare import ErrorBand, RobotComparison, name_runs, order_by_gain
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
-from turtlelog.draw.documents import document_runs
 from turtlelog.draw.rerun import entities, layout, pictures, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import (
     Content,
@@ -29,6 +28,7 @@ from turtlelog.draw.rerun.content import (
 from turtlelog.draw.rerun.entities import RUNS, join_path
 from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, open_recording
 from turtlelog.draw.rerun.turtles import Look
+from turtlelog.draw.tables import document_runs
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.measure import measure_run

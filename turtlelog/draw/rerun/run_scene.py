@@ -17,7 +17,6 @@ from turtlelog.charts.curves import Curve, Values, select_curve_rows
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.display import cut_name
-from turtlelog.draw.documents import document_run
 from turtlelog.draw.rerun import entities, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import Content, describe_content, find_corners, name_legends
 from turtlelog.draw.rerun.entities import join_path
@@ -30,6 +29,7 @@ from turtlelog.draw.rerun.layout import (
 )
 from turtlelog.draw.rerun.recording_stream import RunStream
 from turtlelog.draw.rerun.turtles import Look
+from turtlelog.draw.tables import document_run
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.log.ros2.bag_surroundings import Surroundings
 from turtlelog.measure import Metric, measure_run
