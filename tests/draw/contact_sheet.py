@@ -25,7 +25,7 @@ from turtlelog import Run
 from turtlelog.charts.time_plots import plan_film
 from turtlelog.draw.figures.page import save_figure
 from turtlelog.draw.movie import draw_pictures
-from turtlelog.draw.rerun.snapshot import open_camera
+from turtlelog.draw.rerun.viewer import open_camera
 from turtlelog.errors import TurtlelogError
 
 _CELL: Final = (700, 640)

@@ -1,3 +1,4 @@
+from .browser_view import serve_recordings as serve_recordings, show_run as show_run
 from .figures import (
     FIGURES as FIGURES,
     Page as Page,
@@ -14,7 +15,6 @@ from .figures import (
     write_trajectory_figure as write_trajectory_figure,
 )
 from .movie import write_movie as write_movie
-from .notebook_view import show_run as show_run
 from .report import (
     CheckLine as CheckLine,
     Explanation as Explanation,
@@ -35,15 +35,12 @@ from .rerun.run_scene import (
     write_run_rrd as write_run_rrd,
     write_violation_rrd as write_violation_rrd,
 )
-from .rerun.snapshot import (
+from .rerun.viewer import (
     ShownView as ShownView,
     ViewReport as ViewReport,
-    write_snapshot as write_snapshot,
-)
-from .rerun.viewer import (
     open_viewer as open_viewer,
     open_window as open_window,
-    serve_recordings as serve_recordings,
+    write_snapshot as write_snapshot,
 )
 from .tables import (
     TABLE_FORMATS as TABLE_FORMATS,
