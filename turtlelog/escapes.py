@@ -1,10 +1,11 @@
-"""Escape foreign text for a terminal, Markdown or a spreadsheet, and hide secrets in URLs.
+"""Escape foreign text for a terminal, Markdown or a spreadsheet; hide secrets; guard HTML pages.
 
 No name can control the program that shows it. A URL is shown without password and signature.
 """
 
 import re
 import unicodedata
+from collections.abc import Iterable
 from typing import Final
 
 _UNUSUAL: Final = re.compile(r"[^ -~]")
@@ -187,3 +188,39 @@ def _list_secrets(url: str) -> set[str]:
         # A library takes what stands before the first `/` for the host.
         found |= {login, *login.split("/"), password, *password.split("/"), *query, *values}
     return {one for text in found for one in (text, unquote(text)) if len(one) >= _SHORT}
+
+
+_PAGE_SOURCES: Final = {
+    "default_src": "'none'",
+    "style_src": "'unsafe-inline'",
+    "img_src": "data: blob:",
+    "base_uri": "'none'",
+    "form_action": "'none'",
+}
+"""Allowed sources. Bokeh and Rerun write styles while they draw; other rules prevent styles from
+loading anything."""
+
+
+def write_policy(scripts: Iterable[str], **more: str) -> str:
+    """Return a content policy that allows the page's scripts by their hashes, and nothing remote.
+
+    Data blocks, for example of JSON, are not scripts. `more` are further sources by directive, with
+    `_` for `-`, as in `connect_src="'self'"`.
+    """
+    from base64 import b64encode  # only pages need these
+    from hashlib import sha256
+
+    hashes = (b64encode(sha256(code.encode()).digest()).decode() for code in scripts)
+    ours = {"script_src": " ".join(f"'sha256-{found}'" for found in hashes), **_PAGE_SOURCES}
+    sources = {
+        name: f"{ours.get(name, '')} {more.get(name, '')}".strip() for name in {**ours, **more}
+    }
+    return "; ".join(
+        f"{name.replace('_', '-')} {source}" for name, source in sources.items() if source
+    )
+
+
+def write_policy_tag(*scripts: str) -> str:
+    """Return the policy as a tag for the head of a page, which must precede all that loads."""
+    policy = write_policy(scripts)
+    return f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

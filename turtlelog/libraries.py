@@ -57,7 +57,7 @@ def load_library(module: str) -> Any:
 _NEEDED: Final = MappingProxyType(
     {
         "turtlelog.draw.figures": ("matplotlib",),
-        "turtlelog.draw.movie_file": ("matplotlib",),
+        "turtlelog.draw.movie": ("matplotlib",),
         "turtlelog.draw.report": ("matplotlib", "bokeh"),
         "turtlelog.draw.rerun": ("rerun", "pyarrow"),
     }

@@ -17,7 +17,7 @@ from turtlelog.check.failure_report import (
     tabulate_surroundings,
 )
 from turtlelog.draw import write_violation_rrd
-from turtlelog.draw.rerun.snapshot import open_camera
+from turtlelog.draw.rerun.viewer import open_camera
 
 NO_GRAPHICS = "expected a graphics adapter"
 

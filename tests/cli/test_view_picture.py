@@ -18,7 +18,7 @@ from turtlelog.cli.view import (
     _parse_size,
     _require_picture,
 )
-from turtlelog.draw.rerun.snapshot import _require_inside
+from turtlelog.draw.rerun.viewer import _require_inside
 from turtlelog.errors import ShowError, UsageError
 from turtlelog.scenario import get_preset
 

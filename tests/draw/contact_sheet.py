@@ -22,10 +22,10 @@ from PIL import Image, ImageDraw
 
 import turtlelog as tl
 from turtlelog import Run
+from turtlelog.charts.time_plots import plan_film
 from turtlelog.draw.figures.page import save_figure
-from turtlelog.draw.movie_file import plan_film
-from turtlelog.draw.movie_picture import draw_pictures
-from turtlelog.draw.rerun.snapshot import open_camera
+from turtlelog.draw.movie import draw_pictures
+from turtlelog.draw.rerun.viewer import open_camera
 from turtlelog.errors import TurtlelogError
 
 _CELL: Final = (700, 640)

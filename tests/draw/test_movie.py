@@ -12,11 +12,10 @@ from PIL import Image
 
 from tests.fresh_process import run_command
 from turtlelog import Run, read_run
-from turtlelog.charts.plotted_curves import locate_run
-from turtlelog.draw import movie_file, write_movie
+from turtlelog.charts.time_plots import locate_run, plan_film
+from turtlelog.draw import movie as movies, write_movie
 from turtlelog.draw.figures.figure_curves import label_runs
-from turtlelog.draw.movie_file import plan_film
-from turtlelog.draw.movie_picture import _set_stage, draw_pictures
+from turtlelog.draw.movie import _set_stage, draw_pictures
 from turtlelog.errors import ShowError
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
@@ -43,7 +42,7 @@ def test_a_film_lasts_from_the_first_pose_to_the_last_and_then_stands_still(
 def test_a_film_that_nobody_told_a_length_is_real_time_where_that_can_be_watched(
     runs: tuple[Run, ...], duration_s: float, whole_s: float
 ) -> None:
-    from turtlelog.draw.movie_file import _choose_length
+    from turtlelog.charts.time_plots import _choose_length
 
     assert _choose_length(duration_s) == pytest.approx(whole_s)
 
@@ -85,7 +84,7 @@ def test_an_mp4_can_be_read_back(
 ) -> None:
     """A film is coded and decoded."""
     cv2 = pytest.importorskip("cv2")
-    monkeypatch.setitem(movie_file.PICTURES_PER_S, ".mp4", 4.0)
+    monkeypatch.setitem(movies.PICTURES_PER_S, ".mp4", 4.0)
     path = tmp_path / "run.mp4"
     write_movie(runs, path, length_s=2.0)
     movie = cv2.VideoCapture(str(path))

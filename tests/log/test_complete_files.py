@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, ShowError, TurtlelogError
 from turtlelog.log import replace_when_complete
 
 
@@ -40,6 +40,17 @@ def test_a_full_disk_is_one_line_that_names_the_file(tmp_path: Path) -> None:
         replace_when_complete(tmp_path / "a.txt"),
     ):
         raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("error", [LogError, ShowError])
+def test_errors_have_the_class_that_the_caller_asks_for(
+    error: type[TurtlelogError], tmp_path: Path
+) -> None:
+    with (
+        pytest.raises(error, match="found a folder"),
+        replace_when_complete(tmp_path, raising=error),
+    ):
+        pytest.fail("a folder would have been replaced")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a device or pipe to name")

@@ -1,4 +1,4 @@
-"""Plots over time: kinds of curves, states of a law, ranges, timelines, changes of a command."""
+"""Curves of plots over time: their kinds, states of a law, ranges, changes of a command."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from turtlelog.charts.curves import Command, Curve, Level, Values
 from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import FEW
 from turtlelog.run import Run
-from turtlelog.run.loops import COMMAND_WORDS, DONE, PAUSE, ControlLoop, Declaration
+from turtlelog.run.loops import COMMAND_WORDS, ControlLoop, Declaration
 
 CurveKind = Literal[
     "run", "beside", "measured", "applied", "wanted", "shaped",
@@ -319,44 +319,6 @@ def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
             away = np.flatnonzero(~is_near)
             ends_s.append(float(time_s[away[-1]]) if len(away) else 0.0)
     return max(ends_s)
-
-
-TIMELINE: Final = "sim_time"
-WALL_TIMELINE: Final = "wall_time"
-
-_MOST_PHASES: Final = 8
-"""Largest number of phase timelines of a run; each takes 8 bytes per row and entity in a view."""
-
-
-def name_phase_timeline(phase: str) -> str:
-    """Return the unique name of the timeline that begins at the start of a phase."""
-    name = f"{phase}_time"
-    return f"phase.{name}" if name in {TIMELINE, WALL_TIMELINE} else name
-
-
-def find_phase_zeros(run: Run) -> dict[str, int]:
-    """Return the timelines of the phases after the first declared phase, with their zeros.
-
-    Zeros are in the run's time [ns].
-    """
-    phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
-    starts_ns: dict[str, int] = {}
-    for span in run.find_phase_spans():
-        starts_ns.setdefault(span.phase, span.start_ns)
-    later = phases[1 : 1 + _MOST_PHASES]
-    return {name_phase_timeline(name): starts_ns[name] for name in later if name in starts_ns}
-
-
-def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
-    """Return the poses of a run on a timeline: x and y [m], shape (n, 2), and heading [rad].
-
-    Poses are linearly interpolated at times [s], shape (n,), from a zero in the run's own time
-    [ns]. Before the first and after the last pose, the robot is at rest.
-    """
-    own_s = (run.poses.time_ns - zero_ns) / 1e9
-    heading_rad = np.unwrap(run.poses.heading_rad)
-    xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
-    return xy_m, np.interp(time_s, own_s, heading_rad)
 
 
 _LARGE: Final = 0.2

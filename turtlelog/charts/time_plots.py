@@ -1,6 +1,6 @@
-"""Plots over time: the curves of each plot, its level lines, and its place. A curve is one entry.
+"""Plots over time: the curves of each plot, its level lines, and its place; and the timelines.
 
-Figures, Rerun, reports and movies draw these plots.
+A curve is one entry. Figures, Rerun, reports and movies draw these plots.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,14 +12,15 @@ from typing import Final
 import numpy as np
 
 from turtlelog.charts import curves
-from turtlelog.charts.curves import Command, Curve, Level, read_curve
+from turtlelog.charts.curves import Command, Curve, Level, Values, read_curve
 from turtlelog.charts.plane_scene import part_curve
 from turtlelog.charts.plotted_curves import Column, CurveEntry, CurveKind, TimePlot, find_state_unit
 from turtlelog.compare.robot_comparison import SHOWN_UNITS, Quantity
 from turtlelog.display import describe_count
+from turtlelog.errors import ShowError
 from turtlelog.measure import find_outliers
 from turtlelog.run import Run
-from turtlelog.run.loops import COMMAND_UNITS
+from turtlelog.run.loops import COMMAND_UNITS, DONE, PAUSE
 
 _TOLERANCES: Final[Mapping[str, str]] = {
     "heading_error": "law.heading_tolerance_rad",
@@ -348,3 +349,106 @@ def label_error(quantity: Quantity) -> str:
     """Return the axis label of a predicted error: `position error [mm]`."""
     unit, _ = SHOWN_UNITS[quantity]
     return f"{quantity} error [{unit}]"
+
+
+TIMELINE: Final = "sim_time"
+WALL_TIMELINE: Final = "wall_time"
+
+_MOST_PHASES: Final = 8
+"""Largest number of phase timelines of a run; each takes 8 bytes per row and entity in a view."""
+
+
+def name_phase_timeline(phase: str) -> str:
+    """Return the unique name of the timeline that begins at the start of a phase."""
+    name = f"{phase}_time"
+    return f"phase.{name}" if name in {TIMELINE, WALL_TIMELINE} else name
+
+
+def find_phase_zeros(run: Run) -> dict[str, int]:
+    """Return the timelines of the phases after the first declared phase, with their zeros.
+
+    Zeros are in the run's time [ns].
+    """
+    phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
+    starts_ns: dict[str, int] = {}
+    for span in run.find_phase_spans():
+        starts_ns.setdefault(span.phase, span.start_ns)
+    later = phases[1 : 1 + _MOST_PHASES]
+    return {name_phase_timeline(name): starts_ns[name] for name in later if name in starts_ns}
+
+
+def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
+    """Return the poses of a run on a timeline: x and y [m], shape (n, 2), and heading [rad].
+
+    Poses are linearly interpolated at times [s], shape (n,), from a zero in the run's own time
+    [ns]. Before the first and after the last pose, the robot is at rest.
+    """
+    own_s = (run.poses.time_ns - zero_ns) / 1e9
+    heading_rad = np.unwrap(run.poses.heading_rad)
+    xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
+    return xy_m, np.interp(time_s, own_s, heading_rad)
+
+
+_STILL_S: Final = 1.5
+"""Time without motion at the end [s], for reading the distances of the runs."""
+
+_MOST_STILL: Final = 0.3
+"""Largest share of this time in the movie."""
+
+_SLOWEST: Final = 0.25
+"""Slowest motion: a run of half a second takes two seconds, so that each pose is visible."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Film:
+    """The times of a movie's pictures."""
+
+    timeline: str  # timeline of the times
+    zeros_ns: tuple[int, ...]  # zero of the timeline in each run's own time [ns]
+    time_s: Values  # times on the timeline [s], shape (n,), increasing, then constant
+    driving: int  # number of pictures that show the runs driving
+    pace: float  # seconds of the runs per second of the movie
+
+
+def plan_film(
+    runs: Sequence[Run], *, timeline: str, length_s: float | None, pictures_per_s: float
+) -> Film:
+    """Return the times of a movie's pictures, from the first pose of any run to the last pose.
+
+    Args:
+        runs: Runs in one picture.
+        timeline: Timeline on which the runs are together: `TIMELINE` or that of a phase.
+        length_s: Length of the movie [s]. Default: real time, within limits.
+        pictures_per_s: Picture rate [1/s].
+
+    Raises:
+        ShowError: If a run has no such timeline.
+    """
+    zeros_ns = tuple(_find_zero_ns(run, timeline) for run in runs)
+    ends_ns = [run.poses.time_ns[[0, -1]] - zero for run, zero in zip(runs, zeros_ns, strict=True)]
+    first_s, last_s = float(np.min(ends_ns)) / 1e9, float(np.max(ends_ns)) / 1e9
+    whole_s = _choose_length(last_s - first_s) if length_s is None else length_s
+    still_s = min(_STILL_S, _MOST_STILL * whole_s)
+    driving = max(round((whole_s - still_s) * pictures_per_s), 2)
+    still = max(round(still_s * pictures_per_s), 1)
+    moments = np.linspace(first_s, last_s, driving)
+    return Film(
+        timeline=timeline,
+        zeros_ns=zeros_ns,
+        time_s=np.append(moments, np.full(still, last_s)),
+        driving=driving,
+        pace=(last_s - first_s) * pictures_per_s / driving,
+    )
+
+
+def _choose_length(span_s: float) -> float:
+    """Return the default length of a movie [s]: real time, within limits."""
+    return float(np.clip(span_s + _STILL_S, min(span_s / _SLOWEST + _STILL_S, 3.0), 10.0))
+
+
+def _find_zero_ns(run: Run, timeline: str) -> int:
+    zeros_ns = {TIMELINE: run.start_ns, **find_phase_zeros(run)}
+    if timeline not in zeros_ns:
+        known = ", ".join(zeros_ns)
+        raise ShowError(f"timeline: {run.name}: expected one of {known}, found {timeline!r}")
+    return zeros_ns[timeline]

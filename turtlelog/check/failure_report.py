@@ -32,7 +32,7 @@ from turtlelog.scenario import build_scenario
 from turtlelog.simulate import simulate_run
 
 if TYPE_CHECKING:
-    from turtlelog.draw.rerun.snapshot import Camera
+    from turtlelog.draw.rerun.viewer import Camera
 
 _WIDTH: Final = 92
 _MOST: Final = 3
@@ -253,7 +253,7 @@ class ArtifactWriter:
             return Artifacts(files=(mcap,), notes=(f"{rrd}: no view: {err}",))
         if self._lack:
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {self._lack}",))
-        from turtlelog.draw.rerun.snapshot import open_camera
+        from turtlelog.draw.rerun.viewer import open_camera
 
         try:
             if self._camera is None:

@@ -449,9 +449,8 @@ def _choose_overview(runs: "Sequence[tl.Run]") -> str:
 def _draw_one(output: Path, runs: "Sequence[tl.Run]", **settings: Any) -> None:
     """Draw a figure into a file. The settings are those of `add_figures`."""
     from turtlelog.draw.figures.writing import add_figures
-    from turtlelog.draw.output_files import replace_file
 
-    with show_progress("drawing"), replace_file(output) as part:
+    with show_progress("drawing"), tl.log.replace_when_complete(output) as part:
 
         def write(_: str, data: bytes) -> Path:
             part.write_bytes(data)
@@ -464,8 +463,7 @@ def _draw_all(
     output: Path, runs: "Sequence[tl.Run]", only: "Only | None", **settings: Any
 ) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
-    from turtlelog.draw.figures.writing import add_figures, add_tables
-    from turtlelog.draw.output_files import replace_together
+    from turtlelog.draw.figures.writing import add_figures, add_tables, replace_together
 
     most = len(settings["formats"]) * len(tl.draw.FIGURES if only is None else only)
     with (

@@ -280,7 +280,7 @@ def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     if suffix not in {".mp4", ".gif"}:
         raise UsageError(f"--movie {movie.movie}: the name must end in .mp4 or .gif")
     options.require_new_target(movie.movie, files, suffix=suffix)
-    from turtlelog.draw.movie_file import require_encoder
+    from turtlelog.draw.movie import require_encoder
 
     require_encoder(suffix)
 
@@ -289,7 +289,7 @@ def film_runs(runs: "Sequence[tl.Run]", movie: MovieOptions, *, timeline: str) -
     """Write the movie if one is requested."""
     if movie.movie is None:
         return
-    from turtlelog.draw.movie_file import write_movie
+    from turtlelog.draw.movie import write_movie
 
     bare = next((run.name for run in runs if not len(run.poses)), None)
     if bare is not None:

@@ -1,4 +1,4 @@
-from .documents import document_run as document_run
+from .browser_view import serve_recordings as serve_recordings, show_run as show_run
 from .figures import (
     FIGURES as FIGURES,
     Page as Page,
@@ -14,8 +14,7 @@ from .figures import (
     write_tables as write_tables,
     write_trajectory_figure as write_trajectory_figure,
 )
-from .movie_file import write_movie as write_movie
-from .notebook_view import show_run as show_run
+from .movie import write_movie as write_movie
 from .report import (
     CheckLine as CheckLine,
     Explanation as Explanation,
@@ -36,14 +35,15 @@ from .rerun.run_scene import (
     write_run_rrd as write_run_rrd,
     write_violation_rrd as write_violation_rrd,
 )
-from .rerun.snapshot import (
+from .rerun.viewer import (
     ShownView as ShownView,
     ViewReport as ViewReport,
-    write_snapshot as write_snapshot,
-)
-from .rerun.viewer import (
     open_viewer as open_viewer,
     open_window as open_window,
-    serve_recordings as serve_recordings,
+    write_snapshot as write_snapshot,
 )
-from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table
+from .tables import (
+    TABLE_FORMATS as TABLE_FORMATS,
+    document_run as document_run,
+    format_table as format_table,
+)

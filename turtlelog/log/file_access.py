@@ -99,7 +99,9 @@ def name_write_error(path: str | Path, err: Exception) -> LogError:
 
 
 @contextmanager
-def replace_when_complete(path: str | Path) -> Iterator[Path]:
+def replace_when_complete(
+    path: str | Path, *, raising: type[TurtlelogError] = LogError
+) -> Iterator[Path]:
     """Yield a temporary file name next to `path`; the file is renamed when the block succeeds.
 
     If the block fails, the temporary file is removed and an existing file stays. A replaced file
@@ -107,10 +109,24 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
     link stays, and its target is replaced or created. The temporary name ends in `.part`, so it
     does not match `*.mcap`. Writers that guess the format from the name need the format explicitly.
 
+    Args:
+        path: File to write.
+        raising: Class of the errors.
+
     Raises:
         LogError: If the path cannot be written, or contains a recording in progress; one line.
     """
-    path = make_path(path)
+    try:
+        with _replace(make_path(path)) as temporary:
+            yield temporary
+    except LogError as err:
+        if isinstance(err, raising):
+            raise
+        raise raising(str(err)) from err
+
+
+@contextmanager
+def _replace(path: Path) -> Iterator[Path]:
     if isinstance(path, RemotePath):
         with _put_when_complete(path) as temporary:
             yield temporary

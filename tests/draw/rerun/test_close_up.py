@@ -18,7 +18,7 @@ from turtlelog.charts.close_up import (
     list_ring_labels,
     name_ends,
 )
-from turtlelog.draw.rerun.layout import choose_names
+from turtlelog.draw.rerun.pictures import choose_names
 from turtlelog.measure import measure_run
 from turtlelog.scenario import PAPER_RUNS
 

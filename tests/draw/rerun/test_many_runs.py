@@ -28,7 +28,7 @@ from turtlelog.charts.many_runs import (
 )
 from turtlelog.charts.palette import FEW
 from turtlelog.draw import write_comparison_rrd
-from turtlelog.draw.rerun.layout import arrange_names
+from turtlelog.draw.rerun.pictures import arrange_names
 from turtlelog.run import Run
 from turtlelog.scenario import get_preset, override_gains
 from turtlelog.simulate import simulate_run

@@ -24,7 +24,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.attribution_steps import StepScale
 from turtlelog.charts.palette import choose_turtle_size
 from turtlelog.draw import write_explanation_rrd, write_run_rrd
-from turtlelog.draw.rerun.explanation_pictures import choose_ticks, write_tick
+from turtlelog.draw.rerun.pictures import choose_ticks, write_tick
 from turtlelog.draw.rerun.turtles import (
     MOST_SEGMENTS,
     build_ideal_ghost,

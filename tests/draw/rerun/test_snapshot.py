@@ -9,10 +9,10 @@ import pytest
 from rerun.experimental import ViewerClient
 
 from tests.draw.rerun.rrds import list_entities, make_foreign_run
-from turtlelog.charts.plotted_curves import TIMELINE
+from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.draw import ViewReport, open_viewer, write_run_rrd, write_snapshot
-from turtlelog.draw.rerun import snapshot, viewer
-from turtlelog.draw.rerun.snapshot import open_camera
+from turtlelog.draw.rerun import viewer
+from turtlelog.draw.rerun.viewer import open_camera
 from turtlelog.errors import ShowError
 
 NO_GRAPHICS = "expected a graphics adapter"
@@ -175,9 +175,9 @@ class SlowClient:
 
 def test_a_picture_that_takes_longer_than_rerun_waits_is_waited_for() -> None:
     client = SlowClient("Deadline expired before operation could complete")
-    assert snapshot._take_picture(cast("ViewerClient", client)) == b"a picture"
+    assert viewer._take_picture(cast("ViewerClient", client)) == b"a picture"
     with pytest.raises(ConnectionError, match="transport error"):
-        snapshot._take_picture(cast("ViewerClient", SlowClient("transport error")))
+        viewer._take_picture(cast("ViewerClient", SlowClient("transport error")))
 
 
 @pytest.mark.viewer

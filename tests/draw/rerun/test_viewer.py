@@ -13,7 +13,7 @@ import pytest
 from rerun.experimental import ViewerClient
 
 from turtlelog.draw import write_snapshot
-from turtlelog.draw.rerun import snapshot, viewer
+from turtlelog.draw.rerun import viewer
 from turtlelog.draw.rerun.viewer import ViewerProcess, wait_for_viewer
 from turtlelog.errors import ShowError
 
@@ -97,7 +97,6 @@ def answering(monkeypatch: pytest.MonkeyPatch) -> None:
         yield DyingViewer()
 
     monkeypatch.setattr(ViewerClient, "connect", lambda _: DyingClient())
-    monkeypatch.setattr(snapshot, "start_viewer", start_dying)
     monkeypatch.setattr(viewer, "start_viewer", start_dying)
 
 

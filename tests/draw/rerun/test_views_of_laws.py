@@ -23,7 +23,7 @@ from tests.draw.rerun.rrds import (
     verify,
 )
 from turtlelog.charts import palette
-from turtlelog.charts.plotted_curves import name_phase_timeline
+from turtlelog.charts.time_plots import name_phase_timeline
 from turtlelog.draw import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.draw.rerun.plane import find_plane_bounds
 from turtlelog.draw.rerun.recording_stream import build_compared_timelines

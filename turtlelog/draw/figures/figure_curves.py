@@ -1,4 +1,4 @@
-"""Curves of runs in figures: their colours, markers and names, and the legend of a figure."""
+"""Curves of runs in pictures: their colours, markers and names, and the legend of a figure."""
 
 from collections.abc import Collection, Mapping, Sequence
 from math import ceil
@@ -12,10 +12,11 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 
 from turtlelog.charts import curves, palette
-from turtlelog.charts.many_runs import choose_colors_by_value, find_color_scale
+from turtlelog.charts.many_runs import choose_colors_by_value, find_color_scale, shorten_run_names
 from turtlelog.compare import name_runs
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
@@ -286,3 +287,56 @@ def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     """Return runs with the style of their lines, including the label in a legend."""
     styled = zip(runs, label_runs(runs), choose_run_lines(runs), strict=True)
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
+
+
+NAMES_HEIGHT: Final = 0.935
+"""Height of the line's middle, as a share of the picture."""
+
+_MOST_ABOVE: Final = 7
+"""Largest number of names above the picture: as many as there are hues."""
+
+_NAMES_END: Final = 0.66
+"""End of the names, as a share of the width; the rest of the width is for the clock."""
+
+_LEAST_POINTS: Final = 10.0
+"""Smallest size of a name [points]; smaller letters are illegible in a movie 450 pixels high."""
+
+
+def name_runs_above(
+    figure: Figure, runs: Sequence[Run], colors: Sequence[Any], *, left: float
+) -> None:
+    """Write names of runs in their colours. Long names are shortened, made smaller, or left out."""
+    chosen = list(range(len(runs)))
+    if len(runs) > _MOST_ABOVE:
+        chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
+    names = label_runs(runs)
+    short = shorten_run_names(runs, names)
+    named, end = 0, left
+    for words, points in ((names, 17.0), (short, 17.0), (short, 13.0), (short, 10.0)):
+        told = [(words[number], colors[number]) for number in chosen]
+        end, texts = _write_names(figure, told, points, left)
+        named = len(texts)
+        if named == len(chosen) or points <= _LEAST_POINTS:
+            break
+        for text in texts:
+            text.remove()
+    if named < len(runs):
+        figure.text(end, NAMES_HEIGHT, f"({named} of {len(runs)} runs)", va="center")
+
+
+def _write_names(
+    figure: Figure, told: Sequence[tuple[str, Any]], points: float, left: float
+) -> tuple[float, list[Text]]:
+    """Write names side by side while there is room; return the end of the names and the texts."""
+    texts: list[Text] = []
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    for name, color in told:
+        text = figure.text(left, NAMES_HEIGHT, name, color=color)
+        text.set(fontsize=points, fontweight="bold", va="center")
+        right = left + text.get_window_extent(renderer).width / figure.bbox.width
+        if right > _NAMES_END:
+            text.remove()
+            break
+        texts.append(text)
+        left = right + 0.02
+    return left, texts

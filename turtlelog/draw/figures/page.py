@@ -19,9 +19,9 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from turtlelog.charts import palette
-from turtlelog.draw.output_files import replace_file
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
+from turtlelog.log import replace_when_complete
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
@@ -286,7 +286,7 @@ def write_figure(figure: Figure, path: Path, page: Page) -> Path:
     """Write a figure in the format of the suffix, and return its path."""
     data = io.BytesIO()
     save_figure(figure, data, path.suffix.lower().removeprefix("."), page)
-    with replace_file(path) as part:
+    with replace_when_complete(path, raising=ShowError) as part:
         part.write_bytes(data.getvalue())
     return path
 

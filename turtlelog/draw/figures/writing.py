@@ -3,7 +3,7 @@
 import io
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -17,15 +17,15 @@ from turtlelog.charts.close_up import ARRIVED_M, ON_PATH_M, format_length
 from turtlelog.charts.curve_marks import list_characteristics
 from turtlelog.charts.curves import lack_samples
 from turtlelog.charts.plane_scene import list_paths
-from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures import figure_kinds, marked_panels, page as pages
 from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend, label_runs
 from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
 from turtlelog.draw.figures.page import FIGURE_FORMATS, Page, ShownFigure, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.output_files import replace_together
-from turtlelog.draw.table_formats import format_latex
+from turtlelog.draw.tables import choose_essentials, format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
+from turtlelog.files.urls import make_path
+from turtlelog.log import replace_when_complete
 from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
 from turtlelog.run import Run, list_runs
@@ -368,3 +368,39 @@ def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Se
     named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
     more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
     return f"left {named}{more} out of {listed}: needs {words}"
+
+
+@contextmanager
+def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path]]:
+    """Yield a function that writes files into a folder by name; all appear together at the end.
+
+    If the block fails, no file and no new folder remain.
+
+    Raises:
+        ShowError: If the folder cannot be written.
+    """
+    folder = make_path(folder)
+    with ExitStack() as undoing:
+        try:
+            for new in [place for place in (folder, *folder.parents) if not place.exists()][::-1]:
+                new.mkdir(exist_ok=True)
+                undoing.callback(_remove_folder, new)
+            folder.mkdir(exist_ok=True)
+        except OSError as err:
+            raise ShowError(
+                f"{folder}: expected a folder to write to, found: {err.strerror or err}"
+            ) from err
+        with ExitStack() as parts:
+
+            def write(name: str, data: bytes) -> Path:
+                part = replace_when_complete(folder / name, raising=ShowError)
+                parts.enter_context(part).write_bytes(data)
+                return folder / name
+
+            yield write
+        undoing.pop_all()
+
+
+def _remove_folder(folder: Path) -> None:
+    with suppress(OSError):  # another program may write there, too
+        folder.rmdir()

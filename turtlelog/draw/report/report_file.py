@@ -19,16 +19,17 @@ from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.display import describe_count, show_angle
-from turtlelog.draw.documents import choose_essentials
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
-from turtlelog.draw.output_files import replace_file, write_policy_tag
 from turtlelog.draw.report import sections
 from turtlelog.draw.report.drawing import Drawn, Plots
 from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.tables import choose_essentials
 from turtlelog.errors import ShowError
+from turtlelog.escapes import write_policy_tag
 from turtlelog.explain import Attribution
 from turtlelog.files.urls import make_path
 from turtlelog.libraries import load_library
+from turtlelog.log import replace_when_complete
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.sweep.sweep_analysis import LoopLimits, find_borders, tell_borders
@@ -143,7 +144,7 @@ def write_report(
         )
     title = ", ".join(names) if len(names) <= _MOST_TITLED else f"{len(names)} runs"
     text = _assemble(title, body, plots)
-    with replace_file(path) as part:
+    with replace_when_complete(path, raising=ShowError) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -289,7 +290,7 @@ def write_map_report(
         style="\nfigure{margin:0;background:#fff;padding:8px}\n"
         "figure img{width:100%;max-width:1100px}",
     )
-    with replace_file(path) as part:
+    with replace_when_complete(path, raising=ShowError) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -17,19 +17,18 @@ from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.time_plots import TIME_PLOTS, label_error
 from turtlelog.compare import ErrorBand, RobotComparison, name_runs, order_by_gain
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
-from turtlelog.draw.documents import document_runs
-from turtlelog.draw.rerun import entities, layout, marks, plane, plots, recording_stream, turtles
+from turtlelog.draw.rerun import entities, layout, pictures, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import (
     Content,
     describe_content,
     find_corners,
     find_heading_close_up,
     find_ranges,
-    view_curves,
 )
 from turtlelog.draw.rerun.entities import RUNS, join_path
 from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, open_recording
 from turtlelog.draw.rerun.turtles import Look
+from turtlelog.draw.tables import document_runs
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.measure import measure_run
@@ -121,10 +120,10 @@ class _Overlay:
         calm = [number for number in range(len(self.runs)) if number not in self.restless]
         content = replace(
             content,
-            scale_title=None if self.scale is None else layout.title_scale(self.scale),
+            scale_title=None if self.scale is None else pictures.title_scale(self.scale),
             scale_span=""
             if self.scale is None
-            else f"{self.scale.word} {layout.tell_span(self.scale)}",
+            else f"{self.scale.word} {pictures.tell_span(self.scale)}",
         )
         if not self.restless:
             return content
@@ -237,9 +236,9 @@ def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Conten
     span = recording_stream.read_span(overlay.runs, overlay.timelines)
     plots.draw_references(stream, overlay.references, span)
     if overlay.scale is not None:
-        layout.draw_scale(stream, overlay.scale, overlay.colors)
+        pictures.draw_scale(stream, overlay.scale, overlay.colors)
     elif content.legend_names:
-        layout.draw_legend(stream, overlay.names, overlay.colors)
+        pictures.draw_legend(stream, overlay.names, overlay.colors)
     if len(overlay.runs) > many_runs.MANY:
         _show_ends(stream, overlay, content)
     for number, run in enumerate(overlay.runs):
@@ -251,8 +250,8 @@ def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Conten
         turtles.draw_trail(run_stream, run, way, segments=turtles.count_segments(len(overlay.runs)))
         plane.draw_reference_path(run_stream, run)
         turtles.draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
-        marks.draw_phases(run_stream, run)
-        marks.list_events(run_stream, run, overlay.names[number])
+        plots.draw_phases(run_stream, run)
+        plots.list_events(run_stream, run, overlay.names[number])
         for curves in overlay.series[number]:
             plots.draw_series(run_stream, curves)
     if content.goal is not None:
@@ -347,8 +346,8 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
     legend, hidden = rrb.PlotLegend(rrb.Corner2D[corner]), rrb.PlotLegend(visible=False)
     residual = [f"/{found.axis}/{_RESIDUAL}"]
     return [
-        view_curves(title, rates, None, legend),
-        view_curves(f"residual: {title}", residual, None, hidden),
+        layout.view_curves(title, rates, None, legend),
+        layout.view_curves(f"residual: {title}", residual, None, hidden),
     ]
 
 

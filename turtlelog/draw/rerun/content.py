@@ -1,31 +1,28 @@
-"""The content of a recording, and the views that show it."""
+"""The content of a recording for its layout, and short legends of its plots."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
-import rerun.blueprint as rrb
-from rerun.blueprint.archetypes import VisibleTimeRanges
 
-from turtlelog.charts import palette, plotted_curves
+from turtlelog.charts import palette, plotted_curves, time_plots
 from turtlelog.charts.close_up import (
     CloseUp,
     WorstPlace,
     find_close_up,
     find_worst_place,
-    format_length,
 )
-from turtlelog.charts.curves import Values, find_end_of_turn
-from turtlelog.charts.many_runs import MANY, MANY_PATHS
+from turtlelog.charts.curve_marks import SIGNS
+from turtlelog.charts.curves import Level, Values, find_end_of_turn
+from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.plane_scene import tell_gap
-from turtlelog.charts.time_plots import list_controlled
 from turtlelog.display import describe_count
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.plane import Bounds, find_plane_bounds
-from turtlelog.draw.rerun.plots import LevelLines, Series
+from turtlelog.draw.rerun.plots import LevelLines, Mark, Series
 from turtlelog.measure import find_signal
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE
@@ -154,14 +151,14 @@ def describe_content(
         ranges={**find_ranges(series, references), **close_ups},
         close_ups=frozenset(close_ups),
         timelines=(
-            plotted_curves.TIMELINE,
+            time_plots.TIMELINE,
             entities.TICKS,
-            plotted_curves.WALL_TIMELINE,
-            *map(plotted_curves.name_phase_timeline, phases),
+            time_plots.WALL_TIMELINE,
+            *map(time_plots.name_phase_timeline, phases),
         ),
         notes=_list_notes(runs, series),
         controlled=frozenset(
-            entities.name_plot(plot) for run in runs for plot in list_controlled(run)
+            entities.name_plot(plot) for run in runs for plot in time_plots.list_controlled(run)
         ),
     )
 
@@ -254,162 +251,115 @@ _MOST_PHASE_ROWS: Final = 4
 """Largest number of phase rows for more than seven runs; plots keep the larger part."""
 
 
-_ARROWS: Final = (
-    *(entities.ARROW, entities.BODY, entities.COMMAND, entities.ERROR),
-    entities.REFERENCE_POSE,
-)
+_LINE_LETTERS: Final = 46
+"""Number of letters in a legend's line: in any window, the viewer breaks lines of more than 275
+pixels."""
 
 
-def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
-    """Return the view of the plane, with arrows if the title has room for their names."""
-    told = content.equal or content.origin or content.arrows
-    if content.is_small:  # a title has room for 20 letters
-        told = "equal runs" if content.equal else content.scale_span
-    hidden = [entities.SPEED_PATH]
-    if content.arrows and (content.is_small or not with_arrows):
-        hidden, told = [*hidden, entities.ERROR, entities.COMMAND], ""
-    contents = [*_list_planes(content), *_hide(hidden, content)]
-    title = f"Plane ({told})" if told else "Plane"
-    return _view_bounds(title, contents, content.plane, overrides=_show_trails(content))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Legends:
+    """All curves, lines and marks of plots, with their names in legends."""
+
+    series: tuple[Series, ...]  # curves
+    references: tuple[LevelLines, ...]  # level lines
+    marks: tuple[Mark, ...]  # metrics on curves
+    names: Mapping[str, str]  # name of the main curve of each plot, which vertical lines share
+    shown: frozenset[str]  # plots whose legend contains more than their title
 
 
-def view_speed(content: Content, highest_m_s: float) -> rrb.View:
-    """Return the view of the plane with paths coloured by speed."""
-    hidden = _hide([entities.PATH, entities.TRAIL, entities.ERROR, entities.NAMES], content)
-    title = f"By speed, 0 to {highest_m_s:.3g} m/s"
-    return _view_bounds(title, [*_list_planes(content), *hidden], content.plane)
+def name_legends(
+    series: Sequence[Series], references: Sequence[LevelLines], marks: Sequence[Mark] = ()
+) -> Legends:
+    """Return curves, level lines and marks under names that make a short legend of each plot.
 
-
-def view_close_up(content: Content) -> rrb.View | None:
-    """Return the close-up of the goal or of the largest deviation from the path, if there is one.
-
-    It has neither arrows nor names, which would cover it.
+    Items with one colour share a name. Limits and marks have the name of the main curve. Zero has
+    no line, because the axis shows it.
     """
-    if content.goal is not None:
-        bounds = Bounds(center_xy_m=content.goal.goal_xy_m, half_size_m=content.goal.half_m)
-        outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
-        name = f"At the goal, {content.goal.describe()}{content.starts}{outlines}"
-    elif content.worst is not None:
-        bounds = Bounds(center_xy_m=content.worst.center_xy_m, half_size_m=content.worst.half_m)
-        name = f"Furthest off the path, ±{format_length(content.worst.half_m)}"
-    else:
-        return None
-    hidden = [entities.NAMES, entities.SPEED_PATH, entities.GAP]
-    prefixes = (*content.prefixes, *content.ghosts)
-    hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in _ARROWS]
-    contents = [*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)]
-    return _view_bounds(name, contents, bounds, overrides=_show_trails(content))
-
-
-def _view_bounds(name: str, contents: Sequence[str], bounds: Bounds, **more: Any) -> rrb.View:
-    """Return a view of a square of the plane. The view's own coordinates have y downward."""
-    (x_m, y_m), half_m = bounds.center_xy_m, bounds.half_size_m
-    ranges = (x_m - half_m, x_m + half_m), (-y_m - half_m, -y_m + half_m)
-    return view_picture(name, contents, *ranges, **more)
-
-
-def view_picture(
-    name: str,
-    contents: Sequence[str],
-    x_range: tuple[float, float],
-    y_range: tuple[float, float],
-    **more: Any,
-) -> rrb.View:
-    """Return the view of a picture in its own coordinates, on dark ground."""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=contents,
-        name=name,
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=y_range),
-        **more,
+    lines = {line.plot: line for line in references}
+    found = [
+        _name_plot(
+            [one for one in series if one.plot == plot],
+            lines.get(plot),
+            [mark for mark in marks if mark.plot == plot],
+        )
+        for plot in dict.fromkeys(curves.plot for curves in series)
+    ]
+    return Legends(
+        series=tuple(one for named in found for one in named.series),
+        references=tuple(line for named in found for line in named.references),
+        marks=tuple(mark for named in found for mark in named.marks),
+        names={plot: name for named in found for plot, name in named.names.items()},
+        shown=frozenset(plot for named in found for plot in named.shown),
     )
 
 
-def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
-    """Return the view of curves over time, with a needed legend if a corner is free."""
-    contents = content.list_curves(plot)
-    has_names = len(contents) > 1 if content.legends is None else plot in content.legends
-    if plot in content.references:
-        contents.insert(0, f"{join_path(entities.REFERENCE, plot)}/**")
-    contents += content.lines
-    title, limits = name or entities.title_plot(plot), content.ranges.get(plot)
-    if plot in content.notes:
-        title += f", {content.notes[plot]}"
-    if content.restless and plot in entities.RESTLESS:
-        title += f", without {content.restless}"
-    title = title.replace(" [", ", close up [") if plot in content.close_ups else title
-    shown = rrb.PlotLegend(legend, visible=legend is not None and has_names)
-    return view_curves(title, contents, limits, shown)
-
-
-def view_curves(
-    name: str,
-    contents: Sequence[str],
-    limits: tuple[float, float] | None,
-    legend: rrb.PlotLegend,
-) -> rrb.View:
-    """Return a view of curves on the common time axis, with limits of the values if known."""
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=contents,
-        name=name,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
-        plot_legend=legend,
+def _name_plot(
+    curves: Sequence[Series], lines: LevelLines | None, marks: Sequence[Mark]
+) -> Legends:
+    main = next((one for one in curves if one.is_main), curves[0])
+    # Marks are sufficient for a curve with the name of its plot.
+    is_named = not marks or main.entity != main.plot
+    words: dict[palette.Color, list[str]] = {main.colors[0]: [main.labels[0]] if is_named else []}
+    for one in curves:
+        for color, label in zip(one.colors, one.labels, strict=True):
+            said = f"lighter: {label}" if color == palette.tint(main.colors[0]) else label
+            if one is main and label == main.labels[0]:
+                continue
+            words.setdefault(_join_tint(color, main), []).append(_describe(one, said))
+    marks = _choose_marks(marks, _LINE_LETTERS - len(", ".join([*words[main.colors[0]], ""])))
+    words[main.colors[0]] += [" ".join(_name_marks(marks))] if marks else []
+    levels = () if lines is None else lines.levels
+    for level in levels:
+        if level.kind in ("target", "tolerance"):
+            words.setdefault(palette.IDEAL, []).insert(0, f"{level.label} {level.value:.4g}")
+        elif level.kind == "limit" and level.value > 0.0:
+            words[main.colors[0]].append(f"limit {level.value:.4g}")
+    names = {color: ", ".join(dict.fromkeys(said)) for color, said in words.items()}
+    name, plot = names[main.colors[0]], main.plot
+    is_told = len(names) > 1 or name != main.labels[0]
+    return Legends(
+        series=tuple(
+            replace(one, labels=tuple(names[_join_tint(color, main)] for color in one.colors))
+            for one in curves
+        ),
+        references=tuple(_part_levels(plot, levels, names, main)),
+        marks=tuple(replace(mark, label=name) for mark in marks),
+        names={plot: name},
+        shown=frozenset([plot] if is_told else []),
     )
 
 
-def view_phases(content: Content) -> rrb.View:
-    """Return the view of the phases, one row per run. A pause is too short for its name."""
-    shown = content.phase_rows or content.prefixes
-    contents = [entities.locate_phases(prefix) for prefix in shown]
-    of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
-    colors = ["brown: pause"] if content.has_pause else []
-    colors += ["pink: dead time"] if content.has_dead_time else []
-    key = f" ({', '.join(colors)})" if colors else ""
-    until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
-    if content.has_dead_time:
-        contents.insert(1, entities.locate_dead_times(shown[0]))
-    return rrb.StateTimelineView(
-        origin="/",
-        contents=contents,
-        name=f"Phases{of}{until}{key}",
-        time_view=rrb.TimeAxis(link="LinkToGlobal"),
-    )
+def _name_marks(marks: Sequence[Mark]) -> list[str]:
+    """Return the legend text of marks, in order of time."""
+    placed = sorted(marks, key=lambda found: found.time_ns)
+    return [f"{mark.sign} {mark.label}" for mark in placed]
 
 
-def view_document(title: str) -> rrb.View:
-    """Return the view of a Markdown text."""
-    return rrb.TextDocumentView(origin=entities.name_document(title), name=title)
+def _choose_marks(marks: Sequence[Mark], letters: int) -> Sequence[Mark]:
+    """Return the marks whose names fit a line, after less interesting marks are left out."""
+    for least in [mark for mark in marks if mark.is_minor]:
+        if len(" ".join(_name_marks(marks))) > letters:
+            marks = [mark for mark in marks if mark is not least]
+    return marks
 
 
-def view_events(content: Content) -> rrb.View:
-    """Return the view that lists the events."""
-    timelines = [plotted_curves.TIMELINE]
-    return rrb.TextLogView(
-        origin="/",
-        contents=[join_path(prefix, entities.EVENTS) for prefix in content.prefixes],
-        name="Events",
-        columns=rrb.TextLogColumns(timeline_columns=timelines, text_log_columns=["Body"]),
-    )
+def _part_levels(
+    plot: str, levels: Sequence[Level], names: Mapping[palette.Color, str], main: Series
+) -> Iterator[LevelLines]:
+    """Yield references in grey, and limits in the colour of the curve that they limit."""
+    grey = tuple(level for level in levels if level.kind in ("target", "tolerance"))
+    limits = tuple(level for level in levels if level.kind == "limit")
+    for kept, color in ((grey, palette.IDEAL), (limits, main.colors[0])):
+        if kept:
+            yield LevelLines(plot=plot, levels=kept, name=names[color], color=color)
 
 
-def _show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:
-    """Return the overrides that make a view show trails from their start to the cursor."""
-    start, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
-    ranges = [rrb.VisibleTimeRange(name, start=start, end=end) for name in content.timelines]
-    until_now = VisibleTimeRanges(ranges=ranges)
-    prefixes = (*content.prefixes, *content.ghosts)
-    return {join_path(prefix, entities.TRAIL): until_now for prefix in prefixes}
+def _join_tint(color: palette.Color, main: Series) -> palette.Color:
+    return main.colors[0] if color == palette.tint(main.colors[0]) else color
 
 
-def _list_planes(content: Content) -> list[str]:
-    prefixes = dict.fromkeys(["", *content.prefixes, *content.ghosts])
-    return [f"{join_path(prefix, entities.PLANE)}/**" for prefix in prefixes]
-
-
-def _hide(paths: Sequence[str], content: Content) -> list[str]:
-    """Return the exclusions of a view of the whole plane: some paths, and the close-up."""
-    ends = [join_path(prefix, entities.END) for prefix in content.prefixes]
-    return [f"- {join_path(path)}/**" for path in (*paths, entities.CLOSE_UP, *ends)]
+def _describe(curves: Series, label: str) -> str:
+    """Return the name of a curve; for points, the name describes their look."""
+    if curves.marker is None:
+        return label
+    return f"{SIGNS['disc' if curves.marker == 'circle' else 'cross']} {label}"

@@ -13,8 +13,7 @@ from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.compare import Column, Table
 from turtlelog.draw.rerun import (
     entities,
-    explanation_pictures,
-    marks,
+    pictures,
     plane,
     plots,
     recording_stream,
@@ -25,7 +24,7 @@ from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.layout import build_explanation_layout
 from turtlelog.draw.rerun.recording_stream import RunStream, open_recording
 from turtlelog.draw.rerun.turtles import Ghost, Look
-from turtlelog.draw.table_formats import format_markdown
+from turtlelog.draw.tables import format_markdown
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_markdown
 from turtlelog.explain import Attribution, Luck, write_sentences
@@ -80,9 +79,9 @@ def write_explanation_rrd(
     texts = {"Contributions": _describe_contributions(found), **(documents or {})}
     texts = {**recording_stream.add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
-    dead_times = marks.list_dead_times(recorded, metrics[0])
+    dead_times = plots.list_dead_times(recorded, metrics[0])
     marked = {
-        "pause": (palette.PAUSED, marks.list_pause_times(recorded)),
+        "pause": (palette.PAUSED, plots.list_pause_times(recorded)),
         "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),
     }
     lines = {name: line for name, line in marked.items() if line[1]}
@@ -98,28 +97,26 @@ def write_explanation_rrd(
         content = replace(
             content,
             luck_title=f"With other {picture.varied}s",
-            starts=explanation_pictures.count_ends(picture, content.goal),
+            starts=pictures.count_ends(picture, content.goal),
         )
     name = f"{recorded.name}, explained"
     with open_recording(path, name=name, layout=build_explanation_layout(content)) as stream:
         run_stream = _draw_scene(stream, scene, content, metrics)
         if found.withheld:
-            explanation_pictures.draw_reason(stream, write_sentences(found))
+            pictures.draw_reason(stream, write_sentences(found))
         else:
             waterfall = attribution_steps.draw_up_attribution(found)
             ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
-            explanation_pictures.draw_waterfall_picture(
-                stream, waterfall, _tell_ghosts(found, ghosts)
-            )
+            pictures.draw_waterfall_picture(stream, waterfall, _tell_ghosts(found, ghosts))
         if picture is not None:
-            explanation_pictures.draw_luck_picture(stream, picture)
-            explanation_pictures.draw_luck_ends(stream, picture, content.goal)
+            pictures.draw_luck_picture(stream, picture)
+            pictures.draw_luck_ends(stream, picture, content.goal)
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
-            marks.draw_lines(
+            plots.draw_lines(
                 run_stream, entity, label, color, times_ns, largest=content.find_largest_shown()
             )
-        marks.draw_dead_times(run_stream, dead_times)
+        plots.draw_dead_times(run_stream, dead_times)
         recording_stream.draw_documents(stream, texts)
 
 
@@ -224,8 +221,8 @@ def _draw_scene(
         streams += [ghost_stream] if ghost.is_run else []
     for own_stream, run, name, listed in zip(streams, scene.runs, names, scene.series, strict=True):
         if own_stream in (streams[0], streams[-1]):
-            marks.draw_phases(own_stream, run)
-        marks.list_events(own_stream, run, name)
+            plots.draw_phases(own_stream, run)
+        plots.list_events(own_stream, run, name)
         for curves in listed:
             plots.draw_series(own_stream, curves)
     for curves in scene.gaps:

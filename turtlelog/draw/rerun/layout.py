@@ -1,22 +1,27 @@
-"""Layouts: the views of a recording and their places; and the legend of many runs."""
+"""Layouts of recordings: their views, and the places of the views."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.archetypes import VisibleTimeRanges
 
-from turtlelog.charts import palette
-from turtlelog.charts.curves import Values
-from turtlelog.charts.many_runs import GainScale
-from turtlelog.charts.plotted_curves import TIMELINE, Column, StateGroup
-from turtlelog.draw.rerun import content as views, entities
+from turtlelog.charts.close_up import format_length
+from turtlelog.charts.many_runs import MANY, MANY_PATHS
+from turtlelog.charts.plotted_curves import Column, StateGroup
+from turtlelog.charts.time_plots import TIMELINE
+from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.explanation_pictures import view_explained
-from turtlelog.draw.rerun.plane import draw_points, write_words
+from turtlelog.draw.rerun.pictures import (
+    view_explained,
+    view_legend,
+    view_picture,
+    view_scale,
+)
+from turtlelog.draw.rerun.plane import Bounds
 
 Corners = Mapping[str, rrb.Corner2D]
 
@@ -138,9 +143,9 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
     The signal's legend is next to the signal, where it covers nothing; its lines wrap in a small
     window. The plots have no legends, because they are as small as a legend.
     """
-    top = rrb.Horizontal(violated, views.view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
+    top = rrb.Horizontal(violated, view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
     titles = [title for title in content.documents if title != LEGEND_TITLE]
-    tabs = [*map(views.view_document, titles), views.view_events(content)]
+    tabs = [*map(view_document, titles), view_events(content)]
     parts: list[rrb.Container | rrb.View] = [
         _build_plane(content, with_arrows=False),
         rrb.Tabs(*tabs, active_tab=0),
@@ -157,9 +162,9 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
     tabs += (
         [] if content.luck_title is None else [view_explained(content.luck_title, entities.LUCK)]
     )
-    tabs += map(views.view_document, content.documents)
+    tabs += map(view_document, content.documents)
     right: list[rrb.View | rrb.Container] = [
-        rrb.Tabs(*tabs, *([views.view_events(content)] if content.has_events else []), active_tab=0)
+        rrb.Tabs(*tabs, *([view_events(content)] if content.has_events else []), active_tab=0)
     ]
     height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
     for plots in _list_stacks(content, _EXPLAINED, {}, tab=0):
@@ -201,25 +206,24 @@ def link_views(root: rrb.Container, *, end_s: float | None = None) -> rrb.Bluepr
 def _list_tabs(content: Content) -> list[rrb.View]:
     tabs: list[rrb.View] = []
     if content.scale_title is not None:
-        bar, ranges = f"{join_path(entities.LEGEND)}/**", (-0.3, _SCALE_WIDTH + 0.3)
-        tabs.append(views.view_picture(content.scale_title, [bar], ranges, (-0.5, _SCALE_DEPTH)))
+        tabs.append(view_scale(content.scale_title))
     elif content.legend_names:
-        tabs.append(_view_legend(content.legend_names))
-    tabs += map(views.view_document, content.documents)
-    return [*tabs, *([views.view_events(content)] if content.has_events else [])]
+        tabs.append(view_legend(content.legend_names))
+    tabs += map(view_document, content.documents)
+    return [*tabs, *([view_events(content)] if content.has_events else [])]
 
 
 def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
     """Return the plane, and the close-up of goal or path, if any."""
-    plane, close_up = _build_plane(content), views.view_close_up(content)
+    plane, close_up = _build_plane(content), view_close_up(content)
     return [plane] if close_up is None else [plane, close_up]
 
 
 def _build_plane(content: Content, *, with_arrows: bool = True) -> rrb.View | rrb.Container:
-    plane = views.view_plane(content, with_arrows=with_arrows)
+    plane = view_plane(content, with_arrows=with_arrows)
     if content.highest_speed_m_s is None:
         return plane
-    by_speed = views.view_speed(content, content.highest_speed_m_s)
+    by_speed = view_speed(content, content.highest_speed_m_s)
     return rrb.Tabs(plane, by_speed, active_tab=0)
 
 
@@ -237,7 +241,7 @@ def _list_stacks(
         for cell in column:
             shown = [plot for plot in cell if content.list_curves(plot)]
             corners = [None if content.is_small else legends.get(plot) for plot in shown]
-            plots = [*map(partial(views.view_plot, content), shown, corners)]
+            plots = [*map(partial(view_plot, content), shown, corners)]
             if plots:
                 active = _choose_tab(content, cell) if tab is None else tab
                 cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
@@ -274,13 +278,13 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
         states = [group.label_state(plot.partition("/")[2]) for plot in plots]
         names = [state if has_tabs else f"State {state}" for state in states]
         pairs = zip(plots, names, strict=True)
-        shown = [views.view_plot(content, plot, None, name) for plot, name in pairs]
+        shown = [view_plot(content, plot, None, name) for plot, name in pairs]
         return rrb.Tabs(*shown, active_tab=0) if len(shown) > 1 else next(iter(shown), None)
     ranges = [content.ranges[plot] for plot in plots if plot in content.ranges]
     axis = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
     corner = content.corners.get(plots[0], "RightTop")
     contents = [path for plot in plots for path in content.list_curves(plot)]
-    return views.view_curves(group.label, contents, axis, rrb.PlotLegend(rrb.Corner2D[corner]))
+    return view_curves(group.label, contents, axis, rrb.PlotLegend(rrb.Corner2D[corner]))
 
 
 def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
@@ -291,99 +295,147 @@ def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> 
     share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (rows + content.has_dead_time)
     largest = _LARGEST_PHASE_SHARE if content.has_several_phases else _ONE_PHASE_SHARE
     share = min(share / height, largest)
-    return rrb.Vertical(plots, views.view_phases(content), row_shares=[1.0 - share, share])
+    return rrb.Vertical(plots, view_phases(content), row_shares=[1.0 - share, share])
 
 
-_SCALE_WIDTH: Final = 12.0
-"""Width of the colour bar of many runs, in multiples of its height."""
-
-_SCALE_DEPTH: Final = 2.5
-_LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
-
-_LEGEND_LETTERS: Final = 48
-"""Number of letters of all columns together; with dots and gaps they take 400 of 430 pixels."""
-
-_MOST_COLUMNS: Final = 4
-"""Largest number of columns of names; more columns of short names would look like lines of text."""
-
-_MOST_NAMES: Final = 28
-"""Largest number of names, in four columns and seven lines of a window of 1200 x 860."""
-
-_LEGEND_RADIUS: Final = 5.0  # [points]
-_SCALE_HEIGHT: Final = 1.0
-
-_SCALE_LINES: Final = 8
-"""Number of lines side by side that fill a cell, because the viewer rounds the ends of a thick
-line."""
-
-_SCALE_LABELS: Final = 12
-"""Largest number of values in a view 500 pixels wide: 40 pixels each."""
+_ARROWS: Final = (
+    *(entities.ARROW, entities.BODY, entities.COMMAND, entities.ERROR),
+    entities.REFERENCE_POSE,
+)
 
 
-def _view_legend(names: Sequence[str]) -> rrb.View:
-    shown = [names[number] for number in choose_names(len(names))]
-    last_row = float(arrange_names(shown)[-1, 1])
-    title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
-    ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
-    return views.view_picture(title, [join_path(entities.LEGEND)], *ranges)
+def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
+    """Return the view of the plane, with arrows if the title has room for their names."""
+    told = content.equal or content.origin or content.arrows
+    if content.is_small:  # a title has room for 20 letters
+        told = "equal runs" if content.equal else content.scale_span
+    hidden = [entities.SPEED_PATH]
+    if content.arrows and (content.is_small or not with_arrows):
+        hidden, told = [*hidden, entities.ERROR, entities.COMMAND], ""
+    contents = [*_list_plane_paths(content), *_hide(hidden, content)]
+    title = f"Plane ({told})" if told else "Plane"
+    return _view_bounds(title, contents, content.plane, overrides=_show_trails(content))
 
 
-def draw_legend(
-    stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[palette.Color]
-) -> None:
-    """Draw the names of runs in their colours."""
-    chosen = choose_names(len(names))
-    shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
-    looks: dict[str, Any] = {"labels": shown, "show_labels": True}
-    draw_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
+def view_speed(content: Content, highest_m_s: float) -> rrb.View:
+    """Return the view of the plane with paths coloured by speed."""
+    hidden = _hide([entities.PATH, entities.TRAIL, entities.ERROR, entities.NAMES], content)
+    title = f"By speed, 0 to {highest_m_s:.3g} m/s"
+    return _view_bounds(title, [*_list_plane_paths(content), *hidden], content.plane)
 
 
-def draw_scale(
-    stream: rr.RecordingStream, scale: GainScale, colors: Sequence[palette.Color]
-) -> None:
-    """Draw a bar of the runs' colours in order, with some of the values below the bar."""
-    width = _SCALE_WIDTH / len(colors)
-    edges = np.arange(len(colors) + 1) * width
-    bar = rr.LineStrips2D(
-        [
-            [(x, (row + 0.5) * _SCALE_HEIGHT / _SCALE_LINES) for x in edges[number : number + 2]]
-            for number in range(len(colors))
-            for row in range(_SCALE_LINES)
-        ],
-        radii=_SCALE_HEIGHT / _SCALE_LINES * 0.6,
-        colors=palette.pack_colors([color for color in colors for _ in range(_SCALE_LINES)]),
-    )
-    stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
-    ticks = scale.list_ticks(_SCALE_LABELS)
-    places = [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks]
-    hues = [colors[round(place)] for place, _ in ticks]
-    write_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
+def view_close_up(content: Content) -> rrb.View | None:
+    """Return the close-up of the goal or of the largest deviation from the path, if there is one.
 
-
-def title_scale(scale: GainScale) -> str:
-    """Return the title of the colour bar."""
-    return f"{len(scale.values)} runs, coloured by {scale.word}: {tell_span(scale)}"
-
-
-def tell_span(scale: GainScale) -> str:
-    """Return the least and the greatest value of the bar."""
-    return f"{min(scale.values):g} to {max(scale.values):g}"
-
-
-def choose_names(count: int) -> tuple[int, ...]:
-    """Return the indices of the named runs among many, as room allows, including the last run.
-
-    Colours of many runs follow their order, so neighbouring names identify unnamed runs.
+    It has neither arrows nor names, which would cover it.
     """
-    if count <= _MOST_NAMES:
-        return tuple(range(count))
-    return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
+    if content.goal is not None:
+        bounds = Bounds(center_xy_m=content.goal.goal_xy_m, half_size_m=content.goal.half_m)
+        outlines = ", outlines: 90 % of ends" if len(content.prefixes) > MANY_PATHS else ""
+        name = f"At the goal, {content.goal.describe()}{content.starts}{outlines}"
+    elif content.worst is not None:
+        bounds = Bounds(center_xy_m=content.worst.center_xy_m, half_size_m=content.worst.half_m)
+        name = f"Furthest off the path, ±{format_length(content.worst.half_m)}"
+    else:
+        return None
+    hidden = [entities.NAMES, entities.SPEED_PATH, entities.GAP]
+    prefixes = (*content.prefixes, *content.ghosts)
+    hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in _ARROWS]
+    contents = [*_list_plane_paths(content), *(f"- {join_path(path)}/**" for path in hidden)]
+    return _view_bounds(name, contents, bounds, overrides=_show_trails(content))
 
 
-def arrange_names(names: Sequence[str]) -> Values:
-    """Return places in a grid, y downward, shape (n, 2). The longest name sets the column width."""
-    longest = max(len(name) for name in names)
-    columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
-    number = np.arange(len(names))
-    across = (number % columns + 0.5) * (_LEGEND_WIDTH / columns)
-    return np.column_stack([across, number // columns])
+def _view_bounds(name: str, contents: Sequence[str], bounds: Bounds, **more: Any) -> rrb.View:
+    """Return a view of a square of the plane. The view's own coordinates have y downward."""
+    (x_m, y_m), half_m = bounds.center_xy_m, bounds.half_size_m
+    ranges = (x_m - half_m, x_m + half_m), (-y_m - half_m, -y_m + half_m)
+    return view_picture(name, contents, *ranges, **more)
+
+
+def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
+    """Return the view of curves over time, with a needed legend if a corner is free."""
+    contents = content.list_curves(plot)
+    has_names = len(contents) > 1 if content.legends is None else plot in content.legends
+    if plot in content.references:
+        contents.insert(0, f"{join_path(entities.REFERENCE, plot)}/**")
+    contents += content.lines
+    title, limits = name or entities.title_plot(plot), content.ranges.get(plot)
+    if plot in content.notes:
+        title += f", {content.notes[plot]}"
+    if content.restless and plot in entities.RESTLESS:
+        title += f", without {content.restless}"
+    title = title.replace(" [", ", close up [") if plot in content.close_ups else title
+    shown = rrb.PlotLegend(legend, visible=legend is not None and has_names)
+    return view_curves(title, contents, limits, shown)
+
+
+def view_curves(
+    name: str,
+    contents: Sequence[str],
+    limits: tuple[float, float] | None,
+    legend: rrb.PlotLegend,
+) -> rrb.View:
+    """Return a view of curves on the common time axis, with limits of the values if known."""
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=contents,
+        name=name,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        plot_legend=legend,
+    )
+
+
+def view_phases(content: Content) -> rrb.View:
+    """Return the view of the phases, one row per run. A pause is too short for its name."""
+    shown = content.phase_rows or content.prefixes
+    contents = [entities.locate_phases(prefix) for prefix in shown]
+    of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
+    colors = ["brown: pause"] if content.has_pause else []
+    colors += ["pink: dead time"] if content.has_dead_time else []
+    key = f" ({', '.join(colors)})" if colors else ""
+    until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
+    if content.has_dead_time:
+        contents.insert(1, entities.locate_dead_times(shown[0]))
+    return rrb.StateTimelineView(
+        origin="/",
+        contents=contents,
+        name=f"Phases{of}{until}{key}",
+        time_view=rrb.TimeAxis(link="LinkToGlobal"),
+    )
+
+
+def view_document(title: str) -> rrb.View:
+    """Return the view of a Markdown text."""
+    return rrb.TextDocumentView(origin=entities.name_document(title), name=title)
+
+
+def view_events(content: Content) -> rrb.View:
+    """Return the view that lists the events."""
+    timelines = [TIMELINE]
+    return rrb.TextLogView(
+        origin="/",
+        contents=[join_path(prefix, entities.EVENTS) for prefix in content.prefixes],
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=timelines, text_log_columns=["Body"]),
+    )
+
+
+def _show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:
+    """Return the overrides that make a view show trails from their start to the cursor."""
+    start, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    ranges = [rrb.VisibleTimeRange(name, start=start, end=end) for name in content.timelines]
+    until_now = VisibleTimeRanges(ranges=ranges)
+    prefixes = (*content.prefixes, *content.ghosts)
+    return {join_path(prefix, entities.TRAIL): until_now for prefix in prefixes}
+
+
+def _list_plane_paths(content: Content) -> list[str]:
+    prefixes = dict.fromkeys(["", *content.prefixes, *content.ghosts])
+    return [f"{join_path(prefix, entities.PLANE)}/**" for prefix in prefixes]
+
+
+def _hide(paths: Sequence[str], content: Content) -> list[str]:
+    """Return the exclusions of a view of the whole plane: some paths, and the close-up."""
+    ends = [join_path(prefix, entities.END) for prefix in content.prefixes]
+    return [f"- {join_path(path)}/**" for path in (*paths, entities.CLOSE_UP, *ends)]

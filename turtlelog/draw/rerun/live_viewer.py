@@ -15,9 +15,10 @@ import rerun.blueprint as rrb
 from rerun.notebook import Viewer
 
 from turtlelog.charts import palette
-from turtlelog.charts.plotted_curves import HEADROOM, TIMELINE
-from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles
-from turtlelog.draw.rerun.content import Content, describe_content
+from turtlelog.charts.plotted_curves import HEADROOM
+from turtlelog.charts.time_plots import TIMELINE
+from turtlelog.draw.rerun import entities, plane, plots, recording_stream, turtles
+from turtlelog.draw.rerun.content import Content, describe_content, name_legends
 from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
 from turtlelog.draw.rerun.layout import build_run_layout, is_small
 from turtlelog.draw.rerun.recording_stream import RunStream
@@ -175,7 +176,7 @@ class LiveScene:
         stream, timelines = self._stream, recording_stream.build_run_timelines(run)
         # Theory is drawn at the end, when the segment of each loop is known.
         listed = [one for one in plots.list_series(run) if not one.entity.endswith("/ideal")]
-        named = marks.name_legends(listed, plots.list_references([run]))
+        named = name_legends(listed, plots.list_references([run]))
         series, references = named.series, named.references
         run_stream = RunStream(stream, "", timelines)
         stream.begin_round(len(run.poses))
@@ -196,10 +197,10 @@ class LiveScene:
         turtles.draw_turtle(run_stream, run.poses, look, self._half_size_m)
         turtles.draw_reference_pose(run_stream, run, self._half_size_m)
         turtles.draw_arrows(run_stream, run)
-        marks.draw_phases(run_stream, run)
+        plots.draw_phases(run_stream, run)
         if run.events:
             plane.draw_event_places(run_stream, run)
-            marks.list_events(run_stream, run)
+            plots.list_events(run_stream, run)
         for curves in series:
             plots.draw_series(run_stream, curves)
         _flush(stream)

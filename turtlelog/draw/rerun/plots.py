@@ -1,4 +1,4 @@
-"""The curves and level lines of a run, their plots, and their drawing."""
+"""Plots over time of a run: curves, level lines, marks, vertical lines, phases and events."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,13 +9,17 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.charts import palette, plotted_curves
-from turtlelog.charts.curves import Level, Values
+from turtlelog.charts.curve_marks import MarkShape, list_characteristics
+from turtlelog.charts.curves import Level, LoopStep, Values, find_steps
 from turtlelog.charts.plotted_curves import CurveKind, PlottedCurve, TimePlot
-from turtlelog.charts.time_plots import find_plot
+from turtlelog.charts.time_plots import find_marked, find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.recording_stream import RunStream, Times, build_index
+from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
+from turtlelog.run.loops import DONE, PAUSE
+from turtlelog.theory import compute_sampled_step_response
 
 _REFERENCE_WIDTH: Final = 1.0
 LINE_WIDTH: Final = 1.5
@@ -243,3 +247,232 @@ def _list_states(run: Run, names: Sequence[str]) -> Iterator[Series]:
     for name, color in zip(names, colors, strict=True):
         for series in _list_group(run, f"{entities.STATE}/{name}", [find_plot(name, [run])]):
             yield replace(series, colors=(color,))
+
+
+Shape = Literal["Circle", "Square", "Cross"]
+
+_SHAPES: Final[Mapping[MarkShape, Shape]] = {"disc": "Circle", "square": "Square", "cross": "Cross"}
+"""Mark shapes of the viewer."""
+
+_MINOR: Final = frozenset({"rise_time", "time_to_goal"})
+"""Metrics that neighbouring metrics bound: a rise ends before the curve settles."""
+
+_MARK_SIZE: Final = 4.0  # [points]
+_VERTICAL_WIDTH: Final = 1.0
+_DECADES: Final = 10.0 ** -np.arange(8.0)
+_RESPONSE_WIDTH: Final = 1.0
+_MOST_SAMPLES: Final = 1_000_000
+_MOST_DEAD_SAMPLES: Final = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """A metric at its point of a curve."""
+
+    plot: str  # plot of the curve
+    label: str  # legend text with the value. The name of the curve in a plot contains this text
+    sign: str  # shape as a letter, because a legend shows only a dot
+    shape: Shape  # Rerun's name of a marker
+    time_ns: int  # time in the run's own time [ns]
+    level: float  # value in the unit of the curve
+    is_minor: bool = False  # whether a full legend may leave it out
+
+    @property
+    def entity(self) -> str:
+        """Entity path of all marks of the plot, below the run's prefix."""
+        return f"{self.plot}/{entities.MARKS}"
+
+
+def list_marks(
+    run: Run, series: Sequence[Series], metrics: Mapping[str, Metric]
+) -> tuple[Mark, ...]:
+    """Return the metrics that can be marked on a drawn curve."""
+    curves = {curve.entity: curve for curve in series}
+    marks = []
+    for found in list_characteristics(run, metrics):
+        name, entry = find_marked(found.signal) or ("", None)
+        curve = curves.get("" if entry is None else _join(entities.name_plot(name), entry.name))
+        if found.shape is None or curve is None or found.level is None:
+            continue
+        if found.kind == "dead_time":
+            continue  # dead times have a bar of their own
+        marks.append(
+            Mark(
+                plot=curve.plot,
+                label=found.text,
+                sign=found.sign,
+                shape=_SHAPES[found.shape],
+                time_ns=run.start_ns + round(found.marked_s * 1e9),
+                level=found.level,
+                is_minor=found.kind in _MINOR,
+            )
+        )
+    return tuple(marks)
+
+
+def _join(*parts: str) -> str:
+    return "/".join(filter(None, parts))
+
+
+def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
+    """Draw each metric as a point whose name in the legend contains the value."""
+    for entity in dict.fromkeys(mark.entity for mark in marks):
+        found = [mark for mark in marks if mark.entity == entity]
+        style = rr.SeriesPoints(
+            names=[mark.label for mark in found],
+            colors=palette.pack_colors([palette.MAIN] * len(found)),
+            markers=[mark.shape for mark in found],
+            marker_sizes=[_MARK_SIZE] * len(found),
+        )
+        run_stream.log(entity, style)
+        # One row per mark; the others are NaN in it.
+        levels = np.full((len(found), len(found)), np.nan)
+        np.fill_diagonal(levels, [mark.level for mark in found])
+        times_ns = [mark.time_ns for mark in found]
+        run_stream.send_few(entity, times_ns, rr.Scalars.columns(scalars=levels))
+
+
+def draw_lines(
+    run_stream: RunStream,
+    entity: str,
+    label: str,
+    color: palette.Color,
+    times_ns: Sequence[int],
+    *,
+    largest: float,
+) -> None:
+    """Draw vertical lines at times of the run [ns], up to the `largest` value of any plot.
+
+    Every plot that shows these lines needs a fixed range.
+    """
+    style = rr.SeriesLines(
+        names=[label],
+        colors=palette.pack_colors([color]),
+        widths=[_VERTICAL_WIDTH],
+        aggregation_policy="Off",
+    )
+    run_stream.log(entity, style)
+    # The viewer cannot draw a line thousands of plot heights long: the line has powers of ten as
+    # points.
+    steps = largest * _DECADES
+    line = [*-steps, *steps[::-1], np.nan]
+    levels = np.tile(line, len(times_ns))
+    run_stream.send_few(entity, np.repeat(times_ns, len(line)), rr.Scalars.columns(scalars=levels))
+
+
+def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
+    """Return the response of each loop with the measured dead time, without limits.
+
+    A loop has no response if its reference moves, theory does not know the loop, or its gain or
+    dead time is unknown.
+    """
+    found: list[Series] = []
+    for signal in dict.fromkeys(loop.signal for loop in run.declaration.loops):
+        for number, step in enumerate(find_steps(run, signal)):
+            if step.end_ns > step.start_ns:
+                of = step.loop.name if number else ""
+                dead_time = metrics.get(f"{step.loop.name}.dead_time")
+                found += _compute_sampled(step, of, run, dead_time)
+    return tuple(found)
+
+
+def draw_phases(run_stream: RunStream, run: Run) -> None:
+    """Draw the phases as a bar, which ends in `done` unless the run was cut off."""
+    spans = run.find_phase_spans()
+    if not spans:
+        return
+    style = rr.StateConfiguration(
+        values=list(run.phase_names),
+        # The pause is too short for its name; the view's title explains its colour.
+        labels=[" " if name == PAUSE else name for name in run.phase_names],
+        colors=palette.pack_colors(palette.choose_phase_colors(run.phase_names)),
+    )
+    prefix = entities.locate_phases(run_stream.prefix)
+    phases = RunStream(run_stream.stream, prefix, run_stream.timelines)
+    phases.log("", style)
+    last = DONE if run.is_complete else ""
+    columns = rr.StateChange.columns(state=[*(span.phase for span in spans), last])
+    starts_ns = [*(span.start_ns for span in spans), run.end_ns]
+    phases.send_few("", starts_ns, columns)
+
+
+def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
+    """List the events as a text log, each after a given speaker's name."""
+    if not run.events:
+        return
+    columns = rr.TextLog.columns(
+        text=[f"{speaker}: {event.text}" if speaker else event.text for event in run.events],
+        level=["INFO" if event.kind == "stop" else "WARN" for event in run.events],
+    )
+    run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
+
+
+def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
+    """Return the intervals of known dead times at the start of each loop, in order of time.
+
+    Each interval has a start and an end in the run's own time [ns], from a loop's first sample
+    until its command acts. If loops begin together, the longest interval is returned.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return sorted(ends_ns.items())
+
+
+def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
+    """Draw dead times as a separate bar below the bar of phases."""
+    if not spans_ns:
+        return
+    style = rr.StateConfiguration(
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.DEAD_TIME])
+    )
+    prefix = entities.locate_dead_times(run_stream.prefix)
+    dead_times = RunStream(run_stream.stream, prefix, run_stream.timelines)
+    dead_times.log("", style)
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
+    dead_times.send_few("", times_ns, columns)
+
+
+def list_pause_times(run: Run) -> list[int]:
+    """Return start and end of each pause [ns]."""
+    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
+    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
+
+
+def _compute_sampled(
+    step: LoopStep, of: str, run: Run, dead_time: Metric | None
+) -> Iterator[Series]:
+    steps_ns = np.diff(run.samples.time_ns)
+    if dead_time is None or dead_time.value is None or not (steps_ns > 0).any():
+        return
+    period_s = float(np.median(steps_ns[steps_ns > 0])) / 1e9
+    delay = round(dead_time.value / period_s)
+    count = int((step.end_ns - step.start_ns) / 1e9 / period_s) + 1
+    # Without a dead time it would be drawn over the ideal response.
+    if count > _MOST_SAMPLES or not 0 < delay <= _MOST_DEAD_SAMPLES:
+        return
+    values = compute_sampled_step_response(
+        step.kp,
+        count,
+        period_s=period_s,
+        dead_time_ticks=delay,
+        initial=step.initial,
+        reference=step.reference,
+    )
+    label = f"+ {dead_time.value * 1e3:.3g} ms dead time"
+    time_s = np.arange(count) * period_s
+    yield Series(
+        entity=_join(entities.name_plot(step.loop.signal), entities.SAMPLED, of),
+        labels=(f"{label}, {of}" if of else label,),
+        colors=(palette.IDEAL,),
+        time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
+        values=values[:, np.newaxis],
+        width=_RESPONSE_WIDTH,
+        is_main=False,
+        is_measured=False,
+    )

@@ -18,13 +18,13 @@ import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.charts.curves import Values, choose_rows
-from turtlelog.charts.plotted_curves import TIMELINE, WALL_TIMELINE, find_phase_zeros
+from turtlelog.charts.time_plots import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.compare import name_runs
 from turtlelog.display import join_words, parse_utc
-from turtlelog.draw.output_files import replace_file
 from turtlelog.draw.rerun.entities import APPLICATION_ID, TICKS, join_path, name_document
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
+from turtlelog.log import replace_when_complete
 from turtlelog.measure import Metric
 from turtlelog.run import Parameter, Run
 
@@ -50,7 +50,7 @@ def open_recording(
         ShowError: If the file cannot be written.
     """
     path = make_path(path)
-    with replace_file(path) as part_path, strict_mode():
+    with replace_when_complete(path, raising=ShowError) as part_path, strict_mode():
         # The properties that Rerun would send contain the wall-clock time.
         stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
         require_enabled(stream, str(path))

@@ -15,20 +15,21 @@ from turtlelog.charts import palette
 from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Curve, Values, select_curve_rows
 from turtlelog.charts.plane_scene import move_near
-from turtlelog.charts.plotted_curves import TIMELINE
+from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.display import cut_name
-from turtlelog.draw.documents import document_run
-from turtlelog.draw.rerun import entities, marks, plane, plots, recording_stream, turtles
-from turtlelog.draw.rerun.content import Content, describe_content, find_corners, view_curves
+from turtlelog.draw.rerun import entities, plane, plots, recording_stream, turtles
+from turtlelog.draw.rerun.content import Content, describe_content, find_corners, name_legends
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.layout import (
     LEGEND_TITLE,
     build_run_layout,
     build_violation_layout,
     is_small,
+    view_curves,
 )
 from turtlelog.draw.rerun.recording_stream import RunStream
 from turtlelog.draw.rerun.turtles import Look
+from turtlelog.draw.tables import document_run
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.log.ros2.bag_surroundings import Surroundings
 from turtlelog.measure import Metric, measure_run
@@ -108,7 +109,7 @@ class Single:
     metrics: Mapping[str, Metric]  # metrics of the run by id
     series: tuple[plots.Series, ...]  # curves of the run and of theory
     references: tuple[plots.LevelLines, ...]  # level lines
-    marks: tuple[marks.Mark, ...]  # metrics that can be marked on a curve
+    marks: tuple[plots.Mark, ...]  # metrics that can be marked on a curve
     names: Mapping[str, str]  # names of the main curve of each plot
     legends: frozenset[str]  # plots that have a legend
     by_speed: plane.SpeedTrace | None  # path in colours of its speed; None if nothing moves
@@ -144,10 +145,10 @@ def build_single(run: Run) -> Single:
     metrics, first_m = measure_run(run), run.poses.xy_m[0]
     (run,), origin = move_near([run])
     measured = plots.list_series(run)
-    named = marks.name_legends(
-        (*measured, *marks.list_responses(run, metrics)),
+    named = name_legends(
+        (*measured, *plots.list_responses(run, metrics)),
         plots.list_references([run]),
-        marks.list_marks(run, measured, metrics),
+        plots.list_marks(run, measured, metrics),
     )
     return Single(
         run=run,
@@ -188,13 +189,13 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
         plane.draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
     if content.worst is not None:
         plane.draw_worst_place(stream, content.worst, palette.MAIN)
-    marks.draw_phases(run_stream, run)
+    plots.draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, single, content)
     plots.draw_references(stream, single.references, recording_stream.read_span([run], [timelines]))
     for curves in single.series:
         plots.draw_series(run_stream, curves)
-    marks.draw_marks(run_stream, single.marks)
+    plots.draw_marks(run_stream, single.marks)
 
 
 def _draw_events(run_stream: RunStream, single: Single, content: Content) -> None:
@@ -204,8 +205,8 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
     times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
     for plot in single.list_lined():
         name, entity = single.names[plot], f"{plot}/{_EVENT_LINES}"
-        marks.draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
-    marks.list_events(run_stream, run)
+        plots.draw_lines(run_stream, entity, name, palette.MAIN, times_ns, largest=largest)
+    plots.list_events(run_stream, run)
 
 
 _RADIUS: Final = 6.0  # [points], as are the other sizes

@@ -11,7 +11,7 @@ from turtlelog.charts import palette
 from turtlelog.charts.close_up import format_length
 from turtlelog.charts.curves import Values, find_steps
 from turtlelog.charts.plane_scene import find_break_rows, read_way_to_reference
-from turtlelog.charts.plotted_curves import locate_run
+from turtlelog.charts.time_plots import locate_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plots import Series

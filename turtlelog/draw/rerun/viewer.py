@@ -1,4 +1,4 @@
-"""Rerun's viewers: the native viewer as a child process, and the web viewer on this machine."""
+"""Rerun's native viewer as a child process: its windows, and pictures of it without a display."""
 
 import os
 import re
@@ -6,31 +6,27 @@ import shutil
 import socket
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO, TYPE_CHECKING, Final
-from urllib.error import URLError
-from urllib.parse import quote, urlencode, urlsplit
-from urllib.request import ProxyHandler, build_opener
+from urllib.parse import urlsplit
 
-from turtlelog.draw.output_files import write_policy
+from turtlelog.charts.time_plots import TIMELINE, WALL_TIMELINE
+from turtlelog.draw.rerun.entities import TICKS
 from turtlelog.errors import ShowError
+from turtlelog.log import replace_when_complete
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-
 _PATIENCE_S: Final = 5.0
 
-_LOCAL: Final = "127.0.0.1"
+LOCAL: Final = "127.0.0.1"
 """Loopback address, which other machines cannot reach."""
 
 _START_S: Final = 30.0
@@ -150,7 +146,7 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     # The viewer leaves a folder in the temporary folder, so it gets a folder of its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
-            [*guard, find_viewer(), "--bind", _LOCAL, *options],
+            [*guard, find_viewer(), "--bind", LOCAL, *options],
             env={**os.environ, **_NO_TELEMETRY, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -175,13 +171,13 @@ def require_recordings(paths: Sequence[str | Path]) -> None:
 def find_free_port() -> int:
     """Return a port of this machine that is free now."""
     with socket.socket() as probe:
-        probe.bind((_LOCAL, 0))
+        probe.bind((LOCAL, 0))
         return int(probe.getsockname()[1])
 
 
 def build_url(port: int) -> str:
     """Return the address at which a viewer receives data."""
-    return f"rerun+http://{_LOCAL}:{port}/proxy"
+    return f"rerun+http://{LOCAL}:{port}/proxy"
 
 
 def require_viewer(url: str) -> None:
@@ -230,134 +226,252 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
         return client
 
 
-_KINDS: Final[Mapping[str, str]] = {
-    "": "text/html; charset=utf-8",
-    "re_viewer.js": "text/javascript",
-    "re_viewer_bg.wasm": "application/wasm",
-    "favicon.ico": "image/x-icon",
-}
-"""Files of the page by name, with the content types that a browser expects."""
+_LOAD_S: Final = 60.0
+_PICTURES: Final = 20
+_PAUSE_S: Final = 0.1
+_NOTICE_S: Final = 3.5
+_TINY: Final = 16  # longest side of a picture that nobody sees [pixels]
+_LAST_BREATH_S: Final = 2.0
+_ZOOM_STEP: Final = 0.1
+_ROUNDING_S: Final = 1e-3
+"""Rounding of times, which are printed in milliseconds."""
+_OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
+"""Timelines that do not count seconds from an event of the run."""
 
-_RECORDING: Final = "application/octet-stream"
-_PAUSE_S: Final = 0.02
+_PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownView:
+    """One view of the layout.
+
+    Attributes:
+        name: Title of the view.
+        kind: Rerun's class of view, such as `TimeSeries`.
+        is_visible: Whether the layout shows it.
+        problems: Warnings and errors of the view.
+    """
+
+    name: str
+    kind: str
+    is_visible: bool
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewReport:
+    """Report of the viewer on a recording.
+
+    Attributes:
+        views: Views of the layout.
+        entities: Loaded entity paths, including properties.
+        messages: Warnings and errors that the viewer logged.
+    """
+
+    views: tuple[ShownView, ...]
+    entities: tuple[str, ...]
+    messages: tuple[str, ...]
+
+
+class Camera:
+    """A headless viewer that takes pictures one after another; `open_camera` starts it."""
+
+    def __init__(
+        self, viewer: ViewerProcess, client: "ViewerClient", size: tuple[int, int]
+    ) -> None:
+        self._viewer, self._client, self._size = viewer, client, size
+        self._is_ready = False
+        self._last_log = 0
+
+    def take(
+        self,
+        rrd_path: str | Path,
+        png_path: str | Path,
+        *,
+        at_s: float | None = None,
+        timeline: str = TIMELINE,
+    ) -> ViewReport:
+        """Write a picture of a recording, as `write_snapshot` does."""
+        require_recordings([rrd_path])
+        client = self._client
+        try:
+            _open(client, Path(rrd_path), self._last_log)
+            if self._is_ready:  # leave the previous layout
+                client.run_command("recording.reset_blueprint_to_default")
+                client.take_screenshot(max_size=_TINY)
+            else:  # let the viewer draw until its welcome messages have disappeared
+                deadline = time.monotonic() + _NOTICE_S
+                while time.monotonic() < deadline:
+                    client.take_screenshot(max_size=_TINY)
+                self._is_ready = True
+            client.run_command("ui.toggle_top_panel")
+            _set_time(client, at_s, timeline)
+            picture = _take_picture(client)
+            report = _read_report(client, self._last_log)
+            client.close("all")
+            self._last_log = max((entry.sequence for entry in client.get_logs()), default=0)
+        except (RuntimeError, OSError) as err:
+            if _has_ended(self._viewer):
+                raise _describe_lack(self._viewer.read_error()) from err
+            width, height = self._size
+            raise ShowError(
+                f"viewer: expected a picture of {width}x{height} pixels, found: {err}"
+            ) from err
+        with replace_when_complete(png_path, raising=ShowError) as part_path:
+            part_path.write_bytes(picture)
+        return report
 
 
 @contextmanager
-def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
-    """Serve .rrd files with the web viewer on 127.0.0.1 while the block runs; yield the address.
+def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
+    """Start a headless viewer for any number of pictures, and end it after the block.
 
-    The viewer's own web server keeps a core busy even without a visitor. The page is therefore
-    fetched from that server once, kept in memory, and served from a thread of this process, without
-    a display. Only the page and the given files are served, and only to this page. A
-    Content-Security-Policy restricts the page's requests to this server. Otherwise Rerun's viewer
-    would contact its telemetry, a page of releases and a font server, and it has no option against
-    the first two.
+    The arguments are as in `write_snapshot`.
 
     Raises:
-        ShowError: If a file is missing, or the page cannot be fetched.
+        ShowError: If the viewer cannot start.
     """
-    require_recordings(paths)
-    files = {f"{number}/{Path(path).name}": Path(path) for number, path in enumerate(paths)}
-    ports = {"--port": find_free_port(), "--web-viewer-port": find_free_port()}
-    options = [word for name, port in ports.items() for word in (name, str(port))]
-    with start_viewer(["--serve-web", *options]) as viewer:
-        root = f"http://{_LOCAL}:{ports['--web-viewer-port']}/"
-        page = {name: _fetch(viewer, root + name) for name in _KINDS}
-    page[""] = _REMOTE_LINK.sub(b"", page[""])
-    policy = write_policy(
-        re.findall(r"<script>(.*?)</script>", page[""].decode(), re.DOTALL),
-        script_src="'self' 'wasm-unsafe-eval'",  # the viewer is WebAssembly
-        connect_src="'self'",
-        img_src="'self'",
-        worker_src="'self' blob:",
-        frame_ancestors="'none'",
-    )
-    fields = {"Content-Security-Policy": policy, "Referrer-Policy": "no-referrer"}
-    handler = partial(_Handler, page, fields, files)
-    with ThreadingHTTPServer((_LOCAL, 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, name="web", daemon=True)
-        thread.start()
+    port = find_free_port()
+    width, height = size
+    options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
+    with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
         try:
-            root = f"http://{_LOCAL}:{server.server_port}/"
-            words = [("theme", "dark"), *(("url", root + quote(name)) for name in files)]
-            yield f"{root}?{urlencode(words)}"
-        finally:
-            server.shutdown()
-            thread.join()
+            client = wait_for_viewer(viewer, port)
+        except ConnectionError as err:
+            raise _describe_lack(str(err)) from err
+        for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
+            client.run_command("ui.zoom_in_ui")
+        yield Camera(viewer, client, size)
 
 
-_REMOTE_LINK: Final = re.compile(rb"<link[^>]*https?://[^>]*>")
-"""Links to fonts and early connections, which no policy covers."""
+def write_snapshot(
+    rrd_path: str | Path,
+    png_path: str | Path,
+    *,
+    at_s: float | None = None,
+    timeline: str = TIMELINE,
+    size: tuple[int, int] = (1600, 900),
+    zoom: float = 1.0,
+) -> ViewReport:
+    """Write a picture of a recording as the viewer shows it, and return the viewer's report.
+
+    Args:
+        rrd_path: The recording.
+        png_path: The picture. An existing file is replaced when the new one is complete.
+        at_s: Position of the time cursor [s]. Default: the end.
+        timeline: Timeline of the cursor: `sim_time`, or for several runs also that of a phase, such
+            as `translate_time`.
+        size: Width and height of the window [pixels].
+        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+
+    Raises:
+        ShowError: If the viewer cannot start, or the recording cannot be shown.
+    """
+    require_recordings([rrd_path])
+    with open_camera(size=size, zoom=zoom) as camera:
+        return camera.take(rrd_path, png_path, at_s=at_s, timeline=timeline)
 
 
-def _fetch(viewer: ViewerProcess, address: str) -> bytes:
-    deadline = time.monotonic() + _START_S
-    opener = build_opener(ProxyHandler({}))
+def _has_ended(viewer: ViewerProcess) -> bool:
+    """Return whether the viewer has ended or is ending. Without graphics, it answers briefly."""
+    deadline = time.monotonic() + _LAST_BREATH_S
+    while not viewer.has_ended and time.monotonic() < deadline:
+        time.sleep(_PAUSE_S)
+    return viewer.has_ended
+
+
+def _describe_lack(found: str) -> ShowError:
+    return ShowError(
+        f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
+        f" {_PACKAGES}), found: {found}"
+    )
+
+
+def _open(client: "ViewerClient", path: Path, last_log: int) -> None:
+    client.open(str(path.resolve()))
+    deadline = time.monotonic() + _LOAD_S
+    while (state := client.get_state()).loading or not state.views:
+        found = client.get_logs(after_sequence=last_log)
+        errors = [entry.message for entry in found if entry.level == "ERROR"]
+        if errors:
+            raise ShowError(f"{path}: expected a recording, found: {errors[0].splitlines()[0]}")
+        if time.monotonic() > deadline:
+            raise ShowError(f"{path}: expected a recording that loads in {_LOAD_S:g} s")
+        time.sleep(_PAUSE_S)
+
+
+def _set_time(client: "ViewerClient", at_s: float | None, name: str) -> None:
+    """Set the cursor to a time, or to the end. A recording without times has no cursor."""
+    starts_ns: dict[str, int] = {}
+    ends_ns: dict[str, int] = {}
+    for recording in client.get_state().recordings:
+        for timeline in recording.timelines:
+            if timeline.end is not None and timeline.name not in _OTHER_TIMELINES:
+                start_ns = timeline.end if timeline.start is None else timeline.start
+                starts_ns[timeline.name] = min(start_ns, starts_ns.get(timeline.name, start_ns))
+                ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
+    if name == TIMELINE and name not in ends_ns and len(ends_ns) == 1:
+        (name,) = ends_ns  # the own timeline of an identified robot
+    if name in ends_ns:
+        cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
+        _require_inside(cursor_s, name, starts_ns[name] / 1e9, ends_ns[name] / 1e9)
+        client.set_time(name, duration=cursor_s, play_state="paused")
+    elif at_s is not None or name != TIMELINE:
+        known = " or ".join(sorted(ends_ns)) or "one, of which there is none"
+        raise ShowError(f"timeline: expected {known}, found {name}")
+
+
+def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
+    """Raise an error if the recording has no data at a time, because the picture would be empty."""
+    if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
+        raise ShowError(
+            f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
+            f" found {cursor_s:g}"
+        )
+
+
+def _take_picture(client: "ViewerClient") -> bytes:
+    """Return the first picture that equals the previous one: views settle over some frames."""
+    before, picture = None, _shoot(client)
+    for _ in range(_PICTURES):
+        if picture == before:
+            break
+        time.sleep(_PAUSE_S)
+        before, picture = picture, _shoot(client)
+    return picture
+
+
+def _shoot(client: "ViewerClient") -> bytes:
+    """Return a picture. Retry after Rerun's timeout of 15 s, which is too short for many runs."""
+    deadline = time.monotonic() + _LOAD_S
     while True:
         try:
-            with opener.open(address, timeout=_START_S) as answer:
-                data: bytes = answer.read()
-        except (URLError, OSError) as err:
-            if not viewer.has_ended and time.monotonic() < deadline:
-                time.sleep(_PAUSE_S)
-                continue
-            raise ShowError(f"viewer: expected its web page, found: {viewer.read_error()}") from err
-        return data
+            return client.take_screenshot()
+        except (RuntimeError, OSError) as err:
+            if "Deadline expired" not in str(err) or time.monotonic() > deadline:
+                raise
 
 
-class _Handler(BaseHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
-
-    def __init__(
-        self,
-        page: Mapping[str, bytes],
-        fields: Mapping[str, str],
-        files: Mapping[str, Path],
-        *words: object,
-    ) -> None:
-        self._page, self._fields = page, fields
-        self._files = {quote(name): path for name, path in files.items()}
-        super().__init__(*words)  # type: ignore[arg-type]
-
-    def do_GET(self) -> None:
-        """Answer with a part of the page or a file."""
-        name = urlsplit(self.path).path.removeprefix("/")
-        # Another page may give its own name this machine's address; it gets nothing.
-        if self.headers.get("Host", "").rsplit(":", 1)[0] not in {_LOCAL, "localhost"}:
-            self.send_error(HTTPStatus.FORBIDDEN)
-        elif name in self._page:
-            self._send_head(_KINDS[name], len(self._page[name]))
-            self.wfile.write(self._page[name])
-        elif name in self._files:
-            self._send_file(self._files[name])
-        else:
-            self.send_error(HTTPStatus.NOT_FOUND)
-
-    def handle(self) -> None:
-        """Answer until the browser disconnects, possibly in the middle of an answer."""
-        try:
-            super().handle()
-        except ConnectionError:
-            self.close_connection = True
-
-    def log_message(self, format: str, *values: object) -> None:  # noqa: A002
-        """Print nothing, because the terminal belongs to the user."""
-
-    def _send_file(self, path: Path) -> None:
-        try:
-            stream = path.open("rb")
-        except OSError:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        with stream:
-            self._send_head(_RECORDING, path.stat().st_size)
-            shutil.copyfileobj(stream, self.wfile)
-
-    def _send_head(self, kind: str, size: int) -> None:
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(size))
-        self.send_header("Cache-Control", "no-store")
-        for name, value in self._fields.items():
-            self.send_header(name, value)
-        self.end_headers()
+def _read_report(client: "ViewerClient", last_log: int) -> ViewReport:
+    return ViewReport(
+        views=tuple(
+            ShownView(
+                name=view.name,
+                kind=view.view_class,
+                is_visible=view.visible,
+                problems=tuple(
+                    ": ".join(filter(None, (report.severity, report.summary, report.details)))
+                    for report in view.reports
+                ),
+            )
+            for view in client.get_state().views
+        ),
+        entities=tuple(
+            entity.entity_path for entity in client.get_recording_schema(paths_only=True).entities
+        ),
+        messages=tuple(
+            f"{entry.level}: {entry.message}"
+            for entry in client.get_logs(after_sequence=last_log)
+            if entry.level in {"WARN", "ERROR"}
+        ),
+    )

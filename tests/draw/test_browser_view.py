@@ -55,7 +55,7 @@ def test_the_widget_has_the_size_that_is_asked_for() -> None:
 def test_without_the_extra_there_is_a_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     find: Callable[[str], Any] = importlib.util.find_spec
     monkeypatch.setattr(
-        "turtlelog.draw.notebook_view.find_spec",
+        "turtlelog.draw.browser_view.find_spec",
         lambda name: None if name == "rerun_notebook" else find(name),
     )
     assert isinstance(tl.show_run(RUN), Figure)

@@ -1,8 +1,8 @@
-"""Pictures of an explanation: the steps of an attribution, and the effect of chance."""
+"""Pictures in their own coordinates: legends of many runs, an attribution, the effect of chance."""
 
 from collections.abc import Callable, Sequence
 from textwrap import wrap
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
@@ -13,10 +13,131 @@ from turtlelog.charts.attribution_steps import StepScale, Waterfall
 from turtlelog.charts.close_up import CloseUp
 from turtlelog.charts.curves import Values
 from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
+from turtlelog.charts.many_runs import GainScale
 from turtlelog.draw.rerun import entities
-from turtlelog.draw.rerun.content import view_picture
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.plane import draw_points, draw_strips, write_words
+
+
+def view_picture(
+    name: str,
+    contents: Sequence[str],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    **more: Any,
+) -> rrb.View:
+    """Return the view of a picture in its own coordinates, on dark ground."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=contents,
+        name=name,
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=x_range, y_range=y_range),
+        **more,
+    )
+
+
+_SCALE_WIDTH: Final = 12.0
+"""Width of the colour bar of many runs, in multiples of its height."""
+
+_SCALE_DEPTH: Final = 2.5
+_LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
+
+_LEGEND_LETTERS: Final = 48
+"""Number of letters of all columns together; with dots and gaps they take 400 of 430 pixels."""
+
+_MOST_COLUMNS: Final = 4
+"""Largest number of columns of names; more columns of short names would look like lines of text."""
+
+_MOST_NAMES: Final = 28
+"""Largest number of names, in four columns and seven lines of a window of 1200 x 860."""
+
+_LEGEND_RADIUS: Final = 5.0  # [points]
+_SCALE_HEIGHT: Final = 1.0
+
+_SCALE_LINES: Final = 8
+"""Number of lines side by side that fill a cell, because the viewer rounds the ends of a thick
+line."""
+
+_SCALE_LABELS: Final = 12
+"""Largest number of values in a view 500 pixels wide: 40 pixels each."""
+
+
+def view_scale(title: str) -> rrb.View:
+    """Return the view of the colour bar of many runs."""
+    contents, across = [f"{join_path(entities.LEGEND)}/**"], (-0.3, _SCALE_WIDTH + 0.3)
+    return view_picture(title, contents, across, (-0.5, _SCALE_DEPTH))
+
+
+def view_legend(names: Sequence[str]) -> rrb.View:
+    """Return the view of the names of runs."""
+    shown = [names[number] for number in choose_names(len(names))]
+    last_row = float(arrange_names(shown)[-1, 1])
+    title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
+    ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
+    return view_picture(title, [join_path(entities.LEGEND)], *ranges)
+
+
+def draw_legend(
+    stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[palette.Color]
+) -> None:
+    """Draw the names of runs in their colours."""
+    chosen = choose_names(len(names))
+    shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
+    looks: dict[str, Any] = {"labels": shown, "show_labels": True}
+    draw_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
+
+
+def draw_scale(
+    stream: rr.RecordingStream, scale: GainScale, colors: Sequence[palette.Color]
+) -> None:
+    """Draw a bar of the runs' colours in order, with some of the values below the bar."""
+    width = _SCALE_WIDTH / len(colors)
+    edges = np.arange(len(colors) + 1) * width
+    bar = rr.LineStrips2D(
+        [
+            [(x, (row + 0.5) * _SCALE_HEIGHT / _SCALE_LINES) for x in edges[number : number + 2]]
+            for number in range(len(colors))
+            for row in range(_SCALE_LINES)
+        ],
+        radii=_SCALE_HEIGHT / _SCALE_LINES * 0.6,
+        colors=palette.pack_colors([color for color in colors for _ in range(_SCALE_LINES)]),
+    )
+    stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
+    ticks = scale.list_ticks(_SCALE_LABELS)
+    places = [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks]
+    hues = [colors[round(place)] for place, _ in ticks]
+    write_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
+
+
+def title_scale(scale: GainScale) -> str:
+    """Return the title of the colour bar."""
+    return f"{len(scale.values)} runs, coloured by {scale.word}: {tell_span(scale)}"
+
+
+def tell_span(scale: GainScale) -> str:
+    """Return the least and the greatest value of the bar."""
+    return f"{min(scale.values):g} to {max(scale.values):g}"
+
+
+def choose_names(count: int) -> tuple[int, ...]:
+    """Return the indices of the named runs among many, as room allows, including the last run.
+
+    Colours of many runs follow their order, so neighbouring names identify unnamed runs.
+    """
+    if count <= _MOST_NAMES:
+        return tuple(range(count))
+    return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
+
+
+def arrange_names(names: Sequence[str]) -> Values:
+    """Return places in a grid, y downward, shape (n, 2). The longest name sets the column width."""
+    longest = max(len(name) for name in names)
+    columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
+    number = np.arange(len(names))
+    across = (number % columns + 0.5) * (_LEGEND_WIDTH / columns)
+    return np.column_stack([across, number // columns])
+
 
 _WIDTH: Final = 100.0
 """Width of the picture in its unit of length; one unit is 7 pixels in a window of 1200 x 860."""

@@ -1,42 +1,168 @@
-"""Pictures of a movie: the plane on the left, curves and the goal on the right.
+"""Movies of one or several runs as .mp4 (VP9) or .gif: their times, their pictures, their files.
 
-Static content is drawn once; for each picture, moving content is drawn over a copy of it.
+A picture shows the plane on the left, curves and the goal on the right. Static content is drawn
+once; for each picture, moving content is drawn over a copy of it.
+
+VP9 and its encoder are free of fees, and OpenCV contains FFmpeg under the LGPL. H.264, which older
+players also support, has no available encoder without the GPL.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.libraries import load_library
+
+load_library("matplotlib")
+
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
-from matplotlib.text import Text
-from numpy.typing import NDArray
 
 from turtlelog.charts import plane_scene, plotted_curves
-from turtlelog.charts.close_up import (
-    CloseUp,
-    Lettering,
-    format_length,
-    list_miss_labels,
-)
+from turtlelog.charts.close_up import CloseUp, Lettering, format_length, list_miss_labels
 from turtlelog.charts.curves import Values, choose_rows
-from turtlelog.charts.many_runs import shorten_run_names
 from turtlelog.charts.plane_scene import part_path
-from turtlelog.charts.time_plots import TIME_PLOTS, list_controlled
-from turtlelog.draw.figures.figure_curves import choose_run_lines, label_runs
+from turtlelog.charts.time_plots import (
+    TIME_PLOTS,
+    TIMELINE,
+    Film,
+    list_controlled,
+    locate_run,
+    plan_film,
+)
+from turtlelog.compare import order_by_gain
+from turtlelog.draw.figures.figure_curves import NAMES_HEIGHT, choose_run_lines, name_runs_above
 from turtlelog.draw.figures.page import LOOKS, fix_style, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
+from turtlelog.errors import ShowError
+from turtlelog.files.urls import make_path
+from turtlelog.log import replace_when_complete
 from turtlelog.run import Run
-
-if TYPE_CHECKING:
-    from turtlelog.draw.movie_file import Film
 
 Picture = NDArray[np.uint8]
 """Pixels of a picture, shape (height, width, 3): red, green and blue."""
+
+_SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
+"""Widths and heights [pixels]: the size of a slide, and a size for a page with text next to the
+movie."""
+
+
+def write_movie(
+    runs: Sequence[Run],
+    path: str | Path,
+    *,
+    timeline: str = TIMELINE,
+    length_s: float | None = None,
+    on_picture: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a movie: turtles with growing trails, and a close-up of the goal at the end.
+
+    Args:
+        runs: Runs, at least one. Several runs are in one picture, in the order of their gains.
+        path: A .mp4 (VP9) or .gif file. An existing file is replaced when the new one is complete.
+        timeline: `sim_time`: from each run's first sample; or a later phase, such as
+            `translate_time`: from each start of this phase.
+        length_s: Length of the movie [s], 1 to 600, for a .gif up to 60. Default: real time, at
+            most 10 s.
+        on_picture: Function that is called with the numbers of pictures done and in total.
+
+    Raises:
+        ShowError: If there is no run, a run does not have the timeline, the length is out of range,
+            or the file cannot be written.
+        LibraryError: If the encoder of such a file is not installed.
+    """
+    path = make_path(path)
+    suffix = path.suffix.lower()
+    require_encoder(suffix)
+    if not runs:
+        raise ShowError(f"{path}: no run to film")
+    longest_s = LONGEST_S[suffix]
+    if length_s is not None and not SHORTEST_S <= length_s <= longest_s:
+        raise ShowError(
+            f"movie: expected a length of {SHORTEST_S:g} to {longest_s:g} s for {suffix}, found"
+            f" {length_s:g}"
+        )
+    runs = order_by_gain(runs)
+    film = plan_film(
+        runs, timeline=timeline, length_s=length_s, pictures_per_s=PICTURES_PER_S[suffix]
+    )
+    pictures = draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture)
+    with replace_when_complete(path, raising=ShowError) as part:
+        (_encode_mp4 if suffix == ".mp4" else _encode_gif)(pictures, part)
+
+
+PICTURES_PER_S: Final = {".mp4": 24.0, ".gif": 20.0}
+"""Picture rates [1/s]. For .mp4, the rate is that of the cinema; VP9 takes 0.13 s of processor time
+per picture. For .gif, a picture lasts whole hundredths of a second, and many programs show none for
+less than five."""
+
+_COLORS: Final = 128
+"""Number of colours of a GIF; twelve runs with faint paths and smooth edges need about 90."""
+
+
+def require_encoder(suffix: str) -> None:
+    """Load the encoder for files with a suffix.
+
+    Raises:
+        ShowError: If there is no movie format with this suffix.
+        LibraryError: If the encoder is not installed.
+    """
+    if suffix not in _SIZES:
+        raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
+    load_library("cv2" if suffix == ".mp4" else "PIL.Image")
+
+
+def _encode_mp4(pictures: Iterable[Picture], path: Path) -> None:
+    cv2 = load_library("cv2")
+    # OpenCV chooses the encoder by the file's suffix, which the temporary name of the target lacks.
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        whole = Path(folder) / "movie.mp4"
+        writer: Any = None
+        for picture in pictures:
+            if writer is None:
+                height, width = picture.shape[:2]
+                codec = cv2.VideoWriter_fourcc(*"vp09")
+                rate = PICTURES_PER_S[".mp4"]
+                writer = cv2.VideoWriter(str(whole), cv2.CAP_FFMPEG, codec, rate, (width, height))
+                if not writer.isOpened():
+                    raise ShowError(f"{path}: expected OpenCV to write VP9, found that it cannot")
+            writer.write(np.ascontiguousarray(picture[:, :, ::-1]))
+        if writer is not None:
+            writer.release()
+        path.write_bytes(whole.read_bytes())
+
+
+def _encode_gif(pictures: Iterable[Picture], path: Path) -> None:
+    image = load_library("PIL.Image")
+    shown = [image.fromarray(picture) for picture in pictures]
+    # One colour table for all pictures, from the last, which has all colours: nothing flickers.
+    table = shown[-1].quantize(_COLORS)
+    frames = [picture.quantize(palette=table, dither=image.Dither.NONE) for picture in shown]
+    frames[0].save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=round(1000.0 / PICTURES_PER_S[".gif"]),
+        loop=0,
+        optimize=False,
+    )
+
+
+SHORTEST_S: Final = 1.0
+"""Shortest movie [s]; shorter movies would be a picture."""
+
+LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
+"""Longest movie [s] by format. An .mp4 takes 3 s of work per second. A .gif is made from all
+pictures at once, 22 MB per second."""
 
 _INCH: Final = (12.8, 7.2)
 _LOOKS: Final = {
@@ -110,7 +236,7 @@ class _Stage:
     """The figure with its moving parts. All sequences of runs have the same order."""
 
     figure: Figure
-    film: "Film"
+    film: Film
     places: list[tuple[Values, Values]]
     trails: list[_Growing] = field(default_factory=list)
     near_trails: list[_Growing] = field(default_factory=list)
@@ -124,7 +250,7 @@ class _Stage:
 
 def draw_pictures(
     runs: Sequence[Run],
-    film: "Film",
+    film: Film,
     *,
     size: tuple[int, int],
     on_picture: Callable[[int, int], None] | None = None,
@@ -153,7 +279,7 @@ def draw_pictures(
 Look = dict[str, Any]
 
 
-def _set_stage(figure: Figure, runs: Sequence[Run], film: "Film") -> _Stage:
+def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
     looks = [
         {"color": line["color"], "zorder": line.get("zorder", 2)} for line in choose_run_lines(runs)
     ]
@@ -161,7 +287,7 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: "Film") -> _Stage:
     stage = _Stage(
         figure=figure,
         film=film,
-        places=[plotted_curves.locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
+        places=[locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
     )
     close_up = find_named_close_up(runs)
     _set_plane(stage, runs, looks)
@@ -171,8 +297,8 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: "Film") -> _Stage:
         _set_curve(stage, figure.add_axes(place), runs, looks, name)
     if close_up is not None:
         _set_goal(stage, runs, looks, close_up)
-    _name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
-    stage.clock = figure.text(0.98, _HEIGHT, "", ha="right", va="center", animated=True)
+    name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
+    stage.clock = figure.text(0.98, NAMES_HEIGHT, "", ha="right", va="center", animated=True)
     return stage
 
 
@@ -325,10 +451,10 @@ def _show_goal(stage: _Stage, goal: _Goal, number: int) -> None:
         dot.set_data(*xy_m[number : number + 1].T)
 
 
-def _tell_film(film: "Film") -> str:
+def _tell_film(film: Film) -> str:
     """Return the zero of the time, if it is not the first sample, and the speed of the movie."""
     phase = film.timeline.removesuffix("_time").removeprefix("phase.")
-    zero = "" if film.timeline == plotted_curves.TIMELINE else f" from the start of {phase}"
+    zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"
     pace = f"{film.pace:.0f}" if film.pace >= 10.0 else f"{film.pace:.2g}"
     return zero + ("" if abs(film.pace - 1.0) < 0.005 else f", {pace} times real time")
 
@@ -336,56 +462,3 @@ def _tell_film(film: "Film") -> str:
 def _find_ratio(figure: Figure, place: tuple[float, float, float, float]) -> float:
     width, height = figure.get_size_inches()
     return float(place[2] * width / (place[3] * height))
-
-
-_HEIGHT: Final = 0.935
-"""Height of the line's middle, as a share of the picture."""
-
-_MOST_NAMED: Final = 7
-"""Largest number of names above the picture: as many as there are hues."""
-
-_NAMES_END: Final = 0.66
-"""End of the names, as a share of the width; the rest of the width is for the clock."""
-
-_LEAST_POINTS: Final = 10.0
-"""Smallest size of a name [points]; smaller letters are illegible in a .gif 450 pixels high."""
-
-
-def _name_runs_above(
-    figure: Figure, runs: Sequence[Run], colors: Sequence[Any], *, left: float
-) -> None:
-    """Write names of runs in their colours. Long names are shortened, made smaller, or left out."""
-    chosen = list(range(len(runs)))
-    if len(runs) > _MOST_NAMED:
-        chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
-    names = label_runs(runs)
-    short = shorten_run_names(runs, names)
-    named, end = 0, left
-    for words, points in ((names, 17.0), (short, 17.0), (short, 13.0), (short, 10.0)):
-        told = [(words[number], colors[number]) for number in chosen]
-        end, texts = _write_names(figure, told, points, left)
-        named = len(texts)
-        if named == len(chosen) or points <= _LEAST_POINTS:
-            break
-        for text in texts:
-            text.remove()
-    if named < len(runs):
-        figure.text(end, _HEIGHT, f"({named} of {len(runs)} runs)", va="center")
-
-
-def _write_names(
-    figure: Figure, told: Sequence[tuple[str, Any]], points: float, left: float
-) -> tuple[float, list[Text]]:
-    """Write names side by side while there is room; return the end of the names and the texts."""
-    texts: list[Text] = []
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    for name, color in told:
-        text = figure.text(left, _HEIGHT, name, color=color)
-        text.set(fontsize=points, fontweight="bold", va="center")
-        right = left + text.get_window_extent(renderer).width / figure.bbox.width
-        if right > _NAMES_END:
-            text.remove()
-            break
-        texts.append(text)
-        left = right + 0.02
-    return left, texts
