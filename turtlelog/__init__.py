@@ -5,7 +5,6 @@ names are in `__init__.pyi` and load on first use: importing the package loads n
 rerun.
 """
 
-from turtlelog.libraries import attach_names
-from turtlelog.version import __version__ as __version__
+from turtlelog.libraries import __version__ as __version__, attach_names
 
 __getattr__, __dir__ = attach_names(__name__, __file__)

@@ -64,6 +64,7 @@ from .laws import (
     Law as Law,
     Pose as Pose,
 )
+from .libraries import __version__ as __version__
 from .log import (
     Recorder as Recorder,
     read_bag as read_bag,
@@ -114,4 +115,3 @@ from .sweep import (
 from .sweep.tune import (
     tune_scenario as tune_scenario,
 )
-from .version import __version__ as __version__

@@ -1,4 +1,4 @@
-"""Libraries that not every installation has, and packages whose names load on first use.
+"""The version, libraries that not every installation has, and names that load on first use.
 
 A library is loaded when it is needed. A public name loads on first use. If the library of a name is
 not installed, the package does not have the name, and the import error says what to install.
@@ -14,6 +14,9 @@ from typing import Any, Final
 import lazy_loader  # type: ignore[import-untyped]
 
 from turtlelog.errors import LibraryAttributeError, LibraryError, LibraryImportError
+
+__version__ = "0.1.0"
+"""The version of turtlelog, which recordings contain."""
 
 _PURPOSES: Final = MappingProxyType(
     {
@@ -58,7 +61,7 @@ _NEEDED: Final = MappingProxyType(
     {
         "turtlelog.draw.figures": ("matplotlib",),
         "turtlelog.draw.movie": ("matplotlib",),
-        "turtlelog.draw.report": ("matplotlib", "bokeh"),
+        "turtlelog.draw.report_file": ("matplotlib", "bokeh"),
         "turtlelog.draw.rerun": ("rerun", "pyarrow"),
     }
 )

@@ -11,8 +11,8 @@ from tests.draw.rerun.rrds import read_static
 from turtlelog.charts.many_runs import MANY_PATHS, find_gain_ends, outline_points
 from turtlelog.charts.palette import choose_run_colors
 from turtlelog.draw.figures.figure_curves import color_runs
-from turtlelog.draw.report.drawing import Drawn
-from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.report_drawing import Drawn
+from turtlelog.draw.report_plots import draw_plots
 
 KP2, KP10 = (tl.simulate_run(tl.load_scenario(f"paper-kp{kp}")) for kp in (2, 10))
 RANDOM = np.random.default_rng(3)

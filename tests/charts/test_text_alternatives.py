@@ -1,6 +1,6 @@
 import numpy as np
 
-from turtlelog.draw.report.drawing import describe_plane, describe_plot
+from turtlelog.draw.report_drawing import describe_plane, describe_plot
 
 FALLING = np.array([2.0, np.nan, -0.25, 0.5])
 

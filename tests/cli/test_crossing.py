@@ -39,7 +39,7 @@ SHARERS = {
     "turtlelog.sweep.sweep_scenario": [
         ["sweep", "paper", *GRID, "--record", "runs", "-o", "s.parquet"]
     ],
-    "turtlelog.sweep.tune.candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
+    "turtlelog.sweep.tune_candidates": [["tune", "posture", *TUNE, "--set", "max_duration_s=2"]],
     "turtlelog.explain.game": [["explain", "kp10.mcap", "--jobs", "2"]],
     "turtlelog.draw.figures.writing": [["plot", "kp10.mcap", "-o", "figs", "--only", "heading"]],
 }

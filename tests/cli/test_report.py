@@ -12,7 +12,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.charts.close_up import format_length
 from turtlelog.cli.app import main
-from turtlelog.draw.report.sections import conclude_checks
+from turtlelog.draw.report_sections import conclude_checks
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 

@@ -82,10 +82,10 @@ def test_a_candidate_of_tune_without_end_fails_and_the_others_go_on(law: str) ->
     base = tl.override_scenario(tl.load_scenario("textbook"), {"law.kind": law})
     base = tl.override_scenario(base, {"max_duration_s": 0.3})
     told: list[str] = []
-    candidates = tl.sweep.tune.Candidates(
+    candidates = tl.sweep.tune_candidates.Candidates(
         base,
         ["law.gain"],
-        tl.sweep.tune.parse_goal("run.path_length", ()),
+        tl.sweep.tune_candidates.parse_goal("run.path_length", ()),
         jobs=1,
         step_budget_s=0.05,
         tell=told.append,

@@ -299,7 +299,7 @@ def test_ctrl_c_says_the_best_so_far(call: Call, monkeypatch: pytest.MonkeyPatch
     def stop(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("turtlelog.sweep.tune.search._Search.refine", stop)
+    monkeypatch.setattr("turtlelog.sweep.tune_search._Search.refine", stop)
     done = call("tune", "textbook", *VARY, *SETTLING, "--evaluations", "16")
     assert done.code == 130
     assert "candidates so far: law.kp_linear = " in done.err

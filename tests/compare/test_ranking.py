@@ -209,7 +209,7 @@ def test_the_first_line_says_which_run_is_best() -> None:
 
 
 def test_a_report_ranks_as_the_table_does() -> None:
-    from turtlelog.draw.report.sections import conclude_runs
+    from turtlelog.draw.report_sections import conclude_runs
 
     runs = [PAPER, change(limits__speed_m_s=0.5)]
     metrics = [tl.measure_run(run, only=["final.*"]) for run in runs]

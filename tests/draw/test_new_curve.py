@@ -48,8 +48,8 @@ SPREAD = """        "spread": TimePlot(
 
 DRAW = """
 import turtlelog as tl
-from turtlelog.draw.report.drawing import Drawn
-from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.report_drawing import Drawn
+from turtlelog.draw.report_plots import draw_plots
 from turtlelog.draw.rerun.run_scene import build_single
 
 run = tl.simulate_run(tl.load_scenario("paper-kp4"))

@@ -25,8 +25,8 @@ from turtlelog.charts.palette import (
     to_hex,
 )
 from turtlelog.draw.figures.robot_figures import _DEAD
-from turtlelog.draw.report.drawing import Drawn
-from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.report_drawing import Drawn
+from turtlelog.draw.report_plots import draw_plots
 from turtlelog.draw.rerun.content import _LINE_LETTERS
 from turtlelog.draw.rerun.run_scene import build_single
 from turtlelog.run import Run

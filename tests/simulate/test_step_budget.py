@@ -20,7 +20,7 @@ from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import collect_run, iterate_ticks, simulate_many, simulate_run, step_budget
 from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
 from turtlelog.sweep import prepare_sweep
-from turtlelog.sweep.tune import Candidates
+from turtlelog.sweep.tune_candidates import Candidates
 
 POSE = Pose(0.0, 0.0, 0.0)
 DECISION = Decision(speed_m_s=0.0, turn_rate_rad_s=0.0)

@@ -18,7 +18,7 @@ from turtlelog.cli.usage import HelpFormatter, describe_usage_error, find_split_
 from turtlelog.cli.work import end_progress
 from turtlelog.errors import TurtlelogError, UsageError, describe_unknown
 from turtlelog.files.urls import RemoteNote, limit_downloads
-from turtlelog.version import __version__
+from turtlelog.libraries import __version__
 
 _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Simulate": {

@@ -123,7 +123,7 @@ def build_check_lines(
 ) -> "list[tl.draw.CheckLine]":
     """Return results in the form for a report."""
     from turtlelog.check.violation import find_violated_signal
-    from turtlelog.draw.report.drawing import MOST_VIOLATIONS
+    from turtlelog.draw.report_drawing import MOST_VIOLATIONS
 
     def tell(value: float | None, unit: str) -> str:
         return "" if value is None else format_number(value, unit)

@@ -16,7 +16,9 @@ from turtlelog.errors import UsageError
 from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
-    from turtlelog.sweep.tune import SearchedKey, TunedScenario, TuningGoal, Variation
+    from turtlelog.sweep.tune import TunedScenario, Variation
+    from turtlelog.sweep.tune_candidates import TuningGoal
+    from turtlelog.sweep.tune_search import SearchedKey
 
 _MOST_VARIANTS: Final = 1_000_000
 
@@ -60,7 +62,7 @@ class GoalOptions:
                 " tune paper --grid law.kp_linear=0.5:12 --minimise run.duration"
             )
         text = self.maximise if self.minimise is None else self.minimise
-        return tl.sweep.tune.parse_goal(
+        return tl.sweep.tune_candidates.parse_goal(
             text or "", self.subject_to or (), is_maximised=self.minimise is None
         )
 
@@ -117,7 +119,7 @@ class RobustnessOptions:
             found += tl.sweep.tune.read_intervals(self.robot, scenario)
         if self.spread:
             known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(scenario))
-            given = tl.sweep.tune.parse_searched_keys(self.spread, known, source="--spread")
+            given = tl.sweep.tune_search.parse_searched_keys(self.spread, known, source="--spread")
             names = {one.key for one in given}
             found = [one for one in found if one.key not in names]
             found += [console.copy_fields(tl.sweep.tune.Variation, one) for one in given]
@@ -223,7 +225,9 @@ def _parse_keys(
 ) -> "tuple[tl.Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
     given = list_given_keys(changes)
-    for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
+    for key in tl.sweep.tune_search.parse_searched_keys(
+        vary, tl.scenario.flatten_scenario(scenario)
+    ):
         if key.key == "kp" and changes is not None and changes.kp is not None:
             raise UsageError("--kp: the gains are tuned by --grid kp; leave one of them out")
         if key.key in given:
@@ -240,9 +244,9 @@ def _search(
     running: dict[str, Any],
 ) -> "TunedScenario":
     """Return the best of about `most` candidates and its neighbourhood."""
-    expected = most + tl.sweep.tune.NEIGHBOURS * len(keys)
+    expected = most + tl.sweep.tune_search.NEIGHBOURS * len(keys)
     with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
-        candidates = tl.sweep.tune.Candidates(
+        candidates = tl.sweep.tune_candidates.Candidates(
             scenario,
             [key.key for key in keys],
             goal,
@@ -256,7 +260,7 @@ def _search(
             return tl.sweep.tune.tune_candidates(candidates, keys, evaluations=most, seed=seed)
         except KeyboardInterrupt:
             if candidates.evaluations:
-                values = zip(keys, tl.sweep.tune.find_best(candidates).point, strict=True)
+                values = zip(keys, tl.sweep.tune_search.find_best(candidates).point, strict=True)
                 told = ", ".join(f"{key.key} = {value:.6g}" for key, value in values)
                 console.print_note(
                     f"the best of {candidates.evaluations} candidates so far: {told}"

@@ -12,7 +12,8 @@ from turtlelog.display import describe_count, format_number, format_short, join_
 from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from turtlelog.sweep.tune import KeyRange, SearchedKey, Spread, TunedScenario
+    from turtlelog.sweep.tune import Spread, TunedScenario
+    from turtlelog.sweep.tune_search import KeyRange, SearchedKey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,12 +15,12 @@ from .figures import (
     write_trajectory_figure as write_trajectory_figure,
 )
 from .movie import write_movie as write_movie
-from .report import (
-    CheckLine as CheckLine,
+from .report_file import (
     Explanation as Explanation,
     write_map_report as write_map_report,
     write_report as write_report,
 )
+from .report_sections import CheckLine as CheckLine
 from .rerun.comparison_scene import (
     write_comparison_rrd as write_comparison_rrd,
     write_prediction_rrd as write_prediction_rrd,

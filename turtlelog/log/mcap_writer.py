@@ -38,6 +38,7 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.libraries import __version__
 from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied, fit_numbers
 from turtlelog.log.engine.message_types import Field, lay_out_alike, name_parts, read_type
 from turtlelog.log.engine.records import MCAP0_MAGIC
@@ -45,7 +46,6 @@ from turtlelog.log.engine.source import map_ahead
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_place, name_write_error, replace_when_complete
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
-from turtlelog.version import __version__
 
 LIBRARY: Final = f"turtlelog/{__version__}"
 """Name of the program, written to the header of each file."""

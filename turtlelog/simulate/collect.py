@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
 from turtlelog.laws import LAWS, find_law, find_module, is_given, read_law_source
+from turtlelog.libraries import __version__
 from turtlelog.parts import Plant
 from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
@@ -24,7 +25,6 @@ from turtlelog.simulate.loop_parts import Function, compile_text
 from turtlelog.simulate.plain_loop import Tick, iterate_ticks
 from turtlelog.simulate.rows import describe_stop
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
-from turtlelog.version import __version__
 
 _POSE: Final = ("x_m", "y_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
 _SENSED: Final = ("sensed_x_m", "sensed_y_m", "sensed_heading_rad")

@@ -1,4 +1,4 @@
-from . import tune as tune
+from . import tune as tune, tune_candidates as tune_candidates, tune_search as tune_search
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,

@@ -8,9 +8,8 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final, TypeVar
 
 from turtlelog.errors import ProcessError, describe_error, make_portable
-from turtlelog.libraries import load_library
+from turtlelog.libraries import __version__, load_library
 from turtlelog.processes import Watched
-from turtlelog.version import __version__
 
 T = TypeVar("T")
 
@@ -109,7 +108,7 @@ class _Cluster(Executor, Watched):
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
             # As text, because a worker without turtlelog could not unpickle a function of
             # turtlelog.
-            ask = "__import__('turtlelog.version').version.__version__"
+            ask = "__import__('turtlelog.libraries').libraries.__version__"
             versions = self._client.run(eval, ask, on_error="return")
         except TimeoutError as err:
             raise ProcessError(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.compare import order_ids
 from turtlelog.errors import LibraryError, LogError, TurtlelogError
 from turtlelog.files.urls import make_path
+from turtlelog.libraries import __version__
 from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.log.parquet_file import list_cells
 from turtlelog.measure import MeasureSettings, measure_run
@@ -34,7 +35,6 @@ from turtlelog.sweep.partial_table import (
     build_result_columns,
 )
 from turtlelog.sweep.result_table import STATUS, ResultColumn
-from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, SweepError
 from turtlelog.files.urls import is_there
-from turtlelog.libraries import load_library
+from turtlelog.libraries import __version__, load_library
 from turtlelog.log.file_access import name_file, replace_when_complete
 from turtlelog.log.parquet_file import ParquetFile, list_cells
-from turtlelog.version import __version__
 
 ColumnType = Literal["whole", "real", "text", "truth"]
 """Type of the cells of a column, in addition to null: int64, float64, text or boolean."""

@@ -14,6 +14,7 @@ from turtlelog.errors import LogError, ScenarioError, SweepError
 from turtlelog.files.urls import RemotePath, has_files, make_path
 from turtlelog.laws import WorkWithLaws, is_given, read_law_source
 from turtlelog.laws.loading import list_law_files
+from turtlelog.libraries import __version__
 from turtlelog.log.file_access import name_file, remove_leftovers
 from turtlelog.measure import choose_metrics
 from turtlelog.processes import CAN_FORK, LONG_S, count_cores, map_in_processes
@@ -39,7 +40,6 @@ from turtlelog.sweep.result_table import (
 )
 from turtlelog.sweep.sweep_plan import KP, MOST_ROWS, KeyValues, SweepPlan, build_row_scenario
 from turtlelog.sweep.sweep_table import SweepTable, read_sweep_table
-from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -40,10 +40,11 @@ def test_an_axis_ends_where_its_curves_rest_from_the_first_part_on_and_says_unti
 def test_only_a_robot_whose_position_rests_too_is_called_at_rest() -> None:
     last = int(np.searchsorted(RUN.poses.time_ns, RUN.start_ns + 2_600_000_000))
     rows = np.minimum(np.arange(len(RUN.poses)), last)
-    held = {"xy_m": RUN.poses.xy_m[rows], "heading_rad": RUN.poses.heading_rad[rows]}
-    (axes,) = draw_figure("heading", [replace(RUN, poses=replace(RUN.poses, **held))]).axes
+    xy_m, heading_rad = RUN.poses.xy_m[rows], RUN.poses.heading_rad[rows]
+    held = replace(RUN.poses, xy_m=xy_m, heading_rad=heading_rad)
+    (axes,) = draw_figure("heading", [replace(RUN, poses=held)]).axes
     assert axes.get_xlabel() == "time from the first sample [s]\nat rest until 12.6 s"
-    turned = replace(RUN.poses, heading_rad=held["heading_rad"])
+    turned = replace(RUN.poses, heading_rad=heading_rad)
     (axes,) = draw_figure("heading", [replace(RUN, poses=turned)]).axes
     assert axes.get_xlabel() == "time from the first sample [s]\nunchanged until 12.6 s"
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
+from turtlelog.libraries import __version__
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import name_place
 from turtlelog.run import Clock
 from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
-from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from turtlelog.run import Run

@@ -15,7 +15,7 @@ from turtlelog.compare import Table, format_cell, judge_runs, summarise_run
 from turtlelog.compare.ranking import name_few
 from turtlelog.compare.run_selection import describe_runs, list_differing
 from turtlelog.display import describe_count, join_words
-from turtlelog.draw.report.drawing import MOST_VIOLATIONS
+from turtlelog.draw.report_drawing import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, choose_named, write_sentences
 from turtlelog.measure import Metric
@@ -151,7 +151,7 @@ def write_page(title: str, kind: str, body: str, *, policy: str, style: str = ""
 
     The policy is a tag by `write_policy_tag`; the style rules add to those of all pages.
     """
-    common = files("turtlelog.draw.report").joinpath("page.css").read_text("utf-8")
+    common = files("turtlelog.draw").joinpath("report.css").read_text("utf-8")
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8">{policy}
 <meta name="viewport" content="width=device-width, initial-scale=1">

@@ -19,23 +19,22 @@ from turtlelog.charts.palette import GHOST, choose_cause_colors
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.display import describe_count, show_angle
+from turtlelog.draw import report_sections as sections
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
-from turtlelog.draw.report import sections
-from turtlelog.draw.report.drawing import Drawn, Plots
-from turtlelog.draw.report.page_plots import draw_plots
+from turtlelog.draw.report_drawing import Drawn, Plots
+from turtlelog.draw.report_plots import draw_plots
 from turtlelog.draw.tables import choose_essentials
 from turtlelog.errors import ShowError
 from turtlelog.escapes import write_policy_tag
 from turtlelog.explain import Attribution
 from turtlelog.files.urls import make_path
-from turtlelog.libraries import load_library
+from turtlelog.libraries import __version__, load_library
 from turtlelog.log import replace_when_complete
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.sweep.sweep_analysis import LoopLimits, find_borders, tell_borders
 from turtlelog.sweep.sweep_table import SweptMetric
 from turtlelog.sweep.sweep_views import SweptView, find_best_rows, list_shown_values
-from turtlelog.version import __version__
 
 _MOST_COLUMNS: Final = 4
 """Largest number of runs with a column of metrics each; more columns would be wider than a page."""
@@ -239,7 +238,7 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
     )
     resources = load_library("bokeh.resources").Resources(mode="inline", components=["bokeh"])
     config = plots.config | {"places": {place: one.id for place, one in plots.roots.items()}}
-    code = files("turtlelog.draw.report").joinpath("page.js").read_text("utf-8")
+    code = files("turtlelog.draw").joinpath("report.js").read_text("utf-8")
     # An end tag in a text would end the script.
     library = "\n".join(resources.js_raw).replace("</script", "<\\/script")
     drawn, roles = (

@@ -13,7 +13,7 @@ import turtlelog as tl
 from tests.draw.rerun.rrds import make_foreign_run
 
 pytestmark = pytest.mark.browser
-RECORDINGS = Path(__file__).parents[3] / "recordings" / "paper"
+RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 SCRIPT = "<script>alert(1)</script>"
 CHROMIUM = shutil.which("chromium")
 

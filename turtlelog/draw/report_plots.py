@@ -13,9 +13,9 @@ from turtlelog.charts.many_runs import describe_restless, find_restless
 from turtlelog.charts.palette import to_hex
 from turtlelog.charts.plane_scene import list_seen_gaps
 from turtlelog.charts.time_plots import TIME_PLOTS, find_plot
-from turtlelog.draw.report import drawing
-from turtlelog.draw.report.drawing import RING, Drawn, Plots
-from turtlelog.draw.report.sections import CheckLine
+from turtlelog.draw import report_drawing as drawing
+from turtlelog.draw.report_drawing import RING, Drawn, Plots
+from turtlelog.draw.report_sections import CheckLine
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import TuneError
 from turtlelog.sweep.sweep_plan import EqualSteps, parse_key_values
-from turtlelog.sweep.tune.candidates import Candidate, Candidates, Point, TuningGoal
+from turtlelog.sweep.tune_candidates import Candidate, Candidates, Point, TuningGoal
 
 _SPREAD: Final = 32
 """Number of points per key of the first cover: one key has steps of 3 % of its range. The number is

@@ -12,14 +12,14 @@ from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
-from turtlelog.draw.report.drawing import MOST_VIOLATIONS, RED, Drawn, Plots
-from turtlelog.draw.report.page_plots import MOST_MARKED, draw_plots
-from turtlelog.draw.report.sections import CheckLine, conclude_runs
+from turtlelog.draw.report_drawing import MOST_VIOLATIONS, RED, Drawn, Plots
+from turtlelog.draw.report_plots import MOST_MARKED, draw_plots
+from turtlelog.draw.report_sections import CheckLine, conclude_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 pytest.importorskip("bokeh")
-RECORDINGS = Path(__file__).parents[3] / "recordings" / "paper"
+RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 
 
 def draw(*runs: Run, violations: tuple[CheckLine, ...] = ()) -> Plots:

@@ -26,9 +26,9 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
+from turtlelog.sweep import tune_search
 from turtlelog.sweep.sweep_plan import KP
-from turtlelog.sweep.tune import search
-from turtlelog.sweep.tune.candidates import Candidates, TuningGoal, spread_keys
+from turtlelog.sweep.tune_candidates import Candidates, TuningGoal, spread_keys
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -54,10 +54,10 @@ class TunedScenario:
     """
 
     scenario: Scenario
-    keys: tuple[search.SearchedKey, ...]
+    keys: tuple[tune_search.SearchedKey, ...]
     goal: TuningGoal
-    tuned: search.Tuned
-    around: search.Neighbourhood | None = None
+    tuned: tune_search.Tuned
+    around: tune_search.Neighbourhood | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -161,7 +161,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         [one.key for one in keys],
         goal,
         jobs=jobs,
-        expected=most + search.NEIGHBOURS * len(keys),
+        expected=most + tune_search.NEIGHBOURS * len(keys),
         step_budget_s=step_budget_s,
         source="ranges",
     )
@@ -169,7 +169,11 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
 
 def tune_candidates(
-    candidates: Candidates, keys: tuple[search.SearchedKey, ...], *, evaluations: int, seed: int = 0
+    candidates: Candidates,
+    keys: tuple[tune_search.SearchedKey, ...],
+    *,
+    evaluations: int,
+    seed: int = 0,
 ) -> TunedScenario:
     """Search for the best candidate, and for the range of each key around it.
 
@@ -185,16 +189,16 @@ def tune_candidates(
     """
     candidates.require_bounds([tuple(one.low for one in keys), tuple(one.high for one in keys)])
     goal, around = candidates.goal, None
-    tuned = search.search_best(candidates, keys, evaluations=evaluations, seed=seed)
+    tuned = tune_search.search_best(candidates, keys, evaluations=evaluations, seed=seed)
     if tuned.best.is_feasible:
-        tuned, around = search.explore_best(candidates, keys, tuned)
+        tuned, around = tune_search.explore_best(candidates, keys, tuned)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 
 
 def complete_searched(
     scenario: Scenario, texts: Sequence[str], *, source: str, trust_law: bool = False
-) -> tuple[Scenario, tuple[search.SearchedKey, ...]]:
+) -> tuple[Scenario, tuple[tune_search.SearchedKey, ...]]:
     """Return the keys, and the scenario with a value for each key, because laws may lack defaults.
 
     Args:
@@ -204,7 +208,7 @@ def complete_searched(
         trust_law: Whether a law named in a recording may run too.
     """
     known = flatten_scenario(scenario)
-    keys = search.parse_searched_keys(texts, known, source=source)
+    keys = tune_search.parse_searched_keys(texts, known, source=source)
     names = tuple(one.key for one in keys)
     if KP in names:
         gains = declare_scenario(resolve_scenario(scenario, trust_law=trust_law)).list_gains()
@@ -213,7 +217,7 @@ def complete_searched(
     whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
     scenario = override_scenario(scenario, whole, source=source)
     resolved = flatten_scenario(resolve_scenario(scenario, trust_law=trust_law))
-    return scenario, search.parse_searched_keys(texts, resolved, source=source)
+    return scenario, tune_search.parse_searched_keys(texts, resolved, source=source)
 
 
 def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:

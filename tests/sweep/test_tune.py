@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 import turtlelog as tl
-from turtlelog.sweep import tune
+from turtlelog.sweep import tune, tune_candidates, tune_search
 from turtlelog.sweep.batch import measure_rows
-from turtlelog.sweep.tune.search import explore_neighbourhood
+from turtlelog.sweep.tune_search import explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [
     (
@@ -59,21 +59,21 @@ PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, l
 
 def prepare(
     preset: str, changes: dict[str, Any], bounds: dict[str, tuple[float, float]], goal: Any
-) -> tuple[tune.Candidates, tuple[tune.SearchedKey, ...]]:
+) -> tuple[tune_candidates.Candidates, tuple[tune_search.SearchedKey, ...]]:
     base = tl.scenario.override_scenario(tl.load_scenario(preset), changes, source="test")
     texts = [f"{key}={low}:{high}" for key, (low, high) in bounds.items()]
     known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(base))
-    keys = tune.parse_searched_keys(texts, known)
-    return tune.Candidates(base, [key.key for key in keys], goal, jobs=1), keys
+    keys = tune_search.parse_searched_keys(texts, known)
+    return tune_candidates.Candidates(base, [key.key for key in keys], goal, jobs=1), keys
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda one: f"{one[0]}-{one[3][:30]}")
 def test_the_best_is_never_worse_than_that_of_a_dense_grid(problem: Any) -> None:
     preset, changes, bounds, objective, constraints, is_maximised = problem
-    goal = tune.parse_goal(objective, constraints, is_maximised=is_maximised)
+    goal = tune_candidates.parse_goal(objective, constraints, is_maximised=is_maximised)
     candidates, keys = prepare(preset, changes, bounds, goal)
     most = 150 * len(keys)
-    found = tune.search_best(candidates, keys, evaluations=most)
+    found = tune_search.search_best(candidates, keys, evaluations=most)
     assert found.best.is_feasible
     assert found.evaluations <= 1.2 * most
     side = 60 if len(keys) == 1 else 14
@@ -86,7 +86,7 @@ def test_the_best_is_never_worse_than_that_of_a_dense_grid(problem: Any) -> None
     ]
     dense, _ = prepare(preset, changes, bounds, goal)
     dense.evaluate(grid)
-    best = tune.find_best(dense)
+    best = tune_search.find_best(dense)
     assert best.objective is not None
     assert found.best.objective is not None
     sign = -1.0 if is_maximised else 1.0
@@ -99,7 +99,7 @@ def _list_shares(side: int, count: int) -> list[tuple[float, ...]]:
     return [(one,) for one in steps] if count == 1 else [(a, b) for a in steps for b in steps]
 
 
-GOAL = tune.parse_goal("translate.settling_time", ["translate.overshoot <= 1"])
+GOAL = tune_candidates.parse_goal("translate.settling_time", ["translate.overshoot <= 1"])
 BOUNDS = {"law.kp_linear": (0.5, 12.0)}
 
 
@@ -125,17 +125,17 @@ def test_the_same_seed_gives_the_same_and_processes_change_nothing() -> None:
     found = []
     for jobs in (1, 2):
         base = tl.load_scenario("posture")
-        goal = tune.parse_goal("run.duration")
-        candidates = tune.Candidates(base, ["law.k"], goal, jobs=jobs)
+        goal = tune_candidates.parse_goal("run.duration")
+        candidates = tune_candidates.Candidates(base, ["law.k"], goal, jobs=jobs)
         known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(base))
-        keys = tune.parse_searched_keys(["law.k=0.5:6"], known)
-        found.append(tune.search_best(candidates, keys, evaluations=24, seed=3))
+        keys = tune_search.parse_searched_keys(["law.k=0.5:6"], known)
+        found.append(tune_search.search_best(candidates, keys, evaluations=24, seed=3))
     assert found[0] == found[1]
 
 
 def test_the_neighbourhood_ends_where_the_best_is_a_tenth_worse() -> None:
     candidates, keys = prepare("textbook", {}, BOUNDS, GOAL)
-    best = tune.search_best(candidates, keys, evaluations=60).best
+    best = tune_search.search_best(candidates, keys, evaluations=60).best
     found = explore_neighbourhood(candidates, keys, best)
     (around,) = found.ranges
     assert best.objective is not None
@@ -150,9 +150,9 @@ def test_the_neighbourhood_ends_where_the_best_is_a_tenth_worse() -> None:
 
 
 def test_the_neighbourhood_ends_where_a_constraint_breaks() -> None:
-    goal = tune.parse_goal("translate.settling_time", ["law.kp_linear <= 5"])
+    goal = tune_candidates.parse_goal("translate.settling_time", ["law.kp_linear <= 5"])
     candidates, keys = prepare("textbook", {}, BOUNDS, goal)
-    best = tune.search_best(candidates, keys, evaluations=100).best
+    best = tune_search.search_best(candidates, keys, evaluations=100).best
     (around,) = explore_neighbourhood(candidates, keys, best).ranges
     assert around.high == pytest.approx(5.0, abs=0.01)
     assert around.high <= 5.0
@@ -215,23 +215,23 @@ def test_margins_of_constraints(
     margin: float,
     holds: bool,  # noqa: FBT001
 ) -> None:
-    (found,) = tune.parse_goal("run.duration", [text]).judge(values)
+    (found,) = tune_candidates.parse_goal("run.duration", [text]).judge(values)
     assert (found.value, found.margin, found.holds) == (value, margin, holds)
 
 
 def test_both_bounds_are_candidates_to_their_last_digit() -> None:
     """0.2 + 1.0 * (0.9 - 0.2) is not 0.9."""
     candidates, keys = prepare("textbook", {}, {"law.kp_linear": (0.2, 0.9)}, GOAL)
-    found = tune.search_best(candidates, keys, evaluations=16)
+    found = tune_search.search_best(candidates, keys, evaluations=16)
     assert found.best.point == (0.9,)
     assert found.at_bounds == ("law.kp_linear",)
 
 
 def test_a_better_one_in_the_neighbourhood_is_taken() -> None:
-    goal = tune.parse_goal("final.position_error")
+    goal = tune_candidates.parse_goal("final.position_error")
     candidates, keys = prepare("paper-kp10", {}, {"law.kp_angular": (1.0, 12.0)}, goal)
-    first = tune.search_best(candidates, keys, evaluations=12)
-    found, around = tune.explore_best(candidates, keys, first)
+    first = tune_search.search_best(candidates, keys, evaluations=12)
+    found, around = tune_search.explore_best(candidates, keys, first)
     assert first.best.objective is not None
     assert found.best.objective is not None
     assert found.best.objective < first.best.objective
@@ -241,9 +241,9 @@ def test_a_better_one_in_the_neighbourhood_is_taken() -> None:
 
 
 def test_where_no_candidate_fulfils_the_constraints_the_nearest_is_told() -> None:
-    goal = tune.parse_goal("run.duration", ["translate.settling_time <= 5"])
+    goal = tune_candidates.parse_goal("run.duration", ["translate.settling_time <= 5"])
     candidates, keys = prepare("textbook", {}, BOUNDS, goal)
-    found = tune.search_best(candidates, keys, evaluations=64)
+    found = tune_search.search_best(candidates, keys, evaluations=64)
     assert not found.best.is_feasible
     assert found.feasible == 0
     values = [one.constraints[0].value for one in candidates.list_known()]
@@ -252,20 +252,20 @@ def test_where_no_candidate_fulfils_the_constraints_the_nearest_is_told() -> Non
 
 def test_a_missing_value_is_no_success() -> None:
     """Slow gains do not settle before the run ends."""
-    goal = tune.parse_goal("translate.settling_time")
+    goal = tune_candidates.parse_goal("translate.settling_time")
     candidates, keys = prepare(
         "textbook", {"law.timeout_s": 20.0}, {"law.kp_linear": (0.1, 12.0)}, goal
     )
-    found = tune.search_best(candidates, keys, evaluations=64)
+    found = tune_search.search_best(candidates, keys, evaluations=64)
     assert any(one.objective is None for one in candidates.list_known())
     assert found.best.objective is not None
 
 
 def test_an_overshoot_below_0_is_no_better_than_none() -> None:
     """The slowest gain never arrives: it is furthest from overshooting, and no better for that."""
-    goal = tune.parse_goal("translate.overshoot")
+    goal = tune_candidates.parse_goal("translate.overshoot")
     candidates, keys = prepare("textbook", {}, {"law.kp_linear": (0.05, 20.0)}, goal)
-    found = tune.search_best(candidates, keys, evaluations=16)
+    found = tune_search.search_best(candidates, keys, evaluations=16)
     assert found.best.objective == 0.0
     assert found.is_flat
     assert found.best.point[0] > 1.0
@@ -273,16 +273,16 @@ def test_an_overshoot_below_0_is_no_better_than_none() -> None:
 
 def test_a_formula_of_an_overshoot_is_taken_as_it_is() -> None:
     values = {"translate.overshoot": -30.0}
-    assert tune.parse_goal("translate.overshoot").compute_objective(values) == 0.0
-    assert tune.parse_goal("2 * translate.overshoot").compute_objective(values) == -60.0
-    largest = tune.parse_goal("translate.overshoot", is_maximised=True)
+    assert tune_candidates.parse_goal("translate.overshoot").compute_objective(values) == 0.0
+    assert tune_candidates.parse_goal("2 * translate.overshoot").compute_objective(values) == -60.0
+    largest = tune_candidates.parse_goal("translate.overshoot", is_maximised=True)
     assert largest.compute_objective(values) == -30.0
 
 
 def test_what_differs_is_not_flat() -> None:
-    goal = tune.parse_goal("translate.settling_time")
+    goal = tune_candidates.parse_goal("translate.settling_time")
     candidates, keys = prepare("textbook", {}, BOUNDS, goal)
-    assert not tune.search_best(candidates, keys, evaluations=16).is_flat
+    assert not tune_search.search_best(candidates, keys, evaluations=16).is_flat
 
 
 @pytest.mark.parametrize(
@@ -302,7 +302,7 @@ def test_what_differs_is_not_flat() -> None:
 def test_ranges_that_are_none_are_refused(texts: list[str], reason: str) -> None:
     known = tl.scenario.flatten_scenario(tl.load_scenario("textbook"))
     with pytest.raises((tl.errors.TuneError, tl.errors.SweepError), match=reason):
-        tune.parse_searched_keys(texts, known)
+        tune_search.parse_searched_keys(texts, known)
 
 
 def test_goals_that_are_none_are_refused() -> None:
@@ -316,14 +316,16 @@ def test_goals_that_are_none_are_refused() -> None:
         ("run.duration", ["nothing > 1"], "unknown name"),
     ):
         with pytest.raises(tl.TurtlelogError, match=reason):
-            tune.Candidates(base, ["law.kp_linear"], tune.parse_goal(text, constraints))
+            tune_candidates.Candidates(
+                base, ["law.kp_linear"], tune_candidates.parse_goal(text, constraints)
+            )
 
 
 def test_variants_draw_what_they_say() -> None:
     base = tl.scenario.override_scenario(
         tl.load_scenario("textbook"), {"sensing.noise_position_m": 0.002, "seed": 5}, source="test"
     )
-    goal = tune.parse_goal("final.position_error", ["final.position_error <= 0.01"])
+    goal = tune_candidates.parse_goal("final.position_error", ["final.position_error <= 0.01"])
     variations = tune.choose_variations(base, 12)
     assert [(one.key, one.low, one.high) for one in variations] == [
         ("seed", 5, 16),
@@ -368,5 +370,5 @@ def test_intervals_of_a_robot(tmp_path: Path) -> None:
 
 
 def test_a_key_with_a_step_takes_its_values_alone() -> None:
-    (key,) = tune.parse_searched_keys(["law.kp_linear=1:4:0.5"], {"law.kp_linear": 2.0})
+    (key,) = tune_search.parse_searched_keys(["law.kp_linear=1:4:0.5"], {"law.kp_linear": 2.0})
     assert [key.round(value) for value in (0.0, 1.2, 1.3, 9.0)] == [1.0, 1.0, 1.5, 4.0]
