@@ -19,7 +19,7 @@ from turtlelog.explain import (
     simulate_without,
 )
 from turtlelog.explain.causes import FINER, find_resolution, is_present, list_effects
-from turtlelog.explain.contributions import find_steady_span, vary_start
+from turtlelog.explain.contributions import find_steady_span, turn_start, vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
@@ -261,6 +261,32 @@ def test_the_gain_of_ten_depends_on_single_samples() -> None:
     assert (starts.low, starts.high) == pytest.approx((0.0394, 0.4734), abs=1e-4)
     assert (starts.parts[0].low, starts.parts[0].high) == pytest.approx((0.161, 0.615), abs=1e-3)
     assert starts.without_all == pytest.approx((0.00482, 0.00568), abs=1e-5)
+
+
+@pytest.mark.parametrize(("kp", "has_starts"), [(43.0, True), (45.0, False)])
+def test_starts_further_apart_than_a_quarter_turn_are_not_compared(
+    kp: float, *, has_starts: bool
+) -> None:
+    # The robot turns by up to 2.24 rad times kp each second, for one sample of 16 ms.
+    scenario = override_scenario(
+        get_preset("textbook"),
+        {"law.kp_angular": kp, "limits.turn_rate_rad_s": math.inf, "max_duration_s": 2.0},
+    )
+    assert (attribute_scenario(scenario, metric="run.duration").starts is not None) == has_starts
+
+
+def test_a_start_beyond_a_full_turn_is_the_same_heading() -> None:
+    scenario = override_scenario(KP10, {"start.heading_rad": 6.28})
+    turned = turn_start(scenario, 0.01)
+    assert turned.start.heading_rad == pytest.approx(6.29 - 2.0 * math.pi)
+    assert turn_start(scenario, 0.003).start.heading_rad == 6.283
+
+
+def test_a_cause_without_which_the_run_diverges_leaves_no_value() -> None:
+    changes = {"law.kp_linear": 60.0, "limits.speed_m_s": math.inf, "max_duration_s": 60.0}
+    unlimited = {"law.kp_angular": 60.0, "limits.turn_rate_rad_s": math.inf}
+    found = attribute_scenario(override_scenario(get_preset("lagged"), changes | unlimited))
+    assert "expected a finite command" in (find_other(found, "sampling").ending or "")
 
 
 @pytest.mark.parametrize(("part", "is_wide"), [(0.49, False), (0.51, True)])

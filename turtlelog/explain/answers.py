@@ -205,7 +205,7 @@ class Attribution:
         with_value: Smallest sets of causes that give the metric a value, if it has no value without
             all causes.
         starts: Range of the value over starts within the turn of one sample. None if the robot does
-            not turn, or with random effects.
+            not turn, turns by more than 90 deg between samples, or with random effects.
         seeds: Range of the value over seeds; None without random effects.
         reason: Reason why there is no value in the log, or else in the re-simulation; None if there
             is a value.

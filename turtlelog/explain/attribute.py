@@ -365,7 +365,8 @@ def measure_luck(
     if not game.is_random:
         offsets_rad = contributions.spread_starts(scenario, simulate_run(scenario), _COUNT)
         if not len(offsets_rad):
-            raise ExplainError("the robot does not turn: no start meets its samples elsewhere")
+            reason = "the robot does not turn, or by more than 90 deg between two samples"
+            raise ExplainError(f"{reason}: no start meets its samples elsewhere")
     cases = [(), *((name,) for name in found.causes)]
     whole, *alone = _simulate_curves(game, found.metric, offsets_rad, work, cases)
     curves = [

@@ -147,20 +147,29 @@ _MOST_TICKS: Final = 200_000
 seconds."""
 
 
+_FURTHEST_RAD: Final = math.pi / 4.0
+"""Largest angle between the scenario's start and another start. Between starts further apart, the
+robot turns to the goal in another way, and its value is no chance of when it is sampled."""
+
+
 def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
     """Return angles of equally spaced starts, relative to the scenario's start [rad], shape (n,).
 
     The angles span the largest turn from one sample to the next, with the scenario's own start in
-    the middle; `count` is odd. Empty if the robot does not turn in `built`, the scenario's run.
+    the middle; `count` is odd. Empty if the robot does not turn in `built`, the scenario's run, or
+    if it turns by more than a quarter turn from one sample to the next.
     """
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
     within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
-    return np.linspace(-within_rad, within_rad, count) if within_rad else np.zeros(0)
+    is_near = 0.0 < within_rad <= _FURTHEST_RAD
+    return np.linspace(-within_rad, within_rad, count) if is_near else np.zeros(0)
 
 
 def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
     """Return a scenario with its start turned by an angle."""
     heading_rad = scenario.start.heading_rad + offset_rad
+    if abs(heading_rad) > math.tau:
+        heading_rad -= math.copysign(math.tau, heading_rad)
     return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
 
 

@@ -230,7 +230,7 @@ class ScenarioGame(Game):
         scenario = self._take_out(out)
         if seed is not None:
             scenario = replace(scenario, seed=seed)
-        return Play(scenario, is_finer=SAMPLING in out, may_fail=seed is not None)
+        return Play(scenario, is_finer=SAMPLING in out, may_fail=seed is not None or bool(out))
 
 
 @dataclass(frozen=True, slots=True)
