@@ -278,3 +278,18 @@ def test_a_goal_that_is_given_gets_a_note_even_where_it_is_the_default(
 ) -> None:
     answer = call("run", "textbook", "--set", f"law.kind={PID_KIND}", *words)
     assert answer.err == (f"law {PID_KIND} does not use [goal]\n" if is_noted else "")
+
+
+def test_a_wall_in_the_way_is_told(call: Call, tmp_path: Path) -> None:
+    changes = [
+        *("--law", "sequential-pid", "--set", "law.ki_linear=2", "--set", "law.ki_angular=2"),
+        *("--set", "law.anti_windup=none"),
+    ]
+    wall = "The turtle hit the wall at x = 1.132 m, y = 11.089 m, at 18.0 s: the wall stopped it"
+    recording = tmp_path / "wall.mcap"
+    assert wall in call("run", "textbook", *changes, "-o", recording).flat
+    assert wall in call("metrics", recording).flat
+    assert wall in call("explain", recording).flat
+    # A robot in a world without walls goes on.
+    plant = ["--set", "plant.kind=lagged", "--set", "plant.speed_lag_s=0"]
+    assert "wall" not in call("run", "textbook", *changes, *plant).flat

@@ -103,6 +103,16 @@ def test_walls_are_not_in_the_way() -> None:
 
 
 @pytest.mark.thorough
+def test_the_final_heading_error_is_relative_to_the_heading_that_the_goal_asks_for() -> None:
+    # A goal to the left, within reach of one sample: the bearing to it says nothing at the end.
+    run = tl.simulate_run(change(**{"goal.x_m": 5.4, "goal.y_m": 5.5444, "goal.heading_rad": 0.0}))
+    metrics = tl.measure_run(run, only=["final.*"])
+    error_deg = metrics["final.goal_heading_error"].value
+    assert error_deg is not None
+    assert error_deg < 0.1
+    assert metrics["final.heading_error"].value == pytest.approx(error_deg)
+
+
 def test_published_gains_reach_every_pose_as_well() -> None:
     runs = drive_everywhere(*PUBLISHED.items())
     assert [run.stop_reason for run in runs] == ["within_tolerance"] * POSES

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from turtlelog.compare.run_summary import describe_run_end
 from turtlelog.measure import Status
 from turtlelog.measure.metrics.loop_metrics import find_corner
 from turtlelog.measure.response import Track, list_corners
@@ -105,6 +106,28 @@ def test_lag_of_a_slow_robot_is_what_its_speed_limit_costs() -> None:
     # The reference needs 18 s for the way, the robot drives half of it: s = v t / 2.
     assert read(run, "along.final_error") == pytest.approx(4.5, abs=0.01)
     assert read(run, "along.lag") > 4.0
+
+
+def test_a_lag_beyond_the_largest_shift_that_is_tried_is_not_a_number() -> None:
+    # The reference passes the line of 9 m in 1.8 s, and the robot drives 1 m/s.
+    run = track({**LINE, "speed_m_s": 5.0})
+    metric = tl.measure_run(run, only=["along.lag"])["along.lag"]
+    assert (metric.value, metric.status) == (None, Status.UNDETERMINED)
+    assert metric.reason == "the best shift is the largest that is tried, half of the duration"
+
+
+@pytest.mark.parametrize(("speed_m_s", "is_told"), [(5.0, True), (0.5, False)])
+def test_the_end_of_a_path_tells_the_error_along_it_if_it_is_the_larger(
+    speed_m_s: float, *, is_told: bool
+) -> None:
+    run = track({**SQUARE, "speed_m_s": speed_m_s})
+    told = describe_run_end(run)
+    assert ("along-track error" in told) == is_told
+    assert told.startswith("cross-track error ")
+    if is_told:
+        assert told == (
+            "cross-track error 0 m RMS, 0 m at most, along-track error 16 m at most, in 4 s"
+        )
 
 
 @pytest.mark.parametrize(("moved_m", "status"), [(0.9e-6, Status.NO_STEP), (1.1e-6, Status.OK)])

@@ -209,6 +209,8 @@ def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
     heading = summary.metrics.get("final.heading_error")
     if heading is not None and heading.value is not None and end is not None:
         yield f"Final heading error: {_show(heading)}."
+    if "wall" in summary.notes:
+        yield summary.notes["wall"]
 
 
 def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:

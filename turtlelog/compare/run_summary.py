@@ -19,7 +19,7 @@ from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run, require_run
 from turtlelog.run.loops import Declaration
-from turtlelog.run.stop_reasons import GoalEnd, find_goal_end
+from turtlelog.run.stop_reasons import GoalEnd, describe_wall, find_goal_end
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -213,7 +213,7 @@ def summarise_measured(
 ) -> RunSummary:
     """Return the summary of a run, with all its parameters or with its gains only."""
     known = complete_parameters(run) if with_parameters else run.parameters
-    gains = run.declaration.list_gains()
+    gains, wall = run.declaration.list_gains(), describe_wall(run)
     return RunSummary(
         name=run.name,
         source=run.source,
@@ -222,7 +222,7 @@ def summarise_measured(
         parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
         file=file,
-        notes={**run.notes, **_describe_poses(run, metrics)},
+        notes={**run.notes, **_describe_poses(run, metrics), **({"wall": wall} if wall else {})},
         declaration=run.declaration,
         lacks=list_lacks(run),
         conditions=find_conditions(run, known) if len(run.poses) else None,
@@ -419,8 +419,10 @@ def describe_end(summary: RunSummary) -> str:
     if summary.goal_end is not None:
         return summary.goal_end.describe()
     if off is not None and not summary.is_lawless:
-        rms = next(map(show, _list_rms(summary)), None)
+        rms, along = (next(map(show, names), None) for names in _list_errors(summary))
         sizes = f"{off} at most" if rms is None else f"{rms} RMS, {off} at most"
+        if along is not None and _is_further_along(summary):
+            sizes = f"{sizes}, along-track error {along} at most"
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
@@ -441,11 +443,21 @@ _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.d
 def describe_run_end(run: Run) -> str:
     """Return place and time of a run's end, as `describe_end` does; it measures what that reads."""
     furthest = [_FURTHEST] if run.path is not None else []
-    needed = [_LENGTH, *furthest, _DURATION, *_list_rms(run)]
+    errors = [name for names in _list_errors(run) for name in names]
+    needed = [_LENGTH, *furthest, _DURATION, *errors]
     return describe_end(summarise_run(run, metrics=measure.measure_run(run, only=needed)))
 
 
-def _list_rms(run: Run | RunSummary) -> list[str]:
-    """Return the RMS of the first loop that controls the cross-track error, if there is one."""
-    loops = [one.name for one in run.declaration.loops if one.signal == "cross_track"]
-    return [f"{name}.rms_error" for name in loops[:1]]
+def _list_errors(run: Run | RunSummary) -> tuple[list[str], list[str]]:
+    """Return the RMS of the first loop across the track, and the largest error along the track."""
+    loops = run.declaration.loops
+    across = [one.name for one in loops if one.signal == "cross_track"]
+    along = [one.name for one in loops if one.signal == "along_track"]
+    return [f"{one}.rms_error" for one in across[:1]], [f"{one}.largest_error" for one in along[:1]]
+
+
+def _is_further_along(summary: RunSummary) -> bool:
+    """Return whether the largest error along the track is larger than the one across it."""
+    found = [summary.metrics.get(name) for name in (*_list_errors(summary)[1], _FURTHEST)]
+    along_m, across_m = [0.0 if one is None else one.value or 0.0 for one in found]
+    return along_m > across_m

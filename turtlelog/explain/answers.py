@@ -212,7 +212,7 @@ class Attribution:
         doubts: Assumptions of the contributions that the log does not prove, in sentences.
         left: Effects that stay as recorded, because more than six are present.
         effects: Every effect that loop and law can have, in the scenario or not.
-        remarks: Causes that could not be removed, in sentences.
+        remarks: Causes that could not be removed, and contact with a wall, in sentences.
         this_seed: Effect of the run's own seed: resimulated minus the mean over seeds; None without
             random effects.
         sentences: The attribution in words.

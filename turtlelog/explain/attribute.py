@@ -50,6 +50,7 @@ from turtlelog.explain.scenario_from_log.resimulation import require_trust
 from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause
+from turtlelog.run.stop_reasons import describe_wall
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 
@@ -99,7 +100,9 @@ def attribute_run(
     scenario = identified.build_scenario()
     found = attribute_scenario(scenario, metric=metric, causes=causes, work=work)
     logged = measure_run(run, only=[metric])[metric]
-    found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason or None)
+    reason = logged.reason or found.reason or None
+    remarks = (*found.remarks, *filter(None, [describe_wall(run)]))
+    found = replace(found, as_logged=logged.value, reason=reason, remarks=remarks)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
     if is_identified:
         others = []

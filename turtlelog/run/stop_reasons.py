@@ -203,3 +203,13 @@ def _find_place(
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:
     """Return the final position error that tolerances allow at a distance from the goal [m]."""
     return heading_rad * distance_m + position_m
+
+
+def describe_wall(run: "Run") -> str:
+    """Return a sentence on the first time that the robot hit a wall of its world; empty without."""
+    hits = [event for event in run.events if event.kind == "wall_hit"]
+    if not hits:
+        return ""
+    at_s = (hits[0].time_ns - run.start_ns) / 1e9
+    more = f" ({len(hits)} times in all)" if len(hits) > 1 else ""
+    return f"{hits[0].text.removesuffix('.')}, at {at_s:.1f} s{more}: the wall stopped it there."

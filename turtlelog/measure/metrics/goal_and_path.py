@@ -68,7 +68,11 @@ def get_heading_error(course: RunContext) -> float:
 
 @course_metric("final.heading_error", "deg")
 def _measure_heading_error(course: RunContext) -> Outcome:
-    """Magnitude of the reference heading minus the heading at the end."""
+    """Magnitude of the goal's heading, or else the reference heading, minus the last heading."""
+    wanted_rad = course.goal[2]
+    if not math.isnan(wanted_rad):
+        error_rad = wrap_angle(wanted_rad - course.last_heading_rad)
+        return math.degrees(abs(error_rad)), course.last_pose_s, FOUND
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
         return math.nan, math.nan, _NO_HEADING if course.is_lawless_with_goal else _NO_BEARING

@@ -245,10 +245,17 @@ def _compute_itae(curve: Response) -> Outcome:
 
 _STANDS_STILL: Final = add_reason(Status.NO_STEP, "the reference does not move")
 _NO_CORNER: Final = add_reason(Status.NO_STEP, "the path has no corner")
+_AT_BOUND: Final = add_reason(
+    Status.UNDETERMINED, "the best shift is the largest that is tried, half of the duration"
+)
 _NOT_PASSED: Final = add_reason(Status.NOT_REACHED, "no corner of the path was passed")
 
 _LEAST_MOVED: Final = 1e-6
 """Motion below which a reference is at rest [rad or m]; poses are rounded to 32 bits."""
+
+_AT_MOST: Final = 0.999
+"""Share of the largest tried shift from which the best one may be larger. The search ends within
+5e-9 of this shift."""
 
 _BEYOND_M: Final = 0.1
 """Distance beyond a corner of a later lap from which the corner counts [m]. A run that ends with
@@ -278,7 +285,10 @@ def _compute_lag(curve: Response) -> Outcome:
     low, high = find_bounds(reference)
     if high - low <= _LEAST_MOVED:
         return math.nan, math.nan, _STANDS_STILL
-    return find_shift(curve.time_s, reference, curve.error, curve.memory), math.nan, FOUND
+    shift_s = find_shift(curve.time_s, reference, curve.error, curve.memory)
+    if abs(shift_s) >= _AT_MOST * (curve.time_s[-1] - curve.time_s[0]) / 2.0:
+        return math.nan, math.nan, _AT_BOUND
+    return shift_s, math.nan, FOUND
 
 
 @curve_metric(
