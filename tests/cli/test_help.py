@@ -100,6 +100,10 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
     [
         (["theory", "a", "inf"], 'turtlelog theory takes no word "inf". Usage: turtlelog theory'),
         (["run", "a", "b", "c"], 'turtlelog run takes no word "b" and 1 more. Usage: '),
+        (
+            ["metrics", "a", "--all", "b"],
+            'turtlelog metrics: "b" stands apart: name all files together',
+        ),
         (["run", "--kp", "x"], "--kp x: must be a number"),
         (["run", "--kp"], "turtlelog run: --kp needs a number"),
         (["run", "--kpp", "3"], "turtlelog run has no option --kpp; did you mean --kp?"),

@@ -223,7 +223,11 @@ def _suggest_key(word: str, options: Sequence[str], tokens: Sequence[str]) -> li
 def _describe_unused(err: Any) -> str:
     words = err.unused_tokens
     more = f" and {len(words) - 1} more" if len(words) > 1 else ""
-    return f"{_name_command(err)} takes no word {quote_name(words[0])}{more}. {_show_usage(err)}"
+    usage = _show_usage(err)
+    if "FILE..." in usage:
+        apart = "stand apart" if more else "stands apart"
+        return f"{_name_command(err)}: {quote_name(words[0])}{more} {apart}: name all files together"
+    return f"{_name_command(err)} takes no word {quote_name(words[0])}{more}. {usage}"
 
 
 def _show_usage(err: Any) -> str:
