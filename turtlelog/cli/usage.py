@@ -226,7 +226,8 @@ def _describe_unused(err: Any) -> str:
     usage = _show_usage(err)
     if "FILE..." in usage:
         apart = "stand apart" if more else "stands apart"
-        return f"{_name_command(err)}: {quote_name(words[0])}{more} {apart}: name all files together"
+        which = f"{quote_name(words[0])}{more} {apart}"
+        return f"{_name_command(err)}: {which}: name all files together"
     return f"{_name_command(err)} takes no word {quote_name(words[0])}{more}. {usage}"
 
 
