@@ -406,7 +406,13 @@ UNLOCKS: Final = MappingProxyType(
 
 def describe_end(summary: RunSummary) -> str:
     """Return place and time of a run's end; without a goal, the length of its path."""
+    doubts = []
+    if "restarts" in summary.notes:  # `run 1 of 2 in the table is read ...`
+        doubts.append(f", in {summary.notes['restarts'].partition(' is read')[0]}")
+    return f"{_describe_end(summary)}{''.join(doubts)}"
 
+
+def _describe_end(summary: RunSummary) -> str:
     def show(name: str) -> str | None:
         metric = summary.metrics.get(name)
         if metric is None or metric.value is None:

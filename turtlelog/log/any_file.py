@@ -19,6 +19,7 @@ from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
+    RESTARTS,
     UNUSED,
     FileKind,
     ReadChoice,
@@ -274,7 +275,7 @@ def read_trajectory(
             return found
     run = read_as_chosen(path, choice)
     planar = runs.build_planar_trajectory(run)
-    names = [name for name in (CHOSEN, UNUSED) if name in run.notes]
+    names = [name for name in (CHOSEN, UNUSED, RESTARTS) if name in run.notes]
     return replace(planar, notes={name: run.notes[name] for name in names})
 
 

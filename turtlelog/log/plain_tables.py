@@ -1,7 +1,7 @@
 """Import of plain tables: their cells as numbers, and as a run."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, NoReturn
@@ -9,7 +9,7 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_utc, join_words
+from turtlelog.display import describe_count, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file
@@ -22,7 +22,7 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN
+from turtlelog.log.read_choice import CHOSEN, RESTARTS
 from turtlelog.log.table_columns import (
     DATE,
     QUANTITIES,
@@ -32,6 +32,7 @@ from turtlelog.log.table_columns import (
     read_time,
     show_column,
 )
+from turtlelog.log.table_contradictions import find_runs
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -245,8 +246,13 @@ class Cells:
         self._guesses: dict[str, str] = {}
         found = table.columns.read([choice.column for choice in chosen.values()])
         self._cells = dict(zip(chosen, found, strict=True))
-        self.time_ns = self._read_times()
+        time_ns = self._read_times()
+        runs = find_runs(time_ns)
+        self._rows = max(runs, key=lambda rows: rows.stop - rows.start)
+        self.time_ns = time_ns[self._rows]
         self.notes = dict(table.columns.notes)
+        if len(runs) > 1:
+            self.notes[RESTARTS] = self._describe_restart(runs)
 
     def read(self, field: str) -> Values | None:
         """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
@@ -255,13 +261,24 @@ class Cells:
         choice = self.chosen[field]
         numbers = self._parse(choice)
         unit = choice.unit or self._assume_unit(choice, numbers)
-        return numbers * choice.units[unit]
+        return numbers[self._rows] * choice.units[unit]
 
     def require(self, field: str) -> Values:
         """Return the numbers of an existing column."""
         values = self.read(field)
         assert values is not None
         return values
+
+    def _describe_restart(self, runs: Sequence[slice]) -> str:
+        """Return a sentence on a table with several runs, of which one is read."""
+        lines, word, rows = self.table.columns.lines, self.table.word, self._rows
+        left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
+        return (
+            f"run {runs.index(rows) + 1} of {len(runs)} in the table is read, {word}s"
+            f" {lines[rows.start]} to {lines[rows.stop - 1]}; times start again at {word}"
+            f" {lines[runs[1].start]}, and {describe_count(left, 'row')} are left out: save each"
+            " run to a file of its own"
+        )
 
     def describe(self) -> str:
         """Return a description of the columns: quantities, units, and unread columns."""

@@ -87,6 +87,9 @@ class ReadChoice:
 CHOSEN: Final = "chosen"
 """Name of a one-line note on the chosen topics. The note is shown on request and never recorded."""
 
+RESTARTS: Final = "restarts"
+"""Name of the note on times that start again, as of two runs one below the other."""
+
 UNUSED: Final = "unused"
 """Name of a one-line note on options that a file does not use. The note is never recorded."""
 
