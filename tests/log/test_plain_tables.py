@@ -171,7 +171,7 @@ def test_what_a_mapping_lacks_is_one_line(tmp_path: Path) -> None:
     path = write(tmp_path, "t,x,y,psi,x", *[(0, 0, 0, 0, 0)])
     for columns, message in (
         ({"heading": "phi"}, "--column heading=phi: expected a column of the table, found t, x, y"),
-        ({"heading": "psi [m]"}, r"expected a unit of rad, deg, found m"),
+        ({"heading": "psi [m]"}, r"expected a unit of rad, deg, compass, found m"),
         ({"bearing": "psi"}, "--column bearing: expected one of t, t_nanosec, x, y, z, heading"),
         (
             {"x": "x"},

@@ -1,5 +1,7 @@
 """What a table contradicts is said: times that start again, units, headings, reported rates."""
 
+import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from turtlelog.log.any_file import read_run, read_trajectory
-from turtlelog.log.table_contradictions import find_runs
+from turtlelog.log.table_contradictions import find_runs, find_travel
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -71,3 +73,165 @@ def test_one_of_two_runs_in_a_table_is_read(tmp_path: Path) -> None:
         " rows are left out: save each run to a file of its own"
     )
     assert "restarts" in read_trajectory(tmp_path / "drive.csv").notes
+
+
+@pytest.mark.parametrize(
+    ("turned_rad", "noise_m", "unit"),
+    [
+        (math.radians(31.0), 0.0, "deg, as the direction of travel shows"),
+        (math.radians(29.0), 0.0, "rad, assumed"),  # too few degrees to tell
+        (math.radians(191.0), 0.0, "deg, as the direction of travel shows"),
+        (math.radians(191.0), 0.005, "deg, as the direction of travel shows"),
+        (math.radians(191.0), 0.5, "rad, assumed"),  # nothing but noise
+    ],
+)
+def test_the_direction_of_travel_shows_degrees(
+    turned_rad: float, noise_m: float, unit: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive(turned_rad, noise_m)
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, np.degrees(heading_rad))
+    assert f"heading from yaw [{unit}]" in run.notes["columns"]
+
+
+@pytest.mark.parametrize("aside_rad", [0.0, 0.19, 0.21])
+def test_headings_in_degrees_may_be_a_little_off(aside_rad: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, np.degrees(heading_rad + aside_rad))
+    assert ("deg, as the direction" in run.notes["columns"]) == (aside_rad < 0.2)
+
+
+def test_noise_at_rest_is_no_travel() -> None:
+    noise_m = np.random.default_rng(1).normal(0.0, 0.02, (201, 2))
+    way_m = np.column_stack(drive()[:2])
+    assert find_travel(noise_m) is None
+    travel = find_travel(np.vstack([noise_m, way_m + noise_m]))
+    assert travel is not None
+    assert np.mean(travel.firsts >= 200) > 0.8
+    assert find_travel(way_m * 0.012) is None  # within 0.1 m
+    assert find_travel(way_m * 0.018) is not None
+
+
+def test_radians_that_turn_often_stay_radians(tmp_path: Path) -> None:
+    x, y, heading_rad = drive(turned_rad=60.0)
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, heading_rad)
+    assert "yaw [rad, assumed]" in run.notes["columns"]
+    assert "heading_and_travel" not in run.notes
+
+
+@pytest.mark.parametrize(
+    ("header", "turn", "told"),
+    [
+        ("yaw [rad]", lambda rad: rad, None),
+        ("yaw [rad]", lambda rad: rad + math.pi, None),  # backward
+        ("yaw [rad]", lambda rad: rad + 0.49, None),
+        ("yaw [rad]", lambda rad: rad + 0.51, "the robot drives sideways, or the headings are"),
+        ("yaw [deg]", lambda rad: 90.0 - np.degrees(rad), "--column heading='yaw [deg] [compass]'"),
+        ("yaw", lambda rad: 90.0 - np.degrees(rad), "fit a compass (0 is north, clockwise): --col"),
+    ],
+    ids=["forward", "backward", "aside", "too-far-aside", "compass", "compass-without-unit"],
+)
+def test_headings_that_contradict_the_travel_are_told(
+    header: str, turn: Callable[[Values], Values], told: str | None, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    run = read(tmp_path, f"t,x,y,{header}", TIME_S, x, y, turn(heading_rad))
+    assert (told or "") in run.notes.get("heading_and_travel", "")
+    assert ("heading_and_travel" in run.notes) == (told is not None)
+
+
+@pytest.mark.parametrize("turned_rad", [0.49, 0.55])
+def test_a_straight_path_tells_no_compass(turned_rad: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive(turned_rad)
+    run = read(tmp_path, "t,x,y,yaw [deg]", TIME_S, x, y, 90.0 - np.degrees(heading_rad))
+    assert ("compass" in run.notes["heading_and_travel"]) == (turned_rad > 0.5)
+
+
+def test_compass_headings_are_read_as_such(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    read(tmp_path, "t,x,y,yaw", TIME_S, x, y, 90.0 - np.degrees(heading_rad))
+    run = read_run(tmp_path / "drive.csv", columns={"heading": "yaw [compass]"})
+    assert run.poses.heading_rad == pytest.approx(heading_rad)
+    assert "heading_and_travel" not in run.notes
+
+
+@pytest.mark.parametrize("step_s", [1e-9, 9e-6, 11e-6])
+def test_times_with_too_few_digits_are_told(step_s: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    time_s = np.floor(TIME_S) if step_s == 1e-9 else TIME_S * (10.0 * step_s)
+    run = read(tmp_path, "t,x,y,yaw", time_s, x, y, heading_rad)
+    crowded = run.notes.get("crowded", "")
+    if step_s == 1e-9:
+        assert crowded.startswith("180 of 201 poses have the time of the pose before, and all")
+    else:
+        assert ("all 201 poses lie within" in crowded) == (step_s < 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("header", "step", "scale", "told"),
+    [
+        ("t,x,y,yaw", 4.9, 1.0, ""),
+        ("t,x,y,yaw", 5.1, 1.0, "poses are 5.1 s apart; if they are ms: --column t='t [ms]'"),
+        ("t [s],x,y,yaw", 5.1, 1.0, ""),
+        ("t,x,y,yaw", 0.1, 199.0, ""),
+        ("t,x,y,yaw", 0.1, 201.0, "so 100 m/s is usual; if they are mm: --column x='x [mm]'"),
+        ("t,x [m],y [m],yaw", 0.1, 201.0, ""),
+    ],
+)
+def test_unlikely_units_are_told(
+    header: str, step: float, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    time = TIME_S * (10.0 * step)
+    run = read(tmp_path, header, time, scale * x, scale * y, heading_rad)
+    assert told in run.notes.get("unlikely_units", "")
+    assert ("unlikely_units" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "told"),
+    [
+        ("v", 1.19, ""),
+        ("v", 1.3, "the path is 10 m by the poses and 13 m by the reported speed: nothing tells"),
+        ("v", 3.6, "36 m by the reported speed, which fits km/h: --column speed='v [km/h]'"),
+        ("v [m/s]", 3.6, "the path is 10 m by the poses and 36 m by the reported speed: nothing"),
+    ],
+)
+def test_a_reported_speed_that_the_path_contradicts_is_told(
+    header: str, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    speed = np.full(len(x), 0.5 * scale)
+    run = read(tmp_path, f"t,x,y,yaw,{header}", TIME_S, x, y, heading_rad, speed)
+    assert told in run.notes.get("path_by_speed", "")
+    assert ("path_by_speed" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "told"),
+    [
+        ("w", 1.19, ""),
+        ("w", 1.21, "the reported turn rate is 1.21 times that of the headings"),
+        ("w", 0.81, ""),
+        ("w", 0.79, "the reported turn rate is 0.79 times that of the headings"),
+        ("w", -1.0, "the reported turn rate is -1 times that of the headings"),
+        ("w", 57.3, "57.3 times that of the headings, which fits deg/s: --column turn_rate='w [d"),
+        ("w [rad/s]", 57.3, "the reported turn rate is 57.3 times that of the headings"),
+    ],
+)
+def test_a_reported_turn_rate_that_the_headings_contradict_is_told(
+    header: str, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    rate = np.full(len(x), 0.15 * scale)
+    run = read(tmp_path, f"t,x,y,yaw,{header}", TIME_S, x, y, heading_rad, rate)
+    assert told in run.notes.get("turning_by_rate", "")
+    assert ("turning_by_rate" in run.notes) == bool(told)
+    assert ("fits" in run.notes.get("turning_by_rate", "")) == ("fits" in told)
+
+
+@pytest.mark.parametrize("turned_rad", [0.47, 0.53])
+def test_little_turning_contradicts_no_rate(turned_rad: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive(turned_rad * 20 / 19)  # the last second is no whole stride
+    rate = np.full(len(x), 2.0 * turned_rad / 20)
+    run = read(tmp_path, "t,x,y,yaw,w", TIME_S, x, y, heading_rad, rate)
+    assert ("turning_by_rate" in run.notes) == (turned_rad > 0.5)

@@ -23,6 +23,7 @@ from turtlelog.log.planar_poses import (
     wrap_far_headings,
 )
 from turtlelog.log.read_choice import CHOSEN, RESTARTS
+from turtlelog.log.ros2.reported_motion import PATH_NOTE, note_crowded
 from turtlelog.log.table_columns import (
     DATE,
     QUANTITIES,
@@ -32,7 +33,17 @@ from turtlelog.log.table_columns import (
     read_time,
     show_column,
 )
-from turtlelog.log.table_contradictions import find_runs
+from turtlelog.log.table_contradictions import (
+    HEADINGS,
+    RATE_NOTE,
+    UNLIKELY,
+    describe_headings,
+    describe_speed,
+    describe_turning,
+    describe_units,
+    find_runs,
+    fits_degrees,
+)
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -48,6 +59,9 @@ _SHOWN_NAMES: Final = 12
 """Largest number of columns that an error lists."""
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
+
+_NORTH_RAD: Final = math.pi / 2.0
+"""Heading of a robot to the north, +y [rad]."""
 
 _POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 
@@ -134,6 +148,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **cells.notes,
         **_describe_gaps(values, has_pose, commands),
         **({} if plane is None else {"plane": plane}),
+        **_list_contradictions(cells, pose_time_ns, poses, whole, is_flat=plane is None),
     }
     return Run(
         name=path.stem,
@@ -151,6 +166,39 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         absent=tuple(absent),
         notes=notes,
     )
+
+
+def _list_contradictions(
+    cells: "Cells",
+    time_ns: NDArray[np.int64],
+    poses: Mapping[str, Values],
+    whole: Mapping[str, Values],
+    *,
+    is_flat: bool,
+) -> dict[str, str]:
+    """Return notes on times, units, headings and rates that the poses contradict."""
+    if notes := note_crowded(time_ns):
+        same = int(np.count_nonzero(np.diff(time_ns) == 1))
+        text = (
+            f"{same} of {len(time_ns)} poses have the time of the pose before, and all rates are"
+            " wrong: save times with all their digits"
+        )
+        return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
+    xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
+    if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
+        return {UNLIKELY: doubt}
+    column = cells.chosen["heading"].name if "heading" in cells.chosen else ""
+    is_assumed = bool(cells.find_assumed("heading"))
+    found = {}
+    if is_flat:  # tilted robots move along their own axes
+        found[HEADINGS] = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
+        assumed = cells.find_assumed("speed", "turn_rate")
+        if (speed := whole.get("speed")) is not None:
+            found[PATH_NOTE] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
+        if (rate := whole.get("turn_rate")) is not None:
+            name = assumed.get("turn_rate", "")
+            found[RATE_NOTE] = describe_turning(time_ns, heading_rad, rate, name)
+    return {name: text for name, text in found.items() if text}
 
 
 def _read_rotation(cells: "Cells") -> dict[str, Values]:
@@ -261,13 +309,23 @@ class Cells:
         choice = self.chosen[field]
         numbers = self._parse(choice)
         unit = choice.unit or self._assume_unit(choice, numbers)
-        return numbers[self._rows] * choice.units[unit]
+        values = numbers[self._rows] * choice.units[unit]
+        return _NORTH_RAD + values if unit == "compass" else values
 
     def require(self, field: str) -> Values:
         """Return the numbers of an existing column."""
         values = self.read(field)
         assert values is not None
         return values
+
+    def find_assumed(self, *fields: str) -> dict[str, str]:
+        """Return the names of columns in assumed standard units, by quantity."""
+        guesses = {field: self._guesses.get(field, "") for field in fields}
+        return {
+            field: self.chosen[field].name
+            for field, guess in guesses.items()
+            if guess.endswith(_ASSUMED)
+        }
 
     def _describe_restart(self, runs: Sequence[slice]) -> str:
         """Return a sentence on a table with several runs, of which one is read."""
@@ -333,6 +391,11 @@ class Cells:
         if choice.field == "heading" and is_wrapped:
             self._guesses["heading"] = "deg, as it steps by a turn of these"
             return "deg"
+        if choice.field == "heading" and {"x", "y"} <= {*self.chosen}:
+            xy_m = np.column_stack([self.require("x"), self.require("y")])
+            if fits_degrees(xy_m, numbers[self._rows]):
+                self._guesses["heading"] = "deg, as the direction of travel shows"
+                return "deg"
         self._guesses[choice.field] = f"{usual}{_ASSUMED}"
         return usual
 

@@ -32,13 +32,15 @@ UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
         "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-        "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+        "angle": {"rad": 1.0, "deg": math.pi / 180.0, "compass": -math.pi / 180.0},
         "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
         "turn_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
         "number": {"1": 1.0},
     }
 )
-"""Units by quantity, the standard unit first, each with its factor to the standard unit."""
+"""Units by quantity, the standard unit first, each with its factor to the standard unit.
+
+An angle of a compass [deg] is 0 to the north, which is +y, and clockwise."""
 
 _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -47,7 +49,7 @@ _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
         **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), "us"),
         **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
         **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-        **{name: name for name in ("cm", "mm", "rpm", "1")},
+        **{name: name for name in ("cm", "mm", "rpm", "1", "compass")},
         **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
         **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), "deg"),
         **dict.fromkeys(("m/s", "m_s", "mps", "m_per_s"), "m/s"),
