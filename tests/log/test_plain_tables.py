@@ -13,6 +13,7 @@ from turtlelog.errors import LogError
 from turtlelog.log import export_csv, export_tum
 from turtlelog.log.any_file import read_file_info, read_run
 from turtlelog.log.exported_tables import require_same_poses
+from turtlelog.log.read_choice import ReadChoice
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
 
@@ -337,6 +338,28 @@ def test_columns_without_a_name_of_their_own_have_numbers(tmp_path: Path) -> Non
     for name in ("#0", "#8", "#x"):
         with pytest.raises(LogError, match="expected a column of the table, found"):
             read_run(path, columns={"x": name})
+
+
+@pytest.mark.parametrize("sign", ["_", ".", "/"])
+def test_one_of_several_robots_in_a_table_is_read(sign: str, tmp_path: Path) -> None:
+    names = [f"{robot}{sign}{name}" for robot in ("r1", "r2") for name in ("x_mm", "y", "yaw")]
+    rows = [(0, 1, 2, 0, 3, 4, 0), (1, 1, 2, 0, 3, 5, 0)]
+    path = write(
+        tmp_path,
+        ",".join(["t", *names, "goal_x", "goal_y", "goal_yaw"]),
+        *[(*row, 9, 9, 9) for row in rows],
+    )
+    run = read_run(path, robot="r2")
+    assert run.name == "drive:r2"
+    assert run.poses.xy_m.tolist() == [[0.003, 4.0], [0.003, 5.0]]
+    assert "unused" not in run.notes
+    assert "unused" not in read_file_info(path, ReadChoice(robot="r2")).notes
+    if sign == "/":  # what comes before a quantity may be any topic
+        return
+    with pytest.raises(LogError, match=r"no column for x, y and heading; .*: --robot r1 or --rob"):
+        read_run(path)
+    with pytest.raises(LogError, match="--robot r1 or --robot r2 chooses a robot"):
+        read_run(path, robot="r3")
 
 
 def test_own_tables_are_read_as_ever(tmp_path: Path) -> None:

@@ -22,13 +22,14 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, RESTARTS
+from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
 from turtlelog.log.ros2.reported_motion import PATH_NOTE, note_crowded
 from turtlelog.log.table_columns import (
     DATE,
     QUANTITIES,
     Choice,
     assign_columns,
+    find_robots,
     read_date,
     read_time,
     show_column,
@@ -70,6 +71,7 @@ def import_plain_table(
     path: str | Path,
     columns: Mapping[str, str] | None = None,
     *,
+    robot: str | None = None,
     allow_partial: bool = False,
 ) -> Run:
     """Return the run in a table with a header, or in a TUM trajectory.
@@ -81,6 +83,7 @@ def import_plain_table(
     Args:
         path: Text file with commas, semicolons, tabs or blanks between cells, or a Parquet file.
         columns: Columns by quantity, if names are not clear, as in `{"heading": "psi [deg]"}`.
+        robot: Name of one of several robots, as in `robot1_x`.
         allow_partial: Whether to leave out a last row with too few cells.
 
     Raises:
@@ -89,12 +92,19 @@ def import_plain_table(
     path = make_path(path)
     with name_file(path, expected="a table"):
         table = read_plain_table(path, allow_partial=allow_partial)
-        chosen = assign_columns(table.names, columns or {}, table.units)
-        _require_columns(table, chosen)
-        return _build_run(path, Cells(table, chosen))
+        robots = find_robots(table.names)
+        asked = {**robots.get(robot or "", {}), **(columns or {})}
+        chosen = assign_columns(table.names, asked, table.units)
+        _require_columns(table, chosen, [*robots])
+        run = _build_run(path, Cells(table, chosen))
+        if robot not in robots:
+            return run
+        return replace(run, name=f"{run.name}:{robot}", notes={**run.notes, ROBOT: robot})
 
 
-def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
+def _require_columns(
+    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str]
+) -> None:
     has_quaternion = all(name in chosen for name in _QUATERNION)
     missing = [
         name
@@ -111,10 +121,10 @@ def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
             )
         found = ", ".join(table.names[:_SHOWN_NAMES])
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        raise LogError(
-            f"no column for {join_words(missing)}; there are {found}{more}:"
-            f" --column {missing[0]}='NAME [UNIT]' says which"
-        )
+        option = f"--column {missing[0]}='NAME [UNIT]' says which"
+        if robots:
+            option = f"{' or '.join(f'--robot {robot}' for robot in robots[:3])} chooses a robot"
+        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {option}")
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:

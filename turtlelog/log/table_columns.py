@@ -175,6 +175,24 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
     return replace(choice, unit=unit)
 
 
+def find_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the columns of each robot by quantity, for names such as `robot1_x` or `/robot1/x`."""
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        match = re.fullmatch(r"/?([^_./]{1,64})[_./](.{1,64})", name.strip())
+        if match is None or match[1].lower() in _COMMANDS | _WANTED:
+            continue
+        for field in QUANTITIES:
+            if _rank(field, _split_name(field, match[2])[0]) == 0:
+                found.setdefault(match[1], {}).setdefault(field, name.strip())
+    needed = ({"x", "y", "heading"}, {"x", "y", "qx", "qy", "qz", "qw"})
+    return {
+        robot: columns
+        for robot, columns in found.items()
+        if any(fields <= {*columns} for fields in needed)
+    }
+
+
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
     """Return the column named by the user, with the user's unit or the unit in its name."""
     # `psi [deg]` is a name, or `psi` in deg.
