@@ -306,6 +306,20 @@ def _simplify(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
 
 
+def read_length_unit(axis: str, name: str) -> float:
+    """Return the metres of a unit of length in the name of a column; 1 without a unit.
+
+    Raises:
+        LogError: If brackets contain no known unit.
+    """
+    unit = _split_name(axis, name)[1]
+    bracketed = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
+    if unit is None and bracketed is not None:
+        known = ", ".join(UNITS["length"])
+        raise LogError(f"column {name}: expected a unit of {known}, found {bracketed[1][:40]!r}")
+    return UNITS["length"][unit or "m"]
+
+
 def _read_unit(field: str, text: str) -> str | None:
     """Return the unit of a field; None if the text is not one of its units."""
     plain = text.strip().lower().replace(" ", "").replace("^-1", "").replace("·", "_")
