@@ -99,7 +99,7 @@ class TopicOptions:
             rates.
         column: Column of a table that contains the quantity NAME: t, x, y, heading or another one.
             Example: "heading=yaw [deg]". Can be repeated.
-        partial: Read what an unfinished or damaged recording still contains.
+        partial: Read what an unfinished or damaged recording or table still contains.
         max_download: Largest file to download whole from a URL whose server does not support range
             requests. Example: 500MB. Default: 4GiB.
     """
