@@ -229,6 +229,21 @@ def test_a_reported_turn_rate_that_the_headings_contradict_is_told(
     assert ("fits" in run.notes.get("turning_by_rate", "")) == ("fits" in told)
 
 
+@pytest.mark.parametrize("large", [1e30, 1e160, 1e307])
+def test_motion_beyond_all_sense_is_read_without_a_word(large: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    names = "t,x,y,yaw,v"
+    assert len(read(tmp_path, names, TIME_S, large * x, -large * y, heading_rad, x).poses) == 201
+    assert len(read(tmp_path, names, TIME_S, x, y, large * heading_rad, -large * x).poses) == 201
+
+
+def test_a_first_time_that_was_never_set_costs_no_memory(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    time_s = np.where(x == 0.0, 0.0, TIME_S + 1.7e9)
+    run = read(tmp_path, "t,x,y,yaw,v,w", time_s, x, y, heading_rad, x, x)
+    assert "turning_by_rate" in run.notes
+
+
 @pytest.mark.parametrize("turned_rad", [0.47, 0.53])
 def test_little_turning_contradicts_no_rate(turned_rad: float, tmp_path: Path) -> None:
     x, y, heading_rad = drive(turned_rad * 20 / 19)  # the last second is no whole stride

@@ -48,6 +48,9 @@ from turtlelog.log.table_contradictions import (
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
+_LARGEST: Final = 1e30
+"""Largest number of a motion that is judged: squares of larger numbers may overflow."""
+
 _NEVER: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
     *("parameters", "stop_reason", "events"),
@@ -187,6 +190,10 @@ def _list_contradictions(
     is_flat: bool,
 ) -> dict[str, str]:
     """Return notes on times, units, headings and rates that the poses contradict."""
+    used = [poses["x"], poses["y"], poses["heading"]]
+    used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
+    if max(float(np.abs(column).max()) for column in used) > _LARGEST:
+        return {}
     if notes := note_crowded(time_ns):
         same = int(np.count_nonzero(np.diff(time_ns) == 1))
         text = (

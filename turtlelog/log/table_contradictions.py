@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from turtlelog.display import format_short
 from turtlelog.log.planar_poses import Values
-from turtlelog.log.ros2.reported_motion import MOVED_M, SPEED, describe_paths, measure_paths
+from turtlelog.log.ros2.reported_motion import (
+    MOVED_M,
+    SPEED,
+    describe_paths,
+    measure_paths,
+    thin_rows,
+)
 
 UNLIKELY: Final = "unlikely_units"
 """Name of the note on assumed units of time and length that give an unlikely motion."""
@@ -37,21 +43,21 @@ def find_runs(time_ns: TimesNs) -> list[slice]:
 
     Rows that are late, and parts in another order, belong to one run: sorting is right for them.
     """
-    starts = [0, *(np.flatnonzero(np.diff(time_ns) < 0) + 1).tolist()]
+    starts = np.append(0, np.flatnonzero(np.diff(time_ns) < 0) + 1)
+    ends = np.append(starts[1:], len(time_ns))
+    columns = (starts, ends, time_ns[starts], time_ns[ends - 1])
     found, first = [], 0
-    low, high = int(time_ns[0]), int(time_ns[0])
-    for start, end in zip(starts, [*starts[1:], len(time_ns)], strict=True):
-        part = time_ns[start:end]
-        is_far = int(part[0]) <= low + _FAR_BACK * (high - low)
-        if is_far and start - first >= _FEWEST_ROWS <= _count_within(part, low, high):
-            found.append(slice(first, start))
-            first, low, high = start, int(part[0]), int(part[-1])
-        low, high = min(low, int(part[0])), max(high, int(part[-1]))
+    low = high = int(time_ns[0])
+    for start, end, begin, last in zip(*(column.tolist() for column in columns), strict=True):
+        is_long = start - first >= _FEWEST_ROWS <= end - start
+        if is_long and begin <= low + _FAR_BACK * (high - low):
+            part = time_ns[start:end]
+            within = np.searchsorted(part, high, "right") - np.searchsorted(part, low)
+            if within >= _FEWEST_ROWS:
+                found.append(slice(first, start))
+                first, low, high = start, begin, last
+        low, high = min(low, begin), max(high, last)
     return [*found, slice(first, len(time_ns))]
-
-
-def _count_within(part: TimesNs, low: int, high: int) -> int:
-    return int(np.searchsorted(part, high, "right") - np.searchsorted(part, low))
 
 
 _PIECES: Final = 100
@@ -87,8 +93,12 @@ def find_travel(xy_m: Values) -> Travel | None:
 
     The finite positions have the shape (n, 2).
     """
-    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
-    edges = np.unique(np.searchsorted(along_m, np.linspace(0.0, along_m[-1], _PIECES + 1)))
+    with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
+        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
+    if not np.isfinite(along_m[-1] * _PIECES):
+        return None
+    edges = np.searchsorted(along_m, np.linspace(0.0, along_m[-1], _PIECES + 1))
+    edges = np.unique(np.minimum(edges, len(along_m) - 1))
     ways_m = np.diff(xy_m[edges], axis=0)
     length_m = np.hypot(*ways_m.T)
     is_straight = length_m > _STRAIGHT * np.diff(along_m[edges])
@@ -216,7 +226,7 @@ def describe_turning(
 
     The name of a column in assumed rad/s leads to a proposed unit; else it is empty.
     """
-    rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
+    rows = thin_rows(time_ns, _STRIDE_NS)
     step_s = np.diff(time_ns) / 1e9
     means = (turn_rate_rad_s[1:] + turn_rate_rad_s[:-1]) / 2.0
     reported_rad = np.diff(np.concatenate([[0.0], np.cumsum(means * step_s)])[rows])
