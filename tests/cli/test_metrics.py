@@ -338,3 +338,16 @@ def test_the_first_line_says_what_a_table_contradicts(call: Call, tmp_path: Path
     ):
         file.write_text("\n".join(["t,x,y,yaw", *rows]))
         assert told in call("metrics", file).flat.partition(" metric ")[0]
+
+
+@pytest.mark.parametrize(
+    ("speed", "told"),
+    [(1.0, "the robot reports."), (3.6, "reports, and the poses contradict them.")],
+)
+def test_reported_rates_that_the_poses_contradict_are_no_facts(
+    call: Call, tmp_path: Path, speed: float, told: str
+) -> None:
+    file = tmp_path / "drive.csv"
+    rows = [f"{step},{step},0,0,{speed}" for step in range(20)]
+    file.write_text("\n".join(["t,x,y,yaw,v", *rows]))
+    assert told in call("metrics", file).flat
