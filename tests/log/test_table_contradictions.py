@@ -75,6 +75,19 @@ def test_one_of_two_runs_in_a_table_is_read(tmp_path: Path) -> None:
     assert "restarts" in read_trajectory(tmp_path / "drive.csv").notes
 
 
+def test_commands_below_the_poses_belong_to_their_run(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    no = np.full(len(x), np.nan)
+    below = ((TIME_S, TIME_S), (x, no), (y, no), (heading_rad, no), (no, x))
+    run = read(tmp_path, "t,x,y,yaw,cmd_v", *map(np.concatenate, below))
+    assert (len(run.poses), len(run.commands)) == (201, 201)
+    assert "restarts" not in run.notes
+    twice = [columns * 2 for columns in below]
+    run = read(tmp_path, "t,x,y,yaw,cmd_v", *map(np.concatenate, twice))
+    assert (len(run.poses), len(run.commands)) == (201, 201)
+    assert run.notes["restarts"].startswith("run 1 of 2 in the table is read, lines 2 to 403;")
+
+
 @pytest.mark.parametrize(
     ("turned_rad", "noise_m", "unit"),
     [

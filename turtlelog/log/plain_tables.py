@@ -312,7 +312,7 @@ class Cells:
         found = table.columns.read([choice.column for choice in chosen.values()])
         self._cells = dict(zip(chosen, found, strict=True))
         time_ns = self._read_times()
-        runs = find_runs(time_ns)
+        runs = self._find_runs(time_ns)
         self._rows = max(runs, key=lambda rows: rows.stop - rows.start)
         self.time_ns = time_ns[self._rows]
         self.notes = dict(table.columns.notes)
@@ -343,6 +343,18 @@ class Cells:
             for field, guess in guesses.items()
             if guess.endswith(_ASSUMED)
         }
+
+    def _find_runs(self, time_ns: NDArray[np.int64]) -> list[slice]:
+        """Return the rows of each run, judged by rows with a position.
+
+        In joined tables, rows of commands alone may be below those of poses.
+        """
+        if "x" not in self.chosen or not (np.diff(time_ns) < 0).any():
+            return [slice(0, len(time_ns))]
+        placed = np.flatnonzero(np.isfinite(self._parse(self.chosen["x"])))
+        runs = find_runs(time_ns[placed]) if len(placed) else []
+        edges = [0, *(int(placed[run.start]) for run in runs[1:]), len(time_ns)]
+        return [*map(slice, edges[:-1], edges[1:])]
 
     def _describe_restart(self, runs: Sequence[slice]) -> str:
         """Return a sentence on a table with several runs, of which one is read."""
