@@ -138,10 +138,19 @@ def test_radians_that_turn_often_stay_radians(tmp_path: Path) -> None:
         ("yaw [rad]", lambda rad: rad + math.pi, None),  # backward
         ("yaw [rad]", lambda rad: rad + 0.49, None),
         ("yaw [rad]", lambda rad: rad + 0.51, "the robot drives sideways, or the headings are"),
+        ("yaw", lambda rad: rad + 0.51, "drives sideways, or the headings (assumed in rad) are wr"),
         ("yaw [deg]", lambda rad: 90.0 - np.degrees(rad), "--column heading='yaw [deg] [compass]'"),
         ("yaw", lambda rad: 90.0 - np.degrees(rad), "fit a compass (0 is north, clockwise): --col"),
     ],
-    ids=["forward", "backward", "aside", "too-far-aside", "compass", "compass-without-unit"],
+    ids=[
+        "forward",
+        "backward",
+        "aside",
+        "too-far-aside",
+        "assumed",
+        "compass",
+        "compass-without-unit",
+    ],
 )
 def test_headings_that_contradict_the_travel_are_told(
     header: str, turn: Callable[[Values], Values], told: str | None, tmp_path: Path

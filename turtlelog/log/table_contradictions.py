@@ -176,7 +176,8 @@ def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assu
         if measure_misfit(travel, other_rad) <= _WELL_RAD:
             words = "degrees" if unit == "deg" else "a compass (0 is north, clockwise)"
             return f"{found}, but fit {words}: --column heading='{column} [{unit}]'"
-    return f"{found}: the robot drives sideways, or the headings are wrong"
+    read = " (assumed in rad)" if is_assumed else ""
+    return f"{found}: the robot drives sideways, or the headings{read} are wrong"
 
 
 _LONGEST_STEP_S: Final = 5.0
