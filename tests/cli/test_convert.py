@@ -240,3 +240,11 @@ def test_a_trajectory_is_written_and_read_back(call: Call, kp4: Path, tmp_path: 
         answer = call("convert", kp4, "-o", tmp_path / name, "--to", "tum")
         assert answer.code == 2
         assert "must be a name that ends in .tum or .txt" in answer.err
+
+
+def test_measured_rates_are_not_called_absent(call: Call, tmp_path: Path) -> None:
+    table = tmp_path / "drive.csv"
+    table.write_text("t,x,y,yaw,v\n0,0,0,0,1\n1,1,0,0,1\n")
+    answer = call("convert", table, "-o", tmp_path / "poses.csv")
+    told = "poses.speed_m_s (applied, not measured), poses.turn_rate_rad_s, samples"
+    assert told in answer.flat

@@ -325,3 +325,29 @@ def test_bad_usage_is_one_line(call: Call, kp4: Path, words: list[str], line: st
     assert (answer.code, answer.out) == (2, "")
     assert answer.err.count("\n") == 1
     assert line in answer.err
+
+
+def test_the_first_line_says_what_a_table_contradicts(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "drive.csv"
+    once = [f"{step},{step},0,0" for step in range(20)]
+    for rows, told in (
+        (once, "drive.csv: the path is 19 m long and takes 19 s."),
+        ([*once, *once], "drive.csv: the path is 19 m long and takes 19 s, in run 1 of 2 in the"),
+        ([f"{6 * step},{step},0,0" for step in range(20)], "takes 114 s, in units that are unlik"),
+        ([f"1,{step},0,0" for step in range(20)], ", but the times of most poses are wrong."),
+    ):
+        file.write_text("\n".join(["t,x,y,yaw", *rows]))
+        assert told in call("metrics", file).flat.partition(" metric ")[0]
+
+
+@pytest.mark.parametrize(
+    ("speed", "told"),
+    [(1.0, "the robot reports."), (3.6, "reports, and the poses contradict them.")],
+)
+def test_reported_rates_that_the_poses_contradict_are_no_facts(
+    call: Call, tmp_path: Path, speed: float, told: str
+) -> None:
+    file = tmp_path / "drive.csv"
+    rows = [f"{step},{step},0,0,{speed}" for step in range(20)]
+    file.write_text("\n".join(["t,x,y,yaw,v", *rows]))
+    assert told in call("metrics", file).flat

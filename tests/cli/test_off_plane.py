@@ -129,3 +129,12 @@ def test_python_writes_a_recording_of_the_plane_alone(tmp_path: Path) -> None:
     assert part.poses.height_m is not None
     assert len(part.poses.height_m) == len(part.poses) == 21
     assert run.to_arrow().column_names[-2:] == ["height_m", "tilt_rad"]
+
+
+def test_a_format_without_heights_is_not_called_equal(call: Call, tmp_path: Path) -> None:
+    bag = write_robot(tmp_path, climb())
+    for name, lost in (("a.tum", " without height and tilt"), ("a.csv", "")):
+        answer = call("convert", bag, "-o", tmp_path / name)
+        assert answer.out.startswith(f"{name}: 101 poses of ")
+        assert f"{lost}, read back and equal." in answer.flat
+        assert ("without height and tilt, read" in answer.flat) == bool(lost)

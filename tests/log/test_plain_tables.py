@@ -13,6 +13,7 @@ from turtlelog.errors import LogError
 from turtlelog.log import export_csv, export_tum
 from turtlelog.log.any_file import read_file_info, read_run
 from turtlelog.log.exported_tables import require_same_poses
+from turtlelog.log.read_choice import ReadChoice
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
 
@@ -171,9 +172,12 @@ def test_what_a_mapping_lacks_is_one_line(tmp_path: Path) -> None:
     path = write(tmp_path, "t,x,y,psi,x", *[(0, 0, 0, 0, 0)])
     for columns, message in (
         ({"heading": "phi"}, "--column heading=phi: expected a column of the table, found t, x, y"),
-        ({"heading": "psi [m]"}, r"expected a unit of rad, deg, found m"),
+        ({"heading": "psi [m]"}, r"expected a unit of rad, deg, compass, found m"),
         ({"bearing": "psi"}, "--column bearing: expected one of t, t_nanosec, x, y, z, heading"),
-        ({"x": "x"}, "column x: expected one of that name, found 2"),
+        (
+            {"x": "x"},
+            "column x: expected one of that name, found 2, #2 and #5: --column x='#2' chooses",
+        ),
     ):
         with pytest.raises(LogError, match=r"drive\.csv: ") as caught:
             read_run(path, columns=columns)
@@ -257,6 +261,105 @@ def test_wrong_table_is_one_line(text: str, message: str, tmp_path: Path) -> Non
         read_run(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("last", ["0.3,7,7", "0.3", "0.3,7,7,7,7"])
+def test_an_incomplete_last_row_may_be_left_out(last: str, tmp_path: Path) -> None:
+    path = write(tmp_path, "t,x,y,yaw", *ROWS, last)
+    found = f"line 5: expected 4 cells, found {last.count(',') + 1}"
+    if last.count(",") == 4:
+        with pytest.raises(LogError, match=f"{found}$"):
+            read_run(path, allow_partial=True)
+        return
+    with pytest.raises(LogError, match=f"{found} in the last row: --partial leaves it out"):
+        read_run(path)
+    run = read_run(path, allow_partial=True)
+    assert len(run.poses) == 3
+    assert run.notes["partial"] == f"the last row is left out, {found}"
+    path = write(tmp_path, "t,x,y,yaw", *ROWS[:1], last, *ROWS[1:])
+    with pytest.raises(LogError, match=r"line 3: expected 4 cells, found \d$"):
+        read_run(path, allow_partial=True)
+
+
+def test_repeated_headers_are_left_out(tmp_path: Path) -> None:
+    path = write(tmp_path, "t,x,y,yaw", ROWS[0], "t, x,y,yaw", *ROWS[1:], "t,x,y,yaw")
+    run = read_run(path)
+    assert run.poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
+    assert run.notes["repeated_headers"] == "2 rows left out"
+    path = write(tmp_path, "t,x,y,yaw", ROWS[0], "t,x,y,theta")
+    with pytest.raises(LogError, match="line 3, column t: expected a number, found 't'"):
+        read_run(path)
+    with pytest.raises(LogError, match="no rows below the header t, x, y, yaw"):
+        read_run(write(tmp_path, "t,x,y,yaw", "t,x,y,yaw"))
+
+
+@pytest.mark.parametrize("units", ["ms,mm,cm,deg,", "[ms],(mm),[cm],[deg],-", "ms, mm, cm,°,V"])
+def test_a_row_of_units_is_read(units: str, tmp_path: Path) -> None:
+    run = read_run(write(tmp_path, "t,x,y,yaw,battery", units, (0, 5, 5, 90, 1), (5, 6, 7, 90, 1)))
+    assert run.poses.time_ns.tolist() == [0, 5_000_000]
+    assert run.poses.xy_m[0].tolist() == [0.005, 0.05]
+    assert run.poses.heading_rad == pytest.approx([math.pi / 2] * 2)
+    assert run.notes["columns"].startswith("t from t [ms], x from x [mm], y from y [cm]")
+
+
+@pytest.mark.parametrize(
+    ("units", "message"),
+    [
+        (
+            "s,ft,ft,deg",
+            "column x: expected a unit of m, cm, mm, found 'ft': --column x='x [UNIT]'",
+        ),
+        ("a,b,c,d", "line 2, column t: expected a number, found 'a'"),
+        ("0,m,m,rad", "line 2, column x: expected a number, found 'm'"),
+        ("2024-01-01T00:00:00Z,m,m,rad", "line 3, column t: expected a time, found '0.0'"),
+    ],
+)
+def test_other_rows_below_the_header_are_values(units: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(LogError) as caught:
+        read_run(write(tmp_path, "t,x,y,yaw", units, *ROWS))
+    assert message in str(caught.value)
+    with pytest.raises(LogError, match="no rows below the header t, x, y, yaw"):
+        read_run(write(tmp_path, "t,x,y,yaw", "s,m,m,rad"))
+
+
+def test_excels_line_of_the_separator_is_no_header(tmp_path: Path) -> None:
+    path = write(tmp_path, "sep=;", "t;x;y;yaw", *ROWS, sign=";")
+    assert read_run(path).poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
+
+
+def test_columns_without_a_name_of_their_own_have_numbers(tmp_path: Path) -> None:
+    path = write(tmp_path, ",t,x,y,yaw,x,", *[(7, *row, 9, "") for row in ROWS])
+    with pytest.raises(LogError, match=r"found x \(#3\) and x \(#6\): --column x='#3' chooses"):
+        read_run(path)
+    run = read_run(path, columns={"x": "#6 [mm]"})
+    assert run.poses.xy_m[0] == pytest.approx([0.009, 2.0])
+    assert "x from #6 [mm]" in run.notes["columns"]
+    assert "; not read: #1, x (#3), #7; " in run.notes["columns"]
+    for name in ("#0", "#8", "#x"):
+        with pytest.raises(LogError, match="expected a column of the table, found"):
+            read_run(path, columns={"x": name})
+
+
+@pytest.mark.parametrize("sign", ["_", ".", "/"])
+def test_one_of_several_robots_in_a_table_is_read(sign: str, tmp_path: Path) -> None:
+    names = [f"{robot}{sign}{name}" for robot in ("r1", "r2") for name in ("x_mm", "y", "yaw")]
+    rows = [(0, 1, 2, 0, 3, 4, 0), (1, 1, 2, 0, 3, 5, 0)]
+    path = write(
+        tmp_path,
+        ",".join(["t", *names, "goal_x", "goal_y", "goal_yaw"]),
+        *[(*row, 9, 9, 9) for row in rows],
+    )
+    run = read_run(path, robot="r2")
+    assert run.name == "drive:r2"
+    assert run.poses.xy_m.tolist() == [[0.003, 4.0], [0.003, 5.0]]
+    assert "unused" not in run.notes
+    assert "unused" not in read_file_info(path, ReadChoice(robot="r2")).notes
+    if sign == "/":  # what comes before a quantity may be any topic
+        return
+    with pytest.raises(LogError, match=r"no column for x, y and heading; .*: --robot r1 or --rob"):
+        read_run(path)
+    with pytest.raises(LogError, match="--robot r1 or --robot r2 chooses a robot"):
+        read_run(path, robot="r3")
 
 
 def test_own_tables_are_read_as_ever(tmp_path: Path) -> None:

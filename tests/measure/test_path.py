@@ -103,8 +103,22 @@ def test_a_reference_path_is_read_with_or_without_its_head(tmp_path: Path, head:
 
 
 @pytest.mark.parametrize(
+    ("head", "point"),
+    [("x [mm],y (cm)", [0.0015, 0.02]), ("x_mm,y_mm", [0.0015, 0.002]), ("a,b", [1.5, 2.0])],
+)
+def test_the_head_of_a_reference_path_may_name_units(
+    tmp_path: Path, head: str, point: list[float]
+) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text(f"{head}\n0,0\n1.5,2\n")
+    assert read_reference_path(file)[1] == pytest.approx(point)
+
+
+@pytest.mark.parametrize(
     ("text", "line"),
     [
+        ("x [ft],y [ft]\n0,0\n1,1\n", "line 1: column x .ft.: expected a unit of m, cm, mm, found"),
+        ("y [m],x [m]\n0,0\n1,1\n", "line 1: expected x,y, found 'y .m.,x .m.'"),
         ("0,0\n1,nan\n", "line 2: expected x,y in metres, found '1,nan'"),
         ("x,y\n0,0\n1,2,3\n", "line 3: expected x,y in metres, found '1,2,3'"),
         ("0,0\nfar,away\n", "line 2: expected x,y in metres, found 'far,away'"),

@@ -142,7 +142,7 @@ def convert(
     notes += [
         f"{path} holds x, y and heading alone, without height and tilt; .csv and .parquet hold both"
         for path, kind in kinds.items()
-        if run is not _flatten_run(run) and kind not in {"csv", "parquet"}
+        if _is_flattened(run, kind)
     ]
     if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
         notes += list_unshared(run)
@@ -158,11 +158,11 @@ def convert(
         )
         return
     lines = [
-        f"{path.name}: {_describe_held(run, path, kind, tables)} of {file.name}, read back and"
-        " equal."
+        f"{path.name}: {_describe_held(run, path, kind, tables)} of {file.name}"
+        f"{' without height and tilt' if _is_flattened(run, kind) else ''}, read back and equal."
         for path, kind in kinds.items()
     ]
-    absent = [f"absent in {file}: {', '.join(run.absent)}"] if run.absent else []
+    absent = [f"absent in {file}: {', '.join(_list_absent(run))}"] if run.absent else []
     ends = console.fill_lines([*absent, *notes])
     console.print_text("\n".join([console.fill_lines(lines), *console.list_written(written), ends]))
 
@@ -219,7 +219,7 @@ def _write(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> tuple[
     """Write one output and read it back."""
     from turtlelog.log.exported_tables import require_read_back, require_same_poses
 
-    run = _flatten_run(run) if kind not in {"csv", "parquet"} else run
+    run = _flatten_run(run) if _is_flattened(run, kind) else run
     with show_progress("writing"):
         if kind == "mcap":
             tl.write_recording(run, path, shares_poses=not tables.own_topics)
@@ -241,12 +241,28 @@ def _write(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> tuple[
     return written
 
 
+def _is_flattened(run: "tl.Run", kind: str) -> bool:
+    """Return whether a format loses the heights and tilts of a run: only tables store them."""
+    has_any = run.poses.height_m is not None or run.poses.tilt_rad is not None
+    return has_any and kind not in {"csv", "parquet"}
+
+
 def _flatten_run(run: "tl.Run") -> "tl.Run":
-    """Return a run without heights and tilts, which recordings cannot store."""
+    """Return a run without heights and tilts."""
+    return replace(run, poses=replace(run.poses, height_m=None, tilt_rad=None))
+
+
+def _list_absent(run: "tl.Run") -> list[str]:
+    """Return the absent columns; applied rates may be absent beside measured ones."""
     poses = run.poses
-    if poses.height_m is None and poses.tilt_rad is None:
-        return run
-    return replace(run, poses=replace(poses, height_m=None, tilt_rad=None))
+    measured = {
+        "poses.speed_m_s": poses.measured_speed_m_s,
+        "poses.turn_rate_rad_s": poses.measured_turn_rate_rad_s,
+    }
+    return [
+        f"{name} (applied, not measured)" if measured.get(name) is not None else name
+        for name in run.absent
+    ]
 
 
 _MOST_LINES = 20

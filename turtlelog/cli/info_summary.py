@@ -45,6 +45,7 @@ _TOLD: Final = (
     *("unused", "crowded", "clock", "plane", "dropped_nan", "held_transforms"),
     *("dropped_before_transforms", "robots", "heading", "origin", "wheels", "reported_rates"),
     *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
+    *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate"),
     "other_command_topics",
 )
 """Notes of a run on the bag from which it was read."""

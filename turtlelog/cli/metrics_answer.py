@@ -309,11 +309,17 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in found.lacks for found in lawless)
     if reporting and reporting == len(lawless):
-        yield "Measured rates are those that the robot reports."
+        doubted = any(not _RATE_DOUBTS.isdisjoint(found.notes) for found in lawless)
+        doubt = ", and the poses contradict them" if doubted else ""
+        yield f"Measured rates are those that the robot reports{doubt}."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
         noise = ", and contain their noise" if any(map(_has_scatter, lawless)) else ""
         yield f"Measured rates are differences of poses{which}{noise}."
+
+
+_RATE_DOUBTS: Final = frozenset({"path_by_speed", "turning_by_rate"})
+"""Notes on reported rates that the poses contradict."""
 
 
 def _has_scatter(summary: "tl.compare.RunSummary") -> bool:

@@ -84,7 +84,8 @@ class TopicOptions:
     Attributes:
         pose_topic: Topic of the poses, or FILE:TOPIC to set it for one file. Default: chosen by
             type and name, and named on stderr.
-        robot: Name of one of several robots in a bag (/robot1/odom, /robot2/odom: robot1, robot2).
+        robot: Name of one of several robots in a bag (/robot1/odom: robot1) or in a table
+            (robot1_x: robot1).
         command_topic: Topic of the commands: Twist, TwistStamped, or Ackermann (needs --wheelbase).
         path_topic: Topic of the path to follow: nav_msgs/Path.
         pose_frame: Frame of the robot, if poses come from transforms (/tf).
@@ -98,7 +99,7 @@ class TopicOptions:
             rates.
         column: Column of a table that contains the quantity NAME: t, x, y, heading or another one.
             Example: "heading=yaw [deg]". Can be repeated.
-        partial: Read what an unfinished or damaged recording still contains.
+        partial: Read what an unfinished or damaged recording or table still contains.
         max_download: Largest file to download whole from a URL whose server does not support range
             requests. Example: 500MB. Default: 4GiB.
     """

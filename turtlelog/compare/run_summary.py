@@ -404,9 +404,22 @@ UNLOCKS: Final = MappingProxyType(
 """Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 
+_DOUBTS: Final = {
+    "crowded": ", but the times of most poses are wrong",
+    "unlikely_units": ", in units that are unlikely",
+}
+"""Notes on a file that put its numbers in doubt, each with a clause."""
+
+
 def describe_end(summary: RunSummary) -> str:
     """Return place and time of a run's end; without a goal, the length of its path."""
+    doubts = [clause for name, clause in _DOUBTS.items() if name in summary.notes]
+    if "restarts" in summary.notes:  # `run 1 of 2 in the table is read ...`
+        doubts.append(f", in {summary.notes['restarts'].partition(' is read')[0]}")
+    return f"{_describe_end(summary)}{''.join(doubts)}"
 
+
+def _describe_end(summary: RunSummary) -> str:
     def show(name: str) -> str | None:
         metric = summary.metrics.get(name)
         if metric is None or metric.value is None:

@@ -38,10 +38,8 @@ from .paper_log import (
     is_papers as is_papers,
 )
 from .plain_tables import (
-    KITTI_COLUMNS as KITTI_COLUMNS,
-    PlainTable as PlainTable,
+    Cells as Cells,
     import_plain_table as import_plain_table,
-    read_plain_table as read_plain_table,
 )
 from .planar_poses import (
     JOINTS as JOINTS,
@@ -71,7 +69,12 @@ from .ros2 import (
     read_surroundings as read_surroundings,
 )
 from .table_columns import (
-    Cells as Cells,
     assign_columns as assign_columns,
+    find_robots as find_robots,
     read_time as read_time,
+)
+from .table_files import (
+    KITTI_COLUMNS as KITTI_COLUMNS,
+    PlainTable as PlainTable,
+    read_plain_table as read_plain_table,
 )

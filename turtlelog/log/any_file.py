@@ -19,6 +19,8 @@ from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
+    RESTARTS,
+    ROBOT,
     UNUSED,
     FileKind,
     ReadChoice,
@@ -71,7 +73,7 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
     if has_tables or is_log:
         is_own = has_tables and not (is_log and choice.columns)
         run = _aim(path, _import_tables(path, choice, is_own=is_own), choice)
-        return _note_unused(run, choice, "table")
+        return _note_unused(run, _drop_used(choice, run), "table")
     # A recording by turtlelog contains more than poses and commands: asking for these loses
     # nothing.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
@@ -94,7 +96,14 @@ def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
     # With the user's mapping of columns, a file is no log of the paper.
     if path.suffix.lower() == ".json" or (not choice.columns and log.is_papers(path)):
         return log.import_log(path)
-    return log.import_plain_table(path, choice.columns)
+    return log.import_plain_table(
+        path, choice.columns, robot=choice.robot, allow_partial=choice.allow_partial
+    )
+
+
+def _drop_used(choice: ReadChoice, run: "Run") -> ReadChoice:
+    """Return a choice without the robot whose columns were read from a table."""
+    return replace(choice, robot=None) if ROBOT in run.notes else choice
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -164,6 +173,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
         unused = describe_unused(choice, "recording")
         return replace(found, notes={**found.notes, UNUSED: unused}) if unused else found
     run = _import_tables(path, choice, is_own=has_tables and not (is_log and choice.columns))
+    unused = describe_unused(_drop_used(choice, run), "table")
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),
@@ -178,7 +188,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
         absent=run.absent,
         notes={"rows": rows}
         | {name: text for name, text in run.notes.items() if name != CHOSEN}
-        | ({UNUSED: unused} if (unused := describe_unused(choice, "table")) else {}),
+        | ({UNUSED: unused} if unused else {}),
     )
 
 
@@ -254,10 +264,12 @@ def read_trajectory(
     file, topic = split_topic(path)
     if topic is None and _is_plain_table(file, choice):
         with name_file(file, expected="a trajectory"):
-            table = log.read_plain_table(file)
+            table = log.read_plain_table(file, allow_partial=choice.allow_partial)
             if table.names == log.KITTI_COLUMNS and not table.has_header:
                 return _build_kitti(file, table, times)
-            chosen = log.assign_columns(table.names, choice.columns, table.units)
+            of_robot = log.find_robots(table.names).get(choice.robot or "", {})
+            columns = {**of_robot, **choice.columns}
+            chosen = log.assign_columns(table.names, columns, table.units)
             if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
                 return _build_from_table(file, log.Cells(table, chosen))
     bag = None
@@ -273,9 +285,8 @@ def read_trajectory(
             return found
     run = read_as_chosen(path, choice)
     planar = runs.build_planar_trajectory(run)
-    return replace(
-        planar, notes={name: run.notes[name] for name in (CHOSEN, UNUSED) if name in run.notes}
-    )
+    names = [name for name in (CHOSEN, UNUSED, RESTARTS) if name in run.notes]
+    return replace(planar, notes={name: run.notes[name] for name in names})
 
 
 def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
@@ -298,6 +309,7 @@ def _build_from_table(path: Path, cells: "Cells") -> "Trajectory":
     if empty.any():
         cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
     notes = {CHOSEN: cells.describe()} if cells.table.has_header else {}
+    notes |= cells.notes
     return runs.build_trajectory(path.stem, cells.time_ns, xyz_m, turns, notes=notes)
 
 

@@ -1,29 +1,18 @@
-"""Import of plain tables: CSV, Parquet or TUM, as columns of cells and as a run."""
+"""Import of plain tables: their cells as numbers, and as a run."""
 
-import csv
-import re
-from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import islice
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_utc, join_words
+from turtlelog.display import describe_count, format_utc, join_words
 from turtlelog.errors import LogError
-from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
-from turtlelog.log.exported_tables import (
-    LONGEST_HEAD,
-    MOST_COLUMNS,
-    decode_text,
-    require_few_columns,
-)
-from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
+from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import (
     Values,
     compute_heading,
@@ -33,9 +22,34 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN
-from turtlelog.log.table_columns import Cells, Choice, assign_columns
+from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
+from turtlelog.log.ros2.reported_motion import PATH_NOTE, note_crowded
+from turtlelog.log.table_columns import (
+    DATE,
+    QUANTITIES,
+    Choice,
+    assign_columns,
+    find_robots,
+    read_date,
+    read_time,
+    show_column,
+)
+from turtlelog.log.table_contradictions import (
+    HEADINGS,
+    RATE_NOTE,
+    UNLIKELY,
+    describe_headings,
+    describe_speed,
+    describe_turning,
+    describe_units,
+    find_runs,
+    fits_degrees,
+)
+from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+_LARGEST: Final = 1e30
+"""Largest number of a motion that is judged: squares of larger numbers may overflow."""
 
 _NEVER: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
@@ -50,47 +64,19 @@ _SHOWN_NAMES: Final = 12
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
 
-_TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-"""Columns of a TUM trajectory, which has no header: time, position, quaternion."""
+_NORTH_RAD: Final = math.pi / 2.0
+"""Heading of a robot to the north, +y [rad]."""
 
-KITTI_COLUMNS: Final = (
-    *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
-)
-"""Columns of a KITTI trajectory, which has neither header nor times.
-
-The columns contain the first three rows, one after another, of the matrix from the robot's frame to
-the world frame."""
-
-_NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
-
-_MOST_KNOWN: Final = 2**14
-"""Number of cell texts that are stored only once: all numbers of three digits with a decimal
-point."""
-
-_BLANK: Final = " "
-"""Delimiter that means any number of spaces and tabs."""
+_POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlainTable:
-    """A table as in its file.
-
-    Attributes:
-        names: Column names in the header.
-        columns: Reader of the cells, from the first row on. Cells are texts, or numbers of Parquet.
-        word: Word for the number of a row: `line` or `row`.
-        has_header: Whether the file names its columns. Trajectories of TUM and KITTI have no names.
-        units: Known units of columns: times of Parquet are in ns, those of TUM in s.
-    """
-
-    names: tuple[str, ...]
-    columns: "_TextColumns | _StoredColumns"
-    word: str
-    has_header: bool = True
-    units: Mapping[str, str] = field(default_factory=dict)
-
-
-def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Run:
+def import_plain_table(
+    path: str | Path,
+    columns: Mapping[str, str] | None = None,
+    *,
+    robot: str | None = None,
+    allow_partial: bool = False,
+) -> Run:
     """Return the run in a table with a header, or in a TUM trajectory.
 
     Column names or `columns` determine quantities and units; the note `columns` lists the result.
@@ -100,19 +86,28 @@ def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = Non
     Args:
         path: Text file with commas, semicolons, tabs or blanks between cells, or a Parquet file.
         columns: Columns by quantity, if names are not clear, as in `{"heading": "psi [deg]"}`.
+        robot: Name of one of several robots, as in `robot1_x`.
+        allow_partial: Whether to leave out a last row with too few cells.
 
     Raises:
         LogError: If the table is invalid; one line with the file, the row and the column.
     """
     path = make_path(path)
     with name_file(path, expected="a table"):
-        table = read_plain_table(path)
-        chosen = assign_columns(table.names, columns or {}, table.units)
-        _require_columns(table, chosen)
-        return _build_run(path, Cells(table, chosen))
+        table = read_plain_table(path, allow_partial=allow_partial)
+        robots = find_robots(table.names)
+        asked = {**robots.get(robot or "", {}), **(columns or {})}
+        chosen = assign_columns(table.names, asked, table.units)
+        _require_columns(table, chosen, [*robots])
+        run = _build_run(path, Cells(table, chosen))
+        if robot not in robots:
+            return run
+        return replace(run, name=f"{run.name}:{robot}", notes={**run.notes, ROBOT: robot})
 
 
-def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
+def _require_columns(
+    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str]
+) -> None:
     has_quaternion = all(name in chosen for name in _QUATERNION)
     missing = [
         name
@@ -129,13 +124,13 @@ def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
             )
         found = ", ".join(table.names[:_SHOWN_NAMES])
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        raise LogError(
-            f"no column for {join_words(missing)}; there are {found}{more}:"
-            f" --column {missing[0]}='NAME [UNIT]' says which"
-        )
+        option = f"--column {missing[0]}='NAME [UNIT]' says which"
+        if robots:
+            option = f"{' or '.join(f'--robot {robot}' for robot in robots[:3])} chooses a robot"
+        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {option}")
 
 
-def _build_run(path: Path, cells: Cells) -> Run:
+def _build_run(path: Path, cells: "Cells") -> Run:
     values = {
         "x": cells.require("x"),
         "y": cells.require("y"),
@@ -163,8 +158,10 @@ def _build_run(path: Path, cells: Cells) -> Run:
         **notes,
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
+        **cells.notes,
         **_describe_gaps(values, has_pose, commands),
         **({} if plane is None else {"plane": plane}),
+        **_list_contradictions(cells, pose_time_ns, poses, whole, is_flat=plane is None),
     }
     return Run(
         name=path.stem,
@@ -184,7 +181,44 @@ def _build_run(path: Path, cells: Cells) -> Run:
     )
 
 
-def _read_rotation(cells: Cells) -> dict[str, Values]:
+def _list_contradictions(
+    cells: "Cells",
+    time_ns: NDArray[np.int64],
+    poses: Mapping[str, Values],
+    whole: Mapping[str, Values],
+    *,
+    is_flat: bool,
+) -> dict[str, str]:
+    """Return notes on times, units, headings and rates that the poses contradict."""
+    used = [poses["x"], poses["y"], poses["heading"]]
+    used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
+    if max(float(np.abs(column).max()) for column in used) > _LARGEST:
+        return {}
+    if notes := note_crowded(time_ns):
+        same = int(np.count_nonzero(np.diff(time_ns) == 1))
+        text = (
+            f"{same} of {len(time_ns)} poses have the time of the pose before, and all rates are"
+            " wrong: save times with all their digits"
+        )
+        return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
+    xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
+    if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
+        return {UNLIKELY: doubt}
+    column = cells.chosen["heading"].name if "heading" in cells.chosen else ""
+    is_assumed = bool(cells.find_assumed("heading"))
+    found = {}
+    if is_flat:  # tilted robots move along their own axes
+        found[HEADINGS] = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
+        assumed = cells.find_assumed("speed", "turn_rate")
+        if (speed := whole.get("speed")) is not None:
+            found[PATH_NOTE] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
+        if (rate := whole.get("turn_rate")) is not None:
+            name = assumed.get("turn_rate", "")
+            found[RATE_NOTE] = describe_turning(time_ns, heading_rad, rate, name)
+    return {name: text for name, text in found.items() if text}
+
+
+def _read_rotation(cells: "Cells") -> dict[str, Values]:
     """Return headings, and the tilt if the rotations are quaternions."""
     heading = cells.read("heading")
     if heading is not None:
@@ -248,190 +282,182 @@ def _describe_gaps(
     return notes
 
 
-def read_plain_table(path: Path) -> PlainTable:
-    """Return the table in a text file or a Parquet file.
+_LONGEST_STEP_S: Final = 1000.0
+"""Largest usual step between rows that is read as seconds if the unit is unknown [s]: nobody
+records a drive every quarter of an hour."""
 
-    Raises:
-        LogError: If the file is not a table, has neither a header nor a trajectory, or has no rows.
+_WRAPS_DEG: Final = (330.0, 361.0)
+"""Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
+deg of rotation between two rows. In radians, these steps would be at least 52 turns."""
+
+_EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
+"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
+
+_ASSUMED: Final = ", assumed"
+
+
+class Cells:
+    """The chosen columns of a table, as numbers in standard units.
+
+    Attributes:
+        table: Table as in its file.
+        chosen: Chosen columns by quantity.
+        time_ns: Times [ns], since 1970 or from another start, shape (n,).
+        notes: Notes on rows that are left out.
     """
-    if path.suffix.lower() == ".parquet":
-        return _read_parquet(path)
-    with open_file(path) as stream:
-        data = stream.read()
-    return _parse_text(decode_text(data), len(data))
 
+    def __init__(self, table: PlainTable, chosen: Mapping[str, Choice]) -> None:
+        self.table, self.chosen = table, chosen
+        self._guesses: dict[str, str] = {}
+        found = table.columns.read([choice.column for choice in chosen.values()])
+        self._cells = dict(zip(chosen, found, strict=True))
+        time_ns = self._read_times()
+        runs = self._find_runs(time_ns)
+        self._rows = max(runs, key=lambda rows: rows.stop - rows.start)
+        self.time_ns = time_ns[self._rows]
+        self.notes = dict(table.columns.notes)
+        if len(runs) > 1:
+            self.notes[RESTARTS] = self._describe_restart(runs)
 
-def _parse_text(text: str, size: int) -> PlainTable:
-    comments, first, has_more = _find_first_row(text)
-    if not first:
-        raise LogError("expected a table, found no rows")
-    delimiter = _find_delimiter(first)
-    require_few_columns(_count_cells(first, delimiter))
-    header = _split_line(first, delimiter)
-    has_header = True
-    is_first = all(map(_is_number, header))
-    if is_first:
-        has_header, header = _find_names(comments, delimiter, len(header))
-    elif not has_more:
-        raise LogError(f"no rows below the header {', '.join(header)[:160]}")
-    return PlainTable(
-        names=tuple(header),
-        columns=_TextColumns(text, delimiter, len(header), size, is_first=is_first),
-        word="line",
-        has_header=has_header,
-        units={} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"},
-    )
+    def read(self, field: str) -> Values | None:
+        """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
+        if field not in self.chosen:
+            return None
+        choice = self.chosen[field]
+        numbers = self._parse(choice)
+        unit = choice.unit or self._assume_unit(choice, numbers)
+        values = numbers[self._rows] * choice.units[unit]
+        return _NORTH_RAD + values if unit == "compass" else values
 
+    def require(self, field: str) -> Values:
+        """Return the numbers of an existing column."""
+        values = self.read(field)
+        assert values is not None
+        return values
 
-def _find_first_row(text: str) -> tuple[list[str], str, bool]:
-    """Return the last comments before the first row, that row, and whether there are more rows."""
-    rows = iterate_lines(text, comments=False)
-    _, first = next(rows, (0, ""))
-    begin = BLANKS_AND_COMMENTS.match(text).end()  # type: ignore[union-attr]  # of none, too
-    above = text[max(0, begin - LONGEST_HEAD) : begin].split("\n")
-    comments = [line.strip().lstrip("#").strip() for line in above]
-    return comments, first.strip(), next(rows, None) is not None
+    def find_assumed(self, *fields: str) -> dict[str, str]:
+        """Return the names of columns in assumed standard units, by quantity."""
+        guesses = {field: self._guesses.get(field, "") for field in fields}
+        return {
+            field: self.chosen[field].name
+            for field, guess in guesses.items()
+            if guess.endswith(_ASSUMED)
+        }
 
+    def _find_runs(self, time_ns: NDArray[np.int64]) -> list[slice]:
+        """Return the rows of each run, judged by rows with a position.
 
-def _count_cells(line: str, delimiter: str) -> int:
-    return len(line.split(None if delimiter == _BLANK else delimiter, MOST_COLUMNS))
-
-
-def _find_delimiter(line: str) -> str:
-    return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
-
-
-def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
-    """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
-    for comment in reversed(comments):
-        for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
-            if _count_cells(comment, candidate) > MOST_COLUMNS:
-                continue
-            names = _split_line(comment, candidate)
-            if len(names) == count and not any(map(_is_number, names)):
-                return True, names
-    for known in (_TUM_COLUMNS, KITTI_COLUMNS):
-        if count == len(known):
-            return False, [*known]
-    raise LogError(
-        "expected a header that names the columns, the 8 columns of a TUM trajectory"
-        f" ({' '.join(_TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
-    )
-
-
-class _TextColumns:
-    """The columns of a table of text, and the line of each row, known after the first reading."""
-
-    def __init__(self, text: str, delimiter: str, count: int, size: int, *, is_first: bool) -> None:
-        """Use a text whose lines have `count` cells; the file has `size` bytes.
-
-        The first row contains either names or already values (`is_first`).
+        In joined tables, rows of commands alone may be below those of poses.
         """
-        self._text, self._delimiter, self._count = text, delimiter, count
-        self._size, self._is_first = size, is_first
-        self.lines: Sequence[int] = ()
+        if "x" not in self.chosen or not (np.diff(time_ns) < 0).any():
+            return [slice(0, len(time_ns))]
+        placed = np.flatnonzero(np.isfinite(self._parse(self.chosen["x"])))
+        runs = find_runs(time_ns[placed]) if len(placed) else []
+        edges = [0, *(int(placed[run.start]) for run in runs[1:]), len(time_ns)]
+        return [*map(slice, edges[:-1], edges[1:])]
 
-    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of some columns."""
-        found: list[list[str]] = [[] for _ in places]
-        lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
-        pairs = [*zip(places, found, strict=True)]
-        rows = _split_lines(iterate_lines(self._text, comments=False), self._delimiter)
-        for line, row in rows if self._is_first else islice(rows, 1, None):
-            if len(row) != self._count:
-                raise LogError(f"line {line}: expected {self._count} cells, found {len(row)}")
-            if len(lines) == most:
-                raise LogError(describe_rows(f"more than {most:,}", most, self._size))
-            lines.append(line)
-            for place, cells in pairs:
-                cell = row[place].strip()
-                if self._delimiter != "," and "," in cell and _is_number(cell):
-                    cell = cell.replace(",", ".")
-                # Numbers with few digits repeat.
-                cells.append(known.get(cell, cell))
-                if len(known) < _MOST_KNOWN:
-                    known[cell] = cell
-        self.lines = lines
-        return [*found]
+    def _describe_restart(self, runs: Sequence[slice]) -> str:
+        """Return a sentence on a table with several runs, of which one is read."""
+        lines, word, rows = self.table.columns.lines, self.table.word, self._rows
+        left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
+        return (
+            f"run {runs.index(rows) + 1} of {len(runs)} in the table is read, {word}s"
+            f" {lines[rows.start]} to {lines[rows.stop - 1]}; times start again at {word}"
+            f" {lines[runs[1].start]}, and {describe_count(left, 'row')} are left out: save each"
+            " run to a file of its own"
+        )
 
+    def describe(self) -> str:
+        """Return a description of the columns: quantities, units, and unread columns."""
+        told = []
+        for field, choice in self.chosen.items():
+            unit = self._guesses.get(field, choice.unit)
+            # The unit is not repeated if the column's name ends with it.
+            is_said = QUANTITIES[field] == "number" or (
+                unit == choice.unit and choice.name.endswith(("]", ")"))
+            )
+            told.append(f"{field} from {choice.name}" + ("" if is_said else f" [{unit}]"))
+        used = {choice.column for choice in self.chosen.values()}
+        names = self.table.names
+        rest = [show_column(names, place) for place in range(len(names)) if place not in used]
+        text = ", ".join(told)
+        if rest:
+            text += f"; not read: {', '.join(rest)[:160]}"
+        if self._guesses:
+            field = [*self._guesses][-1]
+            text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
+        return text
 
-def _split_lines(
-    kept: Iterable[tuple[int, str]], delimiter: str
-) -> Iterator[tuple[int, list[str]]]:
-    if delimiter == _BLANK:
-        for number, line in kept:
-            yield number, line.split()
-        return
-    numbers: list[int] = []
+    def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
+        """Raise an error for an invalid cell."""
+        table, choice = self.table, self.chosen[field]
+        found = repr(str(self._cells[field][row])[:40])
+        place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
+        raise LogError(f"{place}: expected {expected}, found {found}")
 
-    def feed() -> Iterator[str]:
-        for number, line in kept:
-            numbers.append(number)
-            yield line
+    def _parse(self, choice: Choice) -> Values:
+        cells = self._cells[choice.field]
+        if isinstance(cells, np.ndarray):
+            numbers = cells.astype(np.float64)
+        else:
+            numbers = np.empty(len(cells))
+            for row, cell in enumerate(cells):
+                try:
+                    numbers[row] = float(cell) if cell else math.nan
+                except ValueError:
+                    self.refuse(choice.field, row)
+        if np.isinf(numbers).any():
+            self.refuse(choice.field, int(np.isinf(numbers).argmax()), "a finite number")
+        return numbers
 
-    reader = csv.reader(feed(), delimiter=delimiter, skipinitialspace=True, strict=True)
-    try:
-        for row in reader:
-            if len(numbers) != 1:
-                raise LogError("expected one row per line, found a quoted cell over several")
-            yield numbers.pop(), row
-    except csv.Error as err:
-        raise LogError(
-            f"line {numbers[0]}: expected cells, found {describe_csv_error(err)}"
-        ) from err
+    def _assume_unit(self, choice: Choice, numbers: Values) -> str:
+        """Return the assumed unit of a column without a given unit."""
+        usual = next(iter(choice.units))
+        if QUANTITIES[choice.field] == "number":
+            return usual
+        step = np.abs(np.diff(numbers))
+        is_wrapped = ((step > _WRAPS_DEG[0]) & (step < _WRAPS_DEG[1])).any()
+        if choice.field == "heading" and is_wrapped:
+            self._guesses["heading"] = "deg, as it steps by a turn of these"
+            return "deg"
+        if choice.field == "heading" and {"x", "y"} <= {*self.chosen}:
+            xy_m = np.column_stack([self.require("x"), self.require("y")])
+            if fits_degrees(xy_m, numbers[self._rows]):
+                self._guesses["heading"] = "deg, as the direction of travel shows"
+                return "deg"
+        self._guesses[choice.field] = f"{usual}{_ASSUMED}"
+        return usual
 
+    def _read_times(self) -> NDArray[np.int64]:
+        """Return times [ns], since 1970 or from another start."""
+        choice = self.chosen["t"]
+        cells = self._cells[choice.field]
+        if isinstance(cells[0], str) and DATE.match(cells[0]):
+            self._guesses["t"] = "date"
+            found: Iterable[int | None] = map(read_date, cells)
+        else:
+            power = _POWERS[choice.unit or self._guess_time_unit(choice)]
+            found = (read_time(cell, power) for cell in cells)
+        times = np.empty(len(cells), dtype=np.int64)
+        for row, time_ns in enumerate(found):
+            if time_ns is None:
+                self.refuse("t", row, "a time")
+            times[row] = time_ns
+        more = self.chosen.get("t_nanosec")
+        return times if more is None else times + self._parse(more).astype(np.int64)
 
-def _split_line(line: str, delimiter: str) -> list[str]:
-    if delimiter != _BLANK:
-        ((_, row),) = _split_lines([(1, line)], delimiter)
-        return [cell.strip() for cell in row]
-    # A blank may separate a name from its unit: `yaw [deg]`.
-    return re.findall(r"\S+(?:[ \t]+(?:\[[^\]\s]*\]|\([^)\s]*\)))?", line)
-
-
-def _is_number(cell: str) -> bool:
-    return bool(_NUMBER.fullmatch(cell.strip()))
-
-
-def _read_parquet(path: Path) -> PlainTable:
-    file = ParquetFile(path)
-    file.require_rows()
-    if not file.row_count:
-        raise LogError("no rows")
-    require_few_columns(len(file.leaves))
-    columns = _StoredColumns(file)
-    return PlainTable(
-        names=tuple(columns.names),
-        columns=columns,
-        word="row",
-        units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
-    )
-
-
-class _StoredColumns:
-    """The columns of a Parquet file, with dots in names within structs, and the row numbers."""
-
-    def __init__(self, file: ParquetFile) -> None:
-        self._file, self.names = file, [leaf.path for leaf in file.leaves]
-        self.lines: Sequence[int] = range(1, file.row_count + 1)
-
-    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
-        """Return the cells of some columns."""
-        return [self._read_one(self.names[place]) for place in places]
-
-    def _read_one(self, name: str) -> Sequence[Any]:
-        """Return the cells of a column: numbers, times in ns, or else texts; null becomes empty."""
-        table = self._file.read([name])
-        while any(str(kind).startswith("struct") for kind in table.schema.types):
-            table = table.flatten()
-        if table.num_columns != 1:
-            raise LogError(f"column {name}: expected one of that name, found {table.num_columns}")
-        column = table.column(0)
-        if not str(column.type).startswith(("dictionary", "string", "large_string")):
-            values = column.to_numpy()
-            if values.dtype.kind == "M":
-                found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
-                return found
-            if values.dtype.kind in "iuf":
-                return values  # type: ignore[no-any-return]
-        return ["" if cell is None else str(cell) for cell in list_cells(column)]
+    def _guess_time_unit(self, choice: Choice) -> str:
+        numbers = self._parse(choice)
+        for least, unit in _EPOCHS:
+            if least <= numbers[0] < 10 * least:
+                self._guesses["t"] = f"{unit} since 1970"
+                return unit
+        step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
+        if step > _LONGEST_STEP_S:
+            raise LogError(
+                f"column {choice.name}: expected a time with its unit, found steps of {step:g},"
+                f" which are no seconds: --column t='{choice.name} [ns]' names the unit (s, ms, us,"
+                " ns)"
+            )
+        self._guesses["t"] = f"s{_ASSUMED}"
+        return "s"

@@ -47,7 +47,8 @@ class ReadChoice:
         world_frame: Reference frame, for poses from transforms.
         goal: Goal x, y [m] and optionally heading [rad]. Default: the goal in the file.
         time: Clock that times the poses.
-        robot: Name of one of several robots in a bag, such as `robot2` in `/robot2/odom`.
+        robot: Name of one of several robots, such as `robot2` in the topic `/robot2/odom` or in the
+            column `robot2_x`.
         wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
             `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
         wheels: Radius of the wheels and track between them [m].
@@ -86,6 +87,12 @@ class ReadChoice:
 
 CHOSEN: Final = "chosen"
 """Name of a one-line note on the chosen topics. The note is shown on request and never recorded."""
+
+ROBOT: Final = "robot"
+"""Name of a note on the robot whose columns were read, of several in a table."""
+
+RESTARTS: Final = "restarts"
+"""Name of the note on times that start again, as of two runs one below the other."""
 
 UNUSED: Final = "unused"
 """Name of a one-line note on options that a file does not use. The note is never recorded."""

@@ -1,22 +1,16 @@
-"""The quantities and units of table columns, by name or as requested; cells as numbers."""
+"""The quantities and units of table columns, by name or as requested; times in cells."""
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn
+from typing import Any, Final, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from turtlelog.display import join_words
 from turtlelog.errors import LogError
-from turtlelog.log.planar_poses import Values
-
-if TYPE_CHECKING:
-    from turtlelog.log.plain_tables import PlainTable
 
 Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
 
@@ -38,13 +32,15 @@ UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
         "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-        "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+        "angle": {"rad": 1.0, "deg": math.pi / 180.0, "compass": -math.pi / 180.0},
         "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
         "turn_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
         "number": {"1": 1.0},
     }
 )
-"""Units by quantity, the standard unit first, each with its factor to the standard unit."""
+"""Units by quantity, the standard unit first, each with its factor to the standard unit.
+
+An angle of a compass [deg] is 0 to the north, which is +y, and clockwise."""
 
 _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -53,7 +49,7 @@ _SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
         **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), "us"),
         **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
         **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-        **{name: name for name in ("cm", "mm", "rpm", "1")},
+        **{name: name for name in ("cm", "mm", "rpm", "1", "compass")},
         **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
         **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), "deg"),
         **dict.fromkeys(("m/s", "m_s", "mps", "m_per_s"), "m/s"),
@@ -157,12 +153,44 @@ def assign_columns(
     if "t" not in chosen and pair and "t_nanosec" not in chosen:
         for field, unit, place in zip(("t", "t_nanosec"), ("s", "ns"), pair, strict=True):
             chosen[field] = Choice(field=field, column=place, name=names[place], unit=unit)
-    return {field: _fill_unit(chosen[field], units) for field in QUANTITIES if field in chosen}
+    return {
+        field: _fill_unit(chosen[field], units.get(names[chosen[field].column], ""))
+        for field in QUANTITIES
+        if field in chosen
+    }
 
 
-def _fill_unit(choice: Choice, units: Mapping[str, str]) -> Choice:
-    unit = units.get(choice.name)
-    return replace(choice, unit=unit) if choice.unit is None and unit in choice.units else choice
+def _fill_unit(choice: Choice, text: str) -> Choice:
+    """Return a column with the unit of a table or of its row of units, unless its name has one."""
+    text = text.strip("[]() ")
+    if choice.unit is not None or not text or QUANTITIES[choice.field] == "number":
+        return choice
+    unit = _read_unit(choice.field, text)
+    if unit is None:
+        known = ", ".join(choice.units)
+        raise LogError(
+            f"column {choice.name}: expected a unit of {known}, found {text[:40]!r}:"
+            f" --column {choice.field}='{choice.name} [UNIT]' names one"
+        )
+    return replace(choice, unit=unit)
+
+
+def find_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the columns of each robot by quantity, for names such as `robot1_x` or `/robot1/x`."""
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        match = re.fullmatch(r"/?([^_./]{1,64})[_./](.{1,64})", name.strip())
+        if match is None or match[1].lower() in _COMMANDS | _WANTED:
+            continue
+        for field in QUANTITIES:
+            if _rank(field, _split_name(field, match[2])[0]) == 0:
+                found.setdefault(match[1], {}).setdefault(field, name.strip())
+    needed = ({"x", "y", "heading"}, {"x", "y", "qx", "qy", "qz", "qw"})
+    return {
+        robot: columns
+        for robot, columns in found.items()
+        if any(fields <= {*columns} for fields in needed)
+    }
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
@@ -178,11 +206,17 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
         readings.append((bracketed[1], given))
     for name, unit in readings:
         matches = [place for place, known in enumerate(names) if known.strip() == name]
+        if not matches and re.fullmatch(r"#\d{1,5}", name) and 0 < int(name[1:]) <= len(names):
+            matches = [int(name[1:]) - 1]
         if len(matches) > 1:
-            raise LogError(f"column {name}: expected one of that name, found {len(matches)}")
+            places = join_words([f"#{place + 1}" for place in matches])
+            raise LogError(
+                f"column {name}: expected one of that name, found {len(matches)}, {places}:"
+                f" --column {field}='#{matches[0] + 1}' chooses"
+            )
         if matches:
             unit = unit or _split_name(field, names[matches[0]], is_asked=True)[1]
-            return Choice(field=field, column=matches[0], name=name, unit=unit)
+            return Choice(field=field, column=matches[0], name=_name(names, matches[0]), unit=unit)
     found = ", ".join(names)[:160]
     raise LogError(f"--column {field}={text}: expected a column of the table, found {found}")
 
@@ -202,12 +236,24 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
         return None
     best = ranked[min(ranked)]
     if len(best) > 1:
-        found = " and ".join(choice.name for choice in best)
+        found = " and ".join(show_column(names, choice.column) for choice in best)
+        first = _name(names, best[0].column)
         raise LogError(
-            f"columns: expected one for {field}, found {found}:"
-            f" --column {field}='{best[0].name}' chooses"
+            f"columns: expected one for {field}, found {found}: --column {field}='{first}' chooses"
         )
     return best[0]
+
+
+def _name(names: Sequence[str], place: int) -> str:
+    """Return a column's name, or its number as in `#2` if it has no name of its own."""
+    name = names[place].strip()
+    return name if name and [one.strip() for one in names].count(name) == 1 else f"#{place + 1}"
+
+
+def show_column(names: Sequence[str], place: int) -> str:
+    """Return a column's name, with its number if it has no name of its own."""
+    name, shown = names[place].strip(), _name(names, place)
+    return shown if shown == name or not name else f"{name} ({shown})"
 
 
 def _find_stamp(names: Sequence[str]) -> tuple[int, ...]:
@@ -260,6 +306,20 @@ def _simplify(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
 
 
+def read_length_unit(axis: str, name: str) -> float:
+    """Return the metres of a unit of length in the name of a column; 1 without a unit.
+
+    Raises:
+        LogError: If brackets contain no known unit.
+    """
+    unit = _split_name(axis, name)[1]
+    bracketed = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
+    if unit is None and bracketed is not None:
+        known = ", ".join(UNITS["length"])
+        raise LogError(f"column {name}: expected a unit of {known}, found {bracketed[1][:40]!r}")
+    return UNITS["length"][unit or "m"]
+
+
 def _read_unit(field: str, text: str) -> str | None:
     """Return the unit of a field; None if the text is not one of its units."""
     plain = text.strip().lower().replace(" ", "").replace("^-1", "").replace("·", "_")
@@ -270,145 +330,20 @@ def _read_unit(field: str, text: str) -> str | None:
     return unit if unit in UNITS[quantity] else None
 
 
-_LONGEST_STEP_S: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown [s]: nobody
-records a drive every quarter of an hour."""
+def is_row_of_units(cells: Sequence[str]) -> bool:
+    """Return whether cells below a header are units: no number or time, and a known unit."""
+    if any(DATE.match(cell) or read_time(cell, 0) is not None for cell in cells):
+        return False
+    return any(cell.strip("[]() ").lower() in _SPELLINGS for cell in cells)
 
-_WRAPS_DEG: Final = (330.0, 361.0)
-"""Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
-deg of rotation between two rows. In radians, these steps would be at least 52 turns."""
 
-_EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
-"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
-
-_POWERS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _LATEST_NS: Final = 2**62
 _MOST_DIGITS: Final = 20  # digits before the point; nanoseconds of 64 bits have no more
-_DATE: Final = re.compile(
+DATE: Final = re.compile(
     r"\s*+(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d++))?"
     r"\s*+(Z|[+-]\d\d:?\d\d)?\s*+\Z",
     re.ASCII,
 )
-
-
-class Cells:
-    """The chosen columns of a table, as numbers in standard units.
-
-    Attributes:
-        table: Table as in its file.
-        chosen: Chosen columns by quantity.
-        time_ns: Times [ns], since 1970 or from another start, shape (n,).
-    """
-
-    def __init__(self, table: "PlainTable", chosen: Mapping[str, Choice]) -> None:
-        self.table, self.chosen = table, chosen
-        self._guesses: dict[str, str] = {}
-        found = table.columns.read([choice.column for choice in chosen.values()])
-        self._cells = dict(zip(chosen, found, strict=True))
-        self.time_ns = self._read_times()
-
-    def read(self, field: str) -> Values | None:
-        """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
-        if field not in self.chosen:
-            return None
-        choice = self.chosen[field]
-        numbers = self._parse(choice)
-        return numbers * choice.units[choice.unit or self._assume_unit(choice, numbers)]
-
-    def require(self, field: str) -> Values:
-        """Return the numbers of an existing column."""
-        values = self.read(field)
-        assert values is not None
-        return values
-
-    def describe(self) -> str:
-        """Return a description of the columns: quantities, units, and unread columns."""
-        told = []
-        for field, choice in self.chosen.items():
-            unit = self._guesses.get(field, choice.unit)
-            # The unit is not repeated if the column's name ends with it.
-            is_said = QUANTITIES[field] == "number" or (
-                unit == choice.unit and choice.name.endswith(("]", ")"))
-            )
-            told.append(f"{field} from {choice.name}" + ("" if is_said else f" [{unit}]"))
-        used = {choice.column for choice in self.chosen.values()}
-        rest = [name for place, name in enumerate(self.table.names) if place not in used]
-        text = ", ".join(told)
-        if rest:
-            text += f"; not read: {', '.join(rest)[:160]}"
-        if self._guesses:
-            field = [*self._guesses][-1]
-            text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
-        return text
-
-    def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
-        """Raise an error for an invalid cell."""
-        table, choice = self.table, self.chosen[field]
-        found = repr(str(self._cells[field][row])[:40])
-        place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
-        raise LogError(f"{place}: expected {expected}, found {found}")
-
-    def _parse(self, choice: Choice) -> Values:
-        cells = self._cells[choice.field]
-        if isinstance(cells, np.ndarray):
-            numbers = cells.astype(np.float64)
-        else:
-            numbers = np.empty(len(cells))
-            for row, cell in enumerate(cells):
-                try:
-                    numbers[row] = float(cell) if cell else math.nan
-                except ValueError:
-                    self.refuse(choice.field, row)
-        if np.isinf(numbers).any():
-            self.refuse(choice.field, int(np.isinf(numbers).argmax()), "a finite number")
-        return numbers
-
-    def _assume_unit(self, choice: Choice, numbers: Values) -> str:
-        """Return the assumed unit of a column without a given unit."""
-        usual = next(iter(choice.units))
-        if QUANTITIES[choice.field] == "number":
-            return usual
-        step = np.abs(np.diff(numbers))
-        is_wrapped = ((step > _WRAPS_DEG[0]) & (step < _WRAPS_DEG[1])).any()
-        if choice.field == "heading" and is_wrapped:
-            self._guesses["heading"] = "deg, as it steps by a turn of these"
-            return "deg"
-        self._guesses[choice.field] = f"{usual}, assumed"
-        return usual
-
-    def _read_times(self) -> NDArray[np.int64]:
-        """Return times [ns], since 1970 or from another start."""
-        choice = self.chosen["t"]
-        cells = self._cells[choice.field]
-        if isinstance(cells[0], str) and _DATE.match(cells[0]):
-            self._guesses["t"] = "date"
-            found: Iterable[int | None] = map(_read_date, cells)
-        else:
-            power = _POWERS[choice.unit or self._guess_time_unit(choice)]
-            found = (read_time(cell, power) for cell in cells)
-        times = np.empty(len(cells), dtype=np.int64)
-        for row, time_ns in enumerate(found):
-            if time_ns is None:
-                self.refuse("t", row, "a time")
-            times[row] = time_ns
-        more = self.chosen.get("t_nanosec")
-        return times if more is None else times + self._parse(more).astype(np.int64)
-
-    def _guess_time_unit(self, choice: Choice) -> str:
-        numbers = self._parse(choice)
-        for least, unit in _EPOCHS:
-            if least <= numbers[0] < 10 * least:
-                self._guesses["t"] = f"{unit} since 1970"
-                return unit
-        step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
-        if step > _LONGEST_STEP_S:
-            raise LogError(
-                f"column {choice.name}: expected a time with its unit, found steps of {step:g},"
-                f" which are no seconds: --column t='{choice.name} [ns]' names the unit (s, ms, us,"
-                " ns)"
-            )
-        self._guesses["t"] = "s, assumed"
-        return "s"
 
 
 def read_time(cell: Any, power: int) -> int | None:
@@ -423,12 +358,12 @@ def read_time(cell: Any, power: int) -> int | None:
     return time_ns if abs(time_ns) <= _LATEST_NS else None
 
 
-def _read_date(cell: str) -> int | None:
+def read_date(cell: str) -> int | None:
     """Return an ISO 8601 time as nanoseconds since 1970; None for other texts.
 
     The default time zone is UTC.
     """
-    match = _DATE.match(cell)
+    match = DATE.match(cell)
     if match is None:
         return None
     try:

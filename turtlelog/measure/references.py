@@ -23,7 +23,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import MeasureError
+from turtlelog.errors import LogError, MeasureError
 from turtlelog.files.text_files import describe_csv_error, read_text_file
 from turtlelog.files.urls import make_path
 from turtlelog.measure.reductions import measure_way
@@ -314,7 +314,9 @@ _MOST_BYTES: Final = 2**24
 
 
 def read_reference_path(path: str | pathlib.Path) -> NDArray[np.float64]:
-    """Return the points of a CSV file with x and y in metres, shape (n, 2); a header is skipped.
+    """Return the points of a CSV file with x and y [m], shape (n, 2).
+
+    A header may name other units, as in `x [mm],y [mm]`.
 
     Raises:
         MeasureError: If the file is wrong; one line with the file, the line, expected and found.
@@ -329,8 +331,9 @@ def read_reference_path(path: str | pathlib.Path) -> NDArray[np.float64]:
         reason = err.strerror if isinstance(err, OSError) else "no CSV text"
         reason = describe_csv_error(err) if isinstance(err, csv.Error) else reason
         raise MeasureError(f"{path}: expected a file of points, found: {reason}") from err
+    units = (1.0, 1.0)
     if rows and _parse(rows[0][1]) is None and any(map(str.isalpha, "".join(rows[0][1]))):
-        rows = rows[1:]
+        units, rows = _read_units(path, rows[0][1]), rows[1:]
     points = []
     for line, row in rows:
         point = _parse(row)
@@ -340,7 +343,20 @@ def read_reference_path(path: str | pathlib.Path) -> NDArray[np.float64]:
         points.append(point)
     if len(points) < 2:
         raise MeasureError(f"{path}: expected two points or more, found {len(points)}")
-    return np.array(points)
+    return np.array(points) * units
+
+
+def _read_units(path: pathlib.Path, header: list[str]) -> tuple[float, float]:
+    """Return the units of x and y in a header [m]."""
+    from turtlelog.log.table_columns import read_length_unit  # only paths with a header need it
+
+    if [name.strip().lower()[:1] for name in header[:2]] == ["y", "x"]:
+        raise MeasureError(f"{path}: line 1: expected x,y, found {','.join(header)[:60]!r}")
+    try:
+        found = [read_length_unit(axis, name) for axis, name in zip("xy", header, strict=False)]
+    except LogError as err:
+        raise MeasureError(f"{path}: line 1: {err}") from err
+    return (found[0], found[1]) if len(found) == 2 else (1.0, 1.0)
 
 
 def _parse(row: list[str]) -> tuple[float, float] | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short
 from turtlelog.log.planar_poses import Values, describe_height, describe_level
@@ -79,7 +80,7 @@ def measure_paths(
     step_ns = np.diff(time_ns)
     is_known = step_ns <= _LONGEST_NS
     way_m = np.hypot(*np.diff(xy_m, axis=0).T)[is_known]
-    rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
+    rows = thin_rows(time_ns, _STRIDE_NS)
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
     # Poses with one common time give no rate: their times are wrong, not their path.
     lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
@@ -105,6 +106,15 @@ def measure_paths(
         in_jumps=float(jumps_m.sum()) if is_few else 0.0,
         by_commands=by_commands,
     )
+
+
+def thin_rows(time_ns: TimesNs, stride_ns: int) -> NDArray[np.int64]:
+    """Return the first row at or after each multiple of a stride from the first to the last time.
+
+    The times do not decrease. They may span years if the first time was never set.
+    """
+    strides = (np.minimum(time_ns, time_ns[-1] - 1) - time_ns[0]) // stride_ns
+    return np.flatnonzero(np.diff(strides, prepend=-1) > 0)
 
 
 def describe_paths(paths: Paths) -> str | None:
@@ -321,7 +331,7 @@ def _measure_range(values: Values) -> float:
 
 def _turn_twists(time_ns: TimesNs, columns: Mapping[str, Values], lateral: Values) -> Values | None:
     """Return the forward speed of twists along the world's axes; None for other twists."""
-    rows = np.unique(np.searchsorted(time_ns, np.arange(time_ns[0], time_ns[-1], _STRIDE_NS)))
+    rows = thin_rows(time_ns, _STRIDE_NS)
     if len(rows) < 3:
         return None
     step_s = np.diff(time_ns[rows]) / 1e9

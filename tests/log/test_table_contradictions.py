@@ -1,0 +1,274 @@
+"""What a table contradicts is said: times that start again, units, headings, reported rates."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from turtlelog.log.any_file import read_run, read_trajectory
+from turtlelog.log.table_contradictions import find_runs, find_travel
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+TIME_S = np.linspace(0.0, 20.0, 201)
+
+
+def drive(turned_rad: float = 3.0, noise_m: float = 0.0) -> tuple[Values, Values, Values]:
+    """Return x, y [m] and headings [rad] of a drive along an arc at 0.5 m/s."""
+    heading_rad = np.linspace(0.0, turned_rad, len(TIME_S))
+    middle_rad = (heading_rad[1:] + heading_rad[:-1]) / 2.0
+    rng = np.random.default_rng(1)
+    x, y = (
+        np.concatenate([[0.0], np.cumsum(0.05 * turn(middle_rad))])
+        + rng.normal(0.0, noise_m, len(TIME_S))
+        for turn in (np.cos, np.sin)
+    )
+    return x, y, heading_rad
+
+
+def read(folder: Path, header: str, *columns: Values) -> Run:
+    path = folder / "drive.csv"
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    path.write_text("\n".join([header, *(",".join(map(repr, row)) for row in rows)]) + "\n")
+    return read_run(path)
+
+
+ONCE = [*range(40)]
+
+
+@pytest.mark.parametrize(
+    ("times", "runs"),
+    [
+        (ONCE, [40]),
+        ([*ONCE, *ONCE], [40, 40]),
+        ([*ONCE, *ONCE, *range(20)], [40, 40, 20]),
+        ([*range(3, 43), *ONCE], [40, 40]),  # the second run starts earlier
+        ([*range(40, 80), *ONCE], [80]),  # two parts in another order
+        ([*ONCE, 5, *range(40, 80)], [81]),  # a row that is late
+        ([1, 0, *range(2, 40)], [40]),
+        ([*range(20, 40), *range(10, 20), *range(40, 60)], [50]),
+        ([*range(10), *range(10)], [10, 10]),  # 10 rows make a run
+        ([*range(10), *range(9)], [19]),
+        ([*range(9), *range(10)], [19]),
+        ([*ONCE, *range(19, 59)], [40, 40]),  # back to half of the run
+        ([*ONCE, *range(20, 60)], [80]),
+    ],
+)
+def test_times_that_start_again_begin_a_run(times: list[int], runs: list[int]) -> None:
+    found = find_runs(np.array(times, dtype=np.int64))
+    assert [rows.stop - rows.start for rows in found] == runs
+
+
+def test_one_of_two_runs_in_a_table_is_read(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    twice = [np.concatenate([one, two]) for one, two in ((TIME_S, TIME_S), (x, x + 7), (y, y))]
+    run = read(tmp_path, "t,x,y,yaw", *twice, np.concatenate([heading_rad, heading_rad]))
+    assert run.poses.xy_m[:, 0].tolist() == x.tolist()
+    assert run.notes["sorted_rows"] == "0"
+    assert run.notes["restarts"] == (
+        "run 1 of 2 in the table is read, lines 2 to 202; times start again at line 203, and 201"
+        " rows are left out: save each run to a file of its own"
+    )
+    assert "restarts" in read_trajectory(tmp_path / "drive.csv").notes
+
+
+def test_commands_below_the_poses_belong_to_their_run(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    no = np.full(len(x), np.nan)
+    below = ((TIME_S, TIME_S), (x, no), (y, no), (heading_rad, no), (no, x))
+    run = read(tmp_path, "t,x,y,yaw,cmd_v", *map(np.concatenate, below))
+    assert (len(run.poses), len(run.commands)) == (201, 201)
+    assert "restarts" not in run.notes
+    twice = [columns * 2 for columns in below]
+    run = read(tmp_path, "t,x,y,yaw,cmd_v", *map(np.concatenate, twice))
+    assert (len(run.poses), len(run.commands)) == (201, 201)
+    assert run.notes["restarts"].startswith("run 1 of 2 in the table is read, lines 2 to 403;")
+
+
+@pytest.mark.parametrize(
+    ("turned_rad", "noise_m", "unit"),
+    [
+        (math.radians(31.0), 0.0, "deg, as the direction of travel shows"),
+        (math.radians(29.0), 0.0, "rad, assumed"),  # too few degrees to tell
+        (math.radians(191.0), 0.0, "deg, as the direction of travel shows"),
+        (math.radians(191.0), 0.005, "deg, as the direction of travel shows"),
+        (math.radians(191.0), 0.5, "rad, assumed"),  # nothing but noise
+    ],
+)
+def test_the_direction_of_travel_shows_degrees(
+    turned_rad: float, noise_m: float, unit: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive(turned_rad, noise_m)
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, np.degrees(heading_rad))
+    assert f"heading from yaw [{unit}]" in run.notes["columns"]
+
+
+@pytest.mark.parametrize("aside_rad", [0.0, 0.19, 0.21])
+def test_headings_in_degrees_may_be_a_little_off(aside_rad: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, np.degrees(heading_rad + aside_rad))
+    assert ("deg, as the direction" in run.notes["columns"]) == (aside_rad < 0.2)
+
+
+def test_noise_at_rest_is_no_travel() -> None:
+    noise_m = np.random.default_rng(1).normal(0.0, 0.02, (201, 2))
+    way_m = np.column_stack(drive()[:2])
+    assert find_travel(noise_m) is None
+    travel = find_travel(np.vstack([noise_m, way_m + noise_m]))
+    assert travel is not None
+    assert np.mean(travel.firsts >= 200) > 0.8
+    assert find_travel(way_m * 0.012) is None  # within 0.1 m
+    assert find_travel(way_m * 0.018) is not None
+
+
+def test_radians_that_turn_often_stay_radians(tmp_path: Path) -> None:
+    x, y, heading_rad = drive(turned_rad=60.0)
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, heading_rad)
+    assert "yaw [rad, assumed]" in run.notes["columns"]
+    assert "heading_and_travel" not in run.notes
+
+
+@pytest.mark.parametrize(
+    ("header", "turn", "told"),
+    [
+        ("yaw [rad]", lambda rad: rad, None),
+        ("yaw [rad]", lambda rad: rad + math.pi, None),  # backward
+        ("yaw [rad]", lambda rad: rad + 0.49, None),
+        ("yaw [rad]", lambda rad: rad + 0.51, "the robot drives sideways, or the headings are"),
+        ("yaw", lambda rad: rad + 0.51, "drives sideways, or the headings (assumed in rad) are wr"),
+        ("yaw [deg]", lambda rad: 90.0 - np.degrees(rad), "--column heading='yaw [deg] [compass]'"),
+        ("yaw", lambda rad: 90.0 - np.degrees(rad), "fit a compass (0 is north, clockwise): --col"),
+    ],
+    ids=[
+        "forward",
+        "backward",
+        "aside",
+        "too-far-aside",
+        "assumed",
+        "compass",
+        "compass-without-unit",
+    ],
+)
+def test_headings_that_contradict_the_travel_are_told(
+    header: str, turn: Callable[[Values], Values], told: str | None, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    run = read(tmp_path, f"t,x,y,{header}", TIME_S, x, y, turn(heading_rad))
+    assert (told or "") in run.notes.get("heading_and_travel", "")
+    assert ("heading_and_travel" in run.notes) == (told is not None)
+
+
+@pytest.mark.parametrize("turned_rad", [0.49, 0.55])
+def test_a_straight_path_tells_no_compass(turned_rad: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive(turned_rad)
+    run = read(tmp_path, "t,x,y,yaw [deg]", TIME_S, x, y, 90.0 - np.degrees(heading_rad))
+    assert ("compass" in run.notes["heading_and_travel"]) == (turned_rad > 0.5)
+
+
+def test_compass_headings_are_read_as_such(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    read(tmp_path, "t,x,y,yaw", TIME_S, x, y, 90.0 - np.degrees(heading_rad))
+    run = read_run(tmp_path / "drive.csv", columns={"heading": "yaw [compass]"})
+    assert run.poses.heading_rad == pytest.approx(heading_rad)
+    assert "heading_and_travel" not in run.notes
+
+
+@pytest.mark.parametrize("step_s", [1e-9, 9e-6, 11e-6])
+def test_times_with_too_few_digits_are_told(step_s: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    time_s = np.floor(TIME_S) if step_s == 1e-9 else TIME_S * (10.0 * step_s)
+    run = read(tmp_path, "t,x,y,yaw", time_s, x, y, heading_rad)
+    crowded = run.notes.get("crowded", "")
+    if step_s == 1e-9:
+        assert crowded.startswith("180 of 201 poses have the time of the pose before, and all")
+    else:
+        assert ("all 201 poses lie within" in crowded) == (step_s < 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("header", "step", "scale", "told"),
+    [
+        ("t,x,y,yaw", 4.9, 1.0, ""),
+        ("t,x,y,yaw", 5.1, 1.0, "poses are 5.1 s apart; if they are ms: --column t='t [ms]'"),
+        ("t [s],x,y,yaw", 5.1, 1.0, ""),
+        ("t,x,y,yaw", 0.1, 199.0, ""),
+        ("t,x,y,yaw", 0.1, 201.0, "so 100 m/s is usual; if they are mm: --column x='x [mm]'"),
+        ("t,x [m],y [m],yaw", 0.1, 201.0, ""),
+    ],
+)
+def test_unlikely_units_are_told(
+    header: str, step: float, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    time = TIME_S * (10.0 * step)
+    run = read(tmp_path, header, time, scale * x, scale * y, heading_rad)
+    assert told in run.notes.get("unlikely_units", "")
+    assert ("unlikely_units" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "told"),
+    [
+        ("v", 1.19, ""),
+        ("v", 1.3, "the path is 10 m by the poses and 13 m by the reported speed: nothing tells"),
+        ("v", 3.6, "36 m by the reported speed, which fits km/h: --column speed='v [km/h]'"),
+        ("v [m/s]", 3.6, "the path is 10 m by the poses and 36 m by the reported speed: nothing"),
+    ],
+)
+def test_a_reported_speed_that_the_path_contradicts_is_told(
+    header: str, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    speed = np.full(len(x), 0.5 * scale)
+    run = read(tmp_path, f"t,x,y,yaw,{header}", TIME_S, x, y, heading_rad, speed)
+    assert told in run.notes.get("path_by_speed", "")
+    assert ("path_by_speed" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "told"),
+    [
+        ("w", 1.19, ""),
+        ("w", 1.21, "the reported turn rate is 1.21 times that of the headings"),
+        ("w", 0.81, ""),
+        ("w", 0.79, "the reported turn rate is 0.79 times that of the headings"),
+        ("w", -1.0, "the reported turn rate is -1 times that of the headings"),
+        ("w", 57.3, "57.3 times that of the headings, which fits deg/s: --column turn_rate='w [d"),
+        ("w [rad/s]", 57.3, "the reported turn rate is 57.3 times that of the headings"),
+    ],
+)
+def test_a_reported_turn_rate_that_the_headings_contradict_is_told(
+    header: str, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    rate = np.full(len(x), 0.15 * scale)
+    run = read(tmp_path, f"t,x,y,yaw,{header}", TIME_S, x, y, heading_rad, rate)
+    assert told in run.notes.get("turning_by_rate", "")
+    assert ("turning_by_rate" in run.notes) == bool(told)
+    assert ("fits" in run.notes.get("turning_by_rate", "")) == ("fits" in told)
+
+
+@pytest.mark.parametrize("large", [1e30, 1e160, 1e307])
+def test_motion_beyond_all_sense_is_read_without_a_word(large: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    names = "t,x,y,yaw,v"
+    assert len(read(tmp_path, names, TIME_S, large * x, -large * y, heading_rad, x).poses) == 201
+    assert len(read(tmp_path, names, TIME_S, x, y, large * heading_rad, -large * x).poses) == 201
+
+
+def test_a_first_time_that_was_never_set_costs_no_memory(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    time_s = np.where(x == 0.0, 0.0, TIME_S + 1.7e9)
+    run = read(tmp_path, "t,x,y,yaw,v,w", time_s, x, y, heading_rad, x, x)
+    assert "turning_by_rate" in run.notes
+
+
+@pytest.mark.parametrize("turned_rad", [0.47, 0.53])
+def test_little_turning_contradicts_no_rate(turned_rad: float, tmp_path: Path) -> None:
+    x, y, heading_rad = drive(turned_rad * 20 / 19)  # the last second is no whole stride
+    rate = np.full(len(x), 2.0 * turned_rad / 20)
+    run = read(tmp_path, "t,x,y,yaw,w", TIME_S, x, y, heading_rad, rate)
+    assert ("turning_by_rate" in run.notes) == (turned_rad > 0.5)

@@ -1,0 +1,305 @@
+"""Files of plain tables: CSV, Parquet or TUM, as columns of cells."""
+
+import csv
+import re
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.display import describe_count
+from turtlelog.errors import LogError
+from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
+from turtlelog.log.exported_tables import (
+    LONGEST_HEAD,
+    MOST_COLUMNS,
+    decode_text,
+    require_few_columns,
+)
+from turtlelog.log.file_access import open_file
+from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
+from turtlelog.log.table_columns import is_row_of_units
+
+_TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+"""Columns of a TUM trajectory, which has no header: time, position, quaternion."""
+
+KITTI_COLUMNS: Final = (
+    *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
+)
+"""Columns of a KITTI trajectory, which has neither header nor times.
+
+The columns contain the first three rows, one after another, of the matrix from the robot's frame to
+the world frame."""
+
+_NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
+
+_SEPARATOR: Final = re.compile(r"sep=[,;\t]\s*\n", re.I)
+"""First line of tables for Excel, which names the separator."""
+
+_MOST_KNOWN: Final = 2**14
+"""Number of cell texts that are stored only once: all numbers of three digits with a decimal
+point."""
+
+_BLANK: Final = " "
+"""Delimiter that means any number of spaces and tabs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlainTable:
+    """A table as in its file.
+
+    Attributes:
+        names: Column names in the header.
+        columns: Reader of the cells, from the first row on. Cells are texts, or numbers of Parquet.
+        word: Word for the number of a row: `line` or `row`.
+        has_header: Whether the file names its columns. Trajectories of TUM and KITTI have no names.
+        units: Known units of columns: times of Parquet are in ns, those of TUM in s.
+    """
+
+    names: tuple[str, ...]
+    columns: "_TextColumns | _StoredColumns"
+    word: str
+    has_header: bool = True
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_plain_table(path: Path, *, allow_partial: bool = False) -> PlainTable:
+    """Return the table in a text file or a Parquet file.
+
+    A last row with too few cells, as after a power cut, is an error unless `allow_partial`.
+
+    Raises:
+        LogError: If the file is not a table, has neither a header nor a trajectory, or has no rows.
+    """
+    if path.suffix.lower() == ".parquet":
+        return _read_parquet(path)
+    with open_file(path) as stream:
+        data = stream.read()
+    return _parse_text(decode_text(data), len(data), allow_partial=allow_partial)
+
+
+def _parse_text(text: str, size: int, *, allow_partial: bool) -> PlainTable:
+    if _SEPARATOR.match(text):
+        text = f"#{text}"
+    comments, (first, second, third) = _find_first_rows(text)
+    if not first:
+        raise LogError("expected a table, found no rows")
+    delimiter = _find_delimiter(first)
+    require_few_columns(_count_cells(first, delimiter))
+    header = _split_line(first, delimiter)
+    has_header, units = True, dict[str, str]()
+    is_first = all(map(_is_number, header))
+    if is_first:
+        has_header, header = _find_names(comments, delimiter, len(header))
+        units = {} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"}
+    elif is_row_of_units(cells := _split_line(second, delimiter) if _is_whole(second) else []):
+        units = dict(zip(header, cells, strict=False))
+    if not (is_first or (third if units else second)):
+        raise LogError(f"no rows below the header {', '.join(header)[:160]}")
+    head = 0 if is_first else 2 if units else 1
+    return PlainTable(
+        names=tuple(header),
+        columns=_TextColumns(text, delimiter, header, size, head=head, is_cut=allow_partial),
+        word="line",
+        has_header=has_header,
+        units=units,
+    )
+
+
+def _is_whole(line: str) -> bool:
+    """Return whether a line has cells, and no quoted cell that goes on below."""
+    return bool(line) and line.count('"') % 2 == 0
+
+
+def _find_first_rows(text: str) -> tuple[list[str], tuple[str, str, str]]:
+    """Return the last comments before the first row, and the first three rows."""
+    rows = iterate_lines(text, comments=False)
+    first, second, third = (next(rows, (0, ""))[1].strip() for _ in range(3))
+    begin = BLANKS_AND_COMMENTS.match(text).end()  # type: ignore[union-attr]  # of none, too
+    above = text[max(0, begin - LONGEST_HEAD) : begin].split("\n")
+    comments = [line.strip().lstrip("#").strip() for line in above]
+    return comments, (first, second, third)
+
+
+def _count_cells(line: str, delimiter: str) -> int:
+    return len(line.split(None if delimiter == _BLANK else delimiter, MOST_COLUMNS))
+
+
+def _find_delimiter(line: str) -> str:
+    return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
+
+
+def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
+    """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
+    for comment in reversed(comments):
+        for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
+            if _count_cells(comment, candidate) > MOST_COLUMNS:
+                continue
+            names = _split_line(comment, candidate)
+            if len(names) == count and not any(map(_is_number, names)):
+                return True, names
+    for known in (_TUM_COLUMNS, KITTI_COLUMNS):
+        if count == len(known):
+            return False, [*known]
+    raise LogError(
+        "expected a header that names the columns, the 8 columns of a TUM trajectory"
+        f" ({' '.join(_TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
+    )
+
+
+class _TextColumns:
+    """The columns of a table of text, and the line of each row, known after the first reading."""
+
+    def __init__(
+        self,
+        text: str,
+        delimiter: str,
+        header: Sequence[str],
+        size: int,
+        *,
+        head: int,
+        is_cut: bool,
+    ) -> None:
+        """Use a text whose lines have as many cells as its header; the file has `size` bytes.
+
+        The first `head` rows contain no values. The last row may be incomplete (`is_cut`).
+        """
+        self._text, self._delimiter, self._header = text, delimiter, [*header]
+        self._size, self._head, self._is_cut = size, head, is_cut
+        self.lines: Sequence[int] = ()
+        self.notes: dict[str, str] = {}
+
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of some columns."""
+        found: list[list[str]] = [[] for _ in places]
+        lines, most, known = array("q"), count_most_rows(self._size), dict[str, str]()
+        pairs = [*zip(places, found, strict=True)]
+        for line, row in self._iterate_rows():
+            if len(lines) == most:
+                raise LogError(describe_rows(f"more than {most:,}", most, self._size))
+            lines.append(line)
+            for place, cells in pairs:
+                cell = row[place].strip()
+                if self._delimiter != "," and "," in cell and _is_number(cell):
+                    cell = cell.replace(",", ".")
+                # Numbers with few digits repeat.
+                cells.append(known.get(cell, cell))
+                if len(known) < _MOST_KNOWN:
+                    known[cell] = cell
+        if not lines:
+            raise LogError(f"no rows below the header {', '.join(self._header)[:160]}")
+        self.lines = lines
+        return [*found]
+
+    def _iterate_rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the line number and the cells of each row with values; note the other rows."""
+        rows, repeated = _split_lines(iterate_lines(self._text, comments=False), self._delimiter), 0
+        for line, row in islice(rows, self._head, None):
+            if len(row) != len(self._header):
+                self._note_cut(line, row, is_last=next(rows, None) is None)
+            elif row[0].strip() == self._header[0] and self._is_header(row):
+                repeated += 1
+            else:
+                yield line, row
+        if repeated:
+            self.notes["repeated_headers"] = f"{describe_count(repeated, 'row')} left out"
+
+    def _is_header(self, row: Sequence[str]) -> bool:
+        """Return whether a row repeats the header, as in files that were joined."""
+        return [cell.strip() for cell in row] == self._header
+
+    def _note_cut(self, line: int, row: Sequence[str], *, is_last: bool) -> None:
+        """Note that the last row is left out; raise an error if rows may not be cut."""
+        found = f"line {line}: expected {len(self._header)} cells, found {len(row)}"
+        if not is_last or len(row) > len(self._header):
+            raise LogError(found)
+        if not self._is_cut:
+            raise LogError(f"{found} in the last row: --partial leaves it out")
+        self.notes["partial"] = f"the last row is left out, {found}"
+
+
+def _split_lines(
+    kept: Iterable[tuple[int, str]], delimiter: str
+) -> Iterator[tuple[int, list[str]]]:
+    if delimiter == _BLANK:
+        for number, line in kept:
+            yield number, line.split()
+        return
+    numbers: list[int] = []
+
+    def feed() -> Iterator[str]:
+        for number, line in kept:
+            numbers.append(number)
+            yield line
+
+    reader = csv.reader(feed(), delimiter=delimiter, skipinitialspace=True, strict=True)
+    try:
+        for row in reader:
+            if len(numbers) != 1:
+                raise LogError("expected one row per line, found a quoted cell over several")
+            yield numbers.pop(), row
+    except csv.Error as err:
+        raise LogError(
+            f"line {numbers[0]}: expected cells, found {describe_csv_error(err)}"
+        ) from err
+
+
+def _split_line(line: str, delimiter: str) -> list[str]:
+    if delimiter != _BLANK:
+        ((_, row),) = _split_lines([(1, line)], delimiter)
+        return [cell.strip() for cell in row]
+    # A blank may separate a name from its unit: `yaw [deg]`.
+    return re.findall(r"\S+(?:[ \t]+(?:\[[^\]\s]*\]|\([^)\s]*\)))?", line)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell.strip()))
+
+
+def _read_parquet(path: Path) -> PlainTable:
+    file = ParquetFile(path)
+    file.require_rows()
+    if not file.row_count:
+        raise LogError("no rows")
+    require_few_columns(len(file.leaves))
+    columns = _StoredColumns(file)
+    return PlainTable(
+        names=tuple(columns.names),
+        columns=columns,
+        word="row",
+        units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
+    )
+
+
+class _StoredColumns:
+    """The columns of a Parquet file, with dots in names within structs, and the row numbers."""
+
+    def __init__(self, file: ParquetFile) -> None:
+        self._file, self.names = file, [leaf.path for leaf in file.leaves]
+        self.lines: Sequence[int] = range(1, file.row_count + 1)
+        self.notes: Mapping[str, str] = {}
+
+    def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
+        """Return the cells of some columns."""
+        return [self._read_one(self.names[place]) for place in places]
+
+    def _read_one(self, name: str) -> Sequence[Any]:
+        """Return the cells of a column: numbers, times in ns, or else texts; null becomes empty."""
+        table = self._file.read([name])
+        while any(str(kind).startswith("struct") for kind in table.schema.types):
+            table = table.flatten()
+        if table.num_columns != 1:
+            raise LogError(f"column {name}: expected one of that name, found {table.num_columns}")
+        column = table.column(0)
+        if not str(column.type).startswith(("dictionary", "string", "large_string")):
+            values = column.to_numpy()
+            if values.dtype.kind == "M":
+                found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
+                return found
+            if values.dtype.kind in "iuf":
+                return values  # type: ignore[no-any-return]
+        return ["" if cell is None else str(cell) for cell in list_cells(column)]
