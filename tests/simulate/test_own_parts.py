@@ -13,7 +13,7 @@ from turtlelog.errors import LawError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import ManyRuns, many, simulate_many, simulate_run
-from turtlelog.simulate.many import describe_difference
+from turtlelog.simulate.many import describe_compiled_difference
 
 EXAMPLE: Final = Path(__file__).parents[2] / "examples" / "laws" / "compiled_p.py"
 ANSWER: Final = "    return speed, settings.law.kp * error_rad\n"
@@ -162,11 +162,11 @@ def test_a_first_run_that_differs_when_compiled_is_told_with_by_how_much() -> No
         for key, value in (("seed", 0), ("law.kp_angular", 1.25), ("max_duration_s", 2.0))
     )
     one, two = (np.asarray(run.samples.wanted_turn_rate_rad_s, float) for run in (plain, other))
-    assert [*describe_difference("own", plain, plain)] == []
-    assert [*describe_difference("own", plain, other)] == [
+    assert [*describe_compiled_difference("own", plain, plain)] == []
+    assert [*describe_compiled_difference("own", plain, other)] == [
         "law own: commands of its first run differ by up to 0 m/s and"
         f" {np.abs(one - two).max():.4g} rad/s when compiled"
     ]
-    assert [*describe_difference("own", plain, longer)] == [
+    assert [*describe_compiled_difference("own", plain, longer)] == [
         "law own: its first run has 126 samples instead of 63 when compiled"
     ]

@@ -407,7 +407,7 @@ def list_metric_units(metrics: Sequence[Metric]) -> list[str]:
     return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
 
 
-def list_units(summaries: "Sequence[RunSummary]", name: str) -> list[str]:
+def list_summary_units(summaries: "Sequence[RunSummary]", name: str) -> list[str]:
     """Return the units of a metric in some runs; empty for a parameter."""
     found = [summary.find_metric(name) for summary in summaries]
     return list_metric_units([metric for metric in found if metric is not None])
@@ -429,7 +429,7 @@ def mark_metric(
     if not (judge_runs(summaries) if ranking is None else ranking).is_fair:
         return {}
     kind = find_metric_kind(name)
-    better = kind.better if kind and len(list_units(summaries, name)) < 2 else None
+    better = kind.better if kind and len(list_summary_units(summaries, name)) < 2 else None
     found = [summary.find_metric(name) if better else None for summary in summaries]
     values = {row: metric.value for row, metric in enumerate(found) if metric is not None}
     # Values below the floor of a metric are equally good.
@@ -437,7 +437,7 @@ def mark_metric(
     known = {row: max(value, floor) for row, value in values.items() if value is not None}
     low, high = min(known.values(), default=0.0), max(known.values(), default=0.0)
     # Values that the answer prints alike are equally good: nobody reads a difference between them.
-    unit = list_units(summaries, name)[0] if known else ""
+    unit = list_summary_units(summaries, name)[0] if known else ""
     if format_short(low, unit) == format_short(high, unit):
         return {}
     best, worst = (low, high) if better == "lower" else (high, low)

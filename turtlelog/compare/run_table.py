@@ -12,7 +12,7 @@ from turtlelog.compare.ranking import (
     collect_values,
     judge_runs,
     list_metric_units,
-    list_units,
+    list_summary_units,
     mark_metric,
     name_best,
 )
@@ -75,7 +75,7 @@ def tabulate_runs(
         summaries = [_leave_out_goal(summary) for summary in summaries]
     others = _find_differing(summaries, ranking)
     shown = [*([] if only else others[:differing]), *chosen]
-    units = {name: list_units(summaries, name) for name in shown}
+    units = {name: list_summary_units(summaries, name) for name in shown}
     names = run_selection.name_runs(summaries)
     rows = tuple(
         (

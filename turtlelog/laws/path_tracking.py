@@ -14,7 +14,7 @@ from turtlelog.errors import LawError
 from turtlelog.laws.base import Goal
 from turtlelog.run import stop_reasons
 from turtlelog.run.loops import ControlLoop, Declaration
-from turtlelog.run.path_pieces import Point, find_on_first_lap, follow, locate
+from turtlelog.run.path_pieces import Point, find_on_first_lap, follow_piece, locate
 from turtlelog.run.paths import Path
 
 STOPS: Final = (stop_reasons.PATH_END,)
@@ -84,11 +84,11 @@ def find_target(
     position = pose[0], pose[1]
     if path.has_speed:
         due_m = least(path.speed_m_s * ((time_ns - state.first_ns) / 1e9), path.length_m)
-        nearest_m, _, state.arc_m = follow(path, pieces, state.arc_m, position, due_m)
+        nearest_m, _, state.arc_m = follow_piece(path, pieces, state.arc_m, position, due_m)
         speed_m_s, behind_m, at_m = path.speed_m_s, due_m - nearest_m, due_m
         is_over = due_m >= path.length_m
     else:
-        nearest_m, _, state.arc_m = follow(path, pieces, state.arc_m, position, math.nan)
+        nearest_m, _, state.arc_m = follow_piece(path, pieces, state.arc_m, position, math.nan)
         if math.isnan(state.begin_m) and not math.isnan(state.arc_m):
             state.begin_m = nearest_m if path.is_closed else 0.0
         begin_m = 0.0 if math.isnan(state.begin_m) else state.begin_m

@@ -70,7 +70,7 @@ from .ros2 import (
 )
 from .table_columns import (
     assign_columns as assign_columns,
-    find_robots as find_robots,
+    find_table_robots as find_table_robots,
     read_time as read_time,
 )
 from .table_files import (

@@ -267,7 +267,7 @@ def read_trajectory(
             table = log.read_plain_table(file, allow_partial=choice.allow_partial)
             if table.names == log.KITTI_COLUMNS and not table.has_header:
                 return _build_kitti(file, table, times)
-            of_robot = log.find_robots(table.names).get(choice.robot or "", {})
+            of_robot = log.find_table_robots(table.names).get(choice.robot or "", {})
             columns = {**of_robot, **choice.columns}
             chosen = log.assign_columns(table.names, columns, table.units)
             if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:

@@ -29,7 +29,7 @@ from turtlelog.log.table_columns import (
     QUANTITIES,
     Choice,
     assign_columns,
-    find_robots,
+    find_table_robots,
     read_date,
     read_time,
     show_column,
@@ -95,7 +95,7 @@ def import_plain_table(
     path = make_path(path)
     with name_file(path, expected="a table"):
         table = read_plain_table(path, allow_partial=allow_partial)
-        robots = find_robots(table.names)
+        robots = find_table_robots(table.names)
         asked = {**robots.get(robot or "", {}), **(columns or {})}
         chosen = assign_columns(table.names, asked, table.units)
         _require_columns(table, chosen, [*robots])

@@ -175,7 +175,7 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
     return replace(choice, unit=unit)
 
 
-def find_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
+def find_table_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
     """Return the columns of each robot by quantity, for names such as `robot1_x` or `/robot1/x`."""
     found: dict[str, dict[str, str]] = {}
     for name in names:

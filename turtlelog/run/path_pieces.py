@@ -313,7 +313,7 @@ def find_ahead(
 
 
 @called
-def follow(
+def follow_piece(
     path: Any, pieces: Any, arc_m: float, position: Position, due_m: float
 ) -> tuple[float, float, float]:
     """Return the place of a robot on a path.

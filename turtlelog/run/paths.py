@@ -299,7 +299,7 @@ class PathFollower:
         """Return the robot's place; `due_m` is the arc length of the moving reference [m]."""
         path, before_m = self._path, math.nan if self.arc_m is None else self.arc_m
         due_m = math.nan if due_m is None else due_m
-        arc_m, offset_m, next_m = path_pieces.follow(
+        arc_m, offset_m, next_m = path_pieces.follow_piece(
             path.numbers, path.ways, before_m, (x_m, y_m), due_m
         )
         self.arc_m = None if math.isnan(next_m) else next_m

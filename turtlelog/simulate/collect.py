@@ -151,11 +151,11 @@ class RunCollector:
             )
         poses = np.frombuffer(self._poses, self._pose_row)
         source = read_law_source(kind) if is_given(kind) else None
-        return build_run(
+        return build_simulated_run(
             scenario,
             self._declaration,
             poses=build_poses(poses["given"][:, 0].copy(), poses, senses=self._senses),
-            commands=build_commands(np.frombuffer(self._commands, self._command_row)),
+            commands=collect_commands(np.frombuffer(self._commands, self._command_row)),
             samples=self._samples.build_columns(),
             stop_reason=self._stop_reason,
             events=tuple(self._events),
@@ -211,7 +211,7 @@ def _find_packing(
 # Columns from packed rows, or from the rows of a compiled loop, which have the same fields.
 
 
-def build_run(scenario: Scenario, declaration: Declaration, **others: Any) -> Run:
+def build_simulated_run(scenario: Scenario, declaration: Declaration, **others: Any) -> Run:
     """Return the run of a simulated scenario from its fields that no scenario determines."""
     goal = scenario.goal if declaration.uses_goal else None
     return Run(
@@ -238,7 +238,7 @@ def build_poses(time_ns: NDArray[np.int64], rows: NDArray[Any], *, senses: bool)
     )
 
 
-def build_commands(rows: NDArray[Any]) -> CommandColumns:
+def collect_commands(rows: NDArray[Any]) -> CommandColumns:
     """Return the commands of published samples."""
     speed = rows["speed_m_s"].copy()
     return CommandColumns(

@@ -257,7 +257,7 @@ class CompiledRunner:
         if rows is None or ticks > len(rows.ticks) or samples > len(rows.samples):
             rows = self._rows[loop] = loop.kinds.allocate(ticks, samples)
         draw_streams(rows, loop_parts.list_streams(scenario), scenario.seed, ticks, samples)
-        rows = rows._replace(table=build_table(scenario), pieces=build_pieces(scenario.path))
+        rows = rows._replace(table=build_law_table(scenario), pieces=build_pieces(scenario.path))
         state = as_record(start, loop.kinds.state)
         now = state[0]["now"]
         run = partial(loop.run, as_record(settings, loop.kinds.settings), state, rows)
@@ -274,13 +274,13 @@ class CompiledRunner:
         states = None
         if declaration.states:
             states = collect.pair_columns(rows.states[: len(answers)], *declaration.states)
-        return collect.build_run(
+        return collect.build_simulated_run(
             scenario,
             declaration,
             poses=collect.build_poses(
                 np.arange(len(poses)) * plant.period_ns, poses, senses=senses
             ),
-            commands=collect.build_commands(answers[: now["published"]]),
+            commands=collect.collect_commands(answers[: now["published"]]),
             samples=collect.build_samples(answers, states, declaration, has_shaping=shapes),
             stop_reason=name_stop(int(now["stop"]), loop.law.stops),
             events=tuple(
@@ -290,9 +290,9 @@ class CompiledRunner:
         )
 
 
-def build_table(scenario: Scenario) -> NDArray[np.float64]:
+def build_law_table(scenario: Scenario) -> NDArray[np.float64]:
     """Return the table of a law; it is empty for a law without one."""
-    build = getattr(find_law(scenario.law.kind), "build_table", None)
+    build = getattr(find_law(scenario.law.kind), "build_law_table", None)
     rows = [] if build is None else [*build(scenario.law.parameters)]
     return np.array(rows, np.float64) if rows else np.empty((0, 0))
 

@@ -136,7 +136,7 @@ def find_law_numbers(law: AnyLaw) -> Any:
     return law.Numbers or mirror(keys).kind
 
 
-def read_law(law: AnyLaw, parameters: Any) -> Any:
+def read_law_values(law: AnyLaw, parameters: Any) -> Any:
     """Return the values that a law reads as `settings.law`."""
     if not isinstance(law, LawPart):
         return NoNumbers()
@@ -160,7 +160,7 @@ def build_settings(
         PathNumbers() if scenario.path is None else scenario.path.numbers,
         *(mirror(table).read(getattr(scenario, name)) for name, table in _TABLES.items()),
         mirror(part.Keys).read(keys),
-        read_law(law, scenario.law.parameters),
+        read_law_values(law, scenario.law.parameters),
     )
     state = shape.State(
         Progress(waits_for=scenario.loop.start_backlog),

@@ -280,7 +280,7 @@ class ManyRuns(Iterator[Simulated]):
         self._compared.add(loop)
         again = self._compile(loop, scenario, plant)
         if isinstance(again, Run):
-            self.notes += describe_difference(scenario.law.kind, found, again)
+            self.notes += describe_compiled_difference(scenario.law.kind, found, again)
         return again
 
     def _interpret(self, scenario: Scenario, plant: Plant, loop: CompiledCode | None) -> Simulated:
@@ -343,7 +343,7 @@ def find_saving(scenario: Scenario) -> float:
     return _SAVED_S if part.acts_in_steps and scenario.path is None else _STEPPED_SAVED_S
 
 
-def describe_difference(kind: str, plain: Run, compiled: Run) -> Iterator[str]:
+def describe_compiled_difference(kind: str, plain: Run, compiled: Run) -> Iterator[str]:
     """Yield the differences between a law's first compiled run and the same run in Python."""
     if len(plain.samples) != len(compiled.samples):
         counts = f"{len(compiled.samples)} samples instead of {len(plain.samples)}"

@@ -261,7 +261,7 @@ class _Work:
         runner = CompiledRunner(self._step_budget_s)
         compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
-            self.notes += many.describe_difference(scenario.law.kind, plain, compiled)
+            self.notes += many.describe_compiled_difference(scenario.law.kind, plain, compiled)
 
     def _run_compiled(self, kernel: Batch, rows: Sequence[int], threads: int) -> list[int]:
         base = resolve_scenario(self._base)

@@ -331,7 +331,7 @@ class _Case:
         kinds = compiled_loop.find_kinds(*kind)
         self.settings = as_record(settings, kinds.settings)
         self.state, self.seed = as_record(start, kinds.state), scenario.seed
-        self.table = compiled_loop.build_table(scenario)
+        self.table = compiled_loop.build_law_table(scenario)
         self.streams = loop_parts.list_streams(scenario)
         self.ticks, self.samples = loop_parts.bound_rows(scenario, plant)
         x_m, y_m = part.read(start.plant)[:2]

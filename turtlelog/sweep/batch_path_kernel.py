@@ -10,7 +10,7 @@ from numpy import rint
 
 from turtlelog.arithmetic import called, wrap_angle
 from turtlelog.measure.response import Track
-from turtlelog.run.path_pieces import follow
+from turtlelog.run.path_pieces import follow_piece
 from turtlelog.sweep.batch_kernel import (
     ALONG,
     CROSS,
@@ -69,12 +69,12 @@ def _trace(ticks: Any, samples: Any, memory: PathMemory) -> None:
         for row in range(len(ticks)):
             sample = samples[held[row]]
             position = sample.reference_x_m, sample.reference_y_m
-            dues_m[row], _, arc_m = follow(path, pieces, arc_m, position, math.nan)
+            dues_m[row], _, arc_m = follow_piece(path, pieces, arc_m, position, math.nan)
     arc_m = math.nan
     for row in range(len(ticks)):
         due_m = dues_m[row] if is_due else math.nan
         position = ticks[row].x_m, ticks[row].y_m
-        arcs_m[row], offsets_m[row], arc_m = follow(path, pieces, arc_m, position, due_m)
+        arcs_m[row], offsets_m[row], arc_m = follow_piece(path, pieces, arc_m, position, due_m)
 
 
 def _find_reference(samples: Any, first: int, is_heading: bool) -> int:  # noqa: FBT001

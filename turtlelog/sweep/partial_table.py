@@ -116,7 +116,7 @@ class StoredCells(Sequence[Any]):
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
+class PartialColumns:
     """Rows stored as columns; cells of missing keys are None."""
 
     count: int
@@ -128,9 +128,9 @@ class StoredRows:
 
     def __init__(self) -> None:
         self.ends = [0]
-        self.loads: list[Callable[[], Columns]] = []
+        self.loads: list[Callable[[], PartialColumns]] = []
 
-    def add(self, count: int, load: Callable[[], Columns]) -> int:
+    def add(self, count: int, load: Callable[[], PartialColumns]) -> int:
         """Add a part, and return the number of its first row."""
         self.loads.append(load)
         self.ends.append(self.ends[-1] + count)
@@ -143,12 +143,12 @@ class WindowedRows:
     def __init__(self, stored: StoredRows, order: NDArray[np.intp] | range) -> None:
         """Store the rows and the row numbers in order."""
         self._stored, self._order = stored, order
-        self._stretch, self._held = (0, 0), Columns(0, {})
+        self._stretch, self._held = (0, 0), PartialColumns(0, {})
 
     def __len__(self) -> int:
         return len(self._order)
 
-    def load(self, segment: slice) -> Columns:
+    def load(self, segment: slice) -> PartialColumns:
         """Return a segment of the rows; each part is loaded once."""
         begin, end, _ = segment.indices(len(self))
         if (begin, end) == self._stretch:
@@ -162,7 +162,7 @@ class WindowedRows:
                 if key not in found:
                     found[key] = StoredCells.fill(key.type, len(rows))
                 found[key].put(places, cells, rows[places] - ends[part])
-        self._stretch, self._held = (begin, end), Columns(len(rows), found)
+        self._stretch, self._held = (begin, end), PartialColumns(len(rows), found)
         return self._held
 
 

@@ -25,9 +25,9 @@ from turtlelog.sweep.partial_table import (
     FILE,
     Cell,
     CellType,
-    Columns,
     KeptParts,
     Key,
+    PartialColumns,
     Row,
     StoredCells,
     StoredRows,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _STATE: Final = Key("size", "whole", "B"), Key("mtime_ns", "whole", "ns"), Key("sha256")
 HEAD: Final = (FILE, *_STATE, ERROR)
-"""Columns of every table of recordings."""
+"""PartialColumns of every table of recordings."""
 
 Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
@@ -76,13 +76,13 @@ class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
     def __len__(self) -> int:
         return len(self.files)
 
-    def pack(self) -> Columns:
+    def pack(self) -> PartialColumns:
         """Return the rows as columns."""
         packed = {
             Key(name, kind, unit): StoredCells.pack(kind, cells)
             for name, kind, unit, cells in self.columns
         }
-        return Columns(self.count, packed)
+        return PartialColumns(self.count, packed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -432,7 +432,7 @@ def _repeat(key: Key, cells: Sequence[Cell], which: NDArray[np.intp]) -> ResultC
     return ResultColumn(name=key.name, type=key.type, cells=packed, unit=key.unit or None)
 
 
-def _load_group(former: result_table.StoredTable, group: int) -> Columns:
+def _load_group(former: result_table.StoredTable, group: int) -> PartialColumns:
     """Return the rows of a group of an existing table, without the facts of its files."""
     known, packed = {key.name for key in HEAD[:4]}, {}
     for column in former.read([name for name in former.names if name not in known], group):
@@ -440,4 +440,4 @@ def _load_group(former: result_table.StoredTable, group: int) -> Columns:
         name = column.name.removesuffix(f" [{unit}]") if unit else column.name
         key = Key(name, "text" if column.type == "truth" else column.type, unit)
         packed[key] = StoredCells.pack_arrow(key.type, column.cells)
-    return Columns(former.group_rows[group], packed)
+    return PartialColumns(former.group_rows[group], packed)

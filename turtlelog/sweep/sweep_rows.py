@@ -25,9 +25,9 @@ from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
 from turtlelog.sweep.batch import is_covered, measure_rows
 from turtlelog.sweep.batch_arrays import OK, STATUSES, is_batched
 from turtlelog.sweep.partial_table import (
-    Columns,
     KeptParts,
     Key,
+    PartialColumns,
     StoredCells,
     StoredRows,
     WindowedRows,
@@ -356,14 +356,14 @@ class SweptRows:
             raise SweepError(f"row {row}: expected {count} rows, found {row}")
         return WindowedRows(stored, range(count))
 
-    def _load(self, place: int) -> Columns:
+    def _load(self, place: int) -> PartialColumns:
         results = self._kept.read(place)
         texts = {_STOP_REASON: results.stop_reasons, _FAILED: results.failed}
         cells = {key: StoredCells.pack("text", found) for key, found in texts.items()}
         for name, metric in results.metrics.items():
             cells[Key(name, "real")] = StoredCells.pack("real", metric.values)
             cells[Key(f"{name}{STATUS}")] = StoredCells.pack("text", metric.statuses)
-        return Columns(len(results), cells)
+        return PartialColumns(len(results), cells)
 
 
 def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -> ResultTable:

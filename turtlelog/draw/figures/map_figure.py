@@ -93,7 +93,7 @@ def draw_map_panel(
             axes.set(**{f"{side}scale": "log"})
         axes.set(**{f"{side}lim": ends[-1], f"{side}label": axis.label})
         mark_places(axes, side, axis)
-    axes.set_title(label_metric(metric), pad=4.0)
+    axes.set_title(label_swept_metric(metric), pad=4.0)
     axes.grid(visible=False)
     found = choose_limits(limits, metric)
     if found is not None:
@@ -305,7 +305,7 @@ def find_verdict_classes(values: Values) -> Values:
     return np.where(values >= 1.0, 2.0, np.where(values <= 0.0, 0.0, values * 0.0 + 1.0))
 
 
-def label_metric(metric: SweptMetric) -> str:
+def label_swept_metric(metric: SweptMetric) -> str:
     """Return a metric's name with its unit; angles are in degrees."""
     unit = "deg" if metric.unit == "rad" else metric.unit
     return metric.name + (f" [{unit}]" if unit not in {"", "1"} else "")

@@ -220,7 +220,9 @@ _HEIGHT: Final = 0.62
 def _draw_tornado(axes: Axes, found: Sensitivities) -> None:
     """Draw a bar for each key: the metric's range over the key, or the rank correlation of both."""
     keys = found.keys[:_MOST_KEYS]
-    title = map_figure.label_metric(found.metric) if found.chance is None else found.metric.name
+    title = (
+        map_figure.label_swept_metric(found.metric) if found.chance is None else found.metric.name
+    )
     axes.set_title(title, loc="right")  # long names of keys leave no room on both sides
     axes.grid(visible=False, axis="y")
     axes.set_yticks(range(len(keys)), labels=[_name(one) for one in keys])
@@ -450,7 +452,7 @@ def _draw_limits(
 def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values) -> None:
     if map_figure.is_logarithmic(along):
         axes.set_xscale("log")
-    axes.set(xlabel=along.label, ylabel=map_figure.label_metric(metric))
+    axes.set(xlabel=along.label, ylabel=map_figure.label_swept_metric(metric))
     map_figure.mark_places(axes, "x", along)
     known = values[np.isfinite(values)]
     if metric.is_verdict:

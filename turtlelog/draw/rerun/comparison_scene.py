@@ -285,7 +285,7 @@ def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) 
         return
     places = [overlay.runs[number].poses.xy_m[-1] for number in furthest]
     names = [overlay.name_run(number) for number in furthest]
-    plane.write_words(
+    plane.log_words(
         stream, entities.EXTREMES, places, names, [overlay.colors[number] for number in furthest]
     )
 
@@ -412,9 +412,9 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
     ):
         looks: dict[str, Any] = {"draw_order": -pixels, "labels": [name], "show_labels": False}
         packed = palette.pack_colors([color])
-        plane.draw_strips(stream, f"{_PLANE}/{name}", strips, packed, pixels, **looks)
+        plane.log_strips(stream, f"{_PLANE}/{name}", strips, packed, pixels, **looks)
     starts, packed = [piece[0] for piece in pieces], palette.pack_colors([palette.MODEL])
-    plane.draw_points(stream, f"{_PLANE}/begins", starts, packed, 4.0 * _PATH_PIXELS)
+    plane.log_points(stream, f"{_PLANE}/begins", starts, packed, 4.0 * _PATH_PIXELS)
 
 
 def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:

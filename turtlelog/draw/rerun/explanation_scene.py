@@ -79,7 +79,7 @@ def write_explanation_rrd(
     texts = {"Contributions": _describe_contributions(found), **(documents or {})}
     texts = {**recording_stream.add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
-    dead_times = plots.list_dead_times(recorded, metrics[0])
+    dead_times = plots.list_dead_time_spans(recorded, metrics[0])
     marked = {
         "pause": (palette.PAUSED, plots.list_pause_times(recorded)),
         "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),

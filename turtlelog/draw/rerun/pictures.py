@@ -16,7 +16,7 @@ from turtlelog.charts.luck_chart import LuckLine, LuckPicture, spread_labels
 from turtlelog.charts.many_runs import GainScale
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.plane import draw_points, draw_strips, write_words
+from turtlelog.draw.rerun.plane import log_points, log_strips, log_words
 
 
 def view_picture(
@@ -85,7 +85,7 @@ def draw_legend(
     chosen = choose_names(len(names))
     shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
     looks: dict[str, Any] = {"labels": shown, "show_labels": True}
-    draw_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
+    log_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
 
 
 def draw_scale(
@@ -107,7 +107,7 @@ def draw_scale(
     ticks = scale.list_ticks(_SCALE_LABELS)
     places = [((place + 0.5) * width, _SCALE_HEIGHT) for place, _ in ticks]
     hues = [colors[round(place)] for place, _ in ticks]
-    write_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
+    log_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
 
 
 def title_scale(scale: GainScale) -> str:
@@ -228,7 +228,7 @@ def draw_waterfall_picture(
         y = axis_y + (number + 1.5) * pitch
         words.append((_WIDTH / 2.0, y, note, palette.START))
     entity = f"{entities.STEPS}/joints"
-    draw_strips(stream, entity, joints, [palette.REFERENCE], _THIN_RADIUS)
+    log_strips(stream, entity, joints, [palette.REFERENCE], _THIN_RADIUS)
     _write_words(stream, entities.STEPS, words)
 
 
@@ -294,7 +294,7 @@ def _measure_words(text: str) -> float:
 def _write_words(stream: rr.RecordingStream, entity: str, words: Sequence[_Words]) -> None:
     places = [(x, y - _ABOVE) for x, y, _, _ in words]
     texts, colors = [text for _, _, text, _ in words], [color for *_, color in words]
-    write_words(stream, f"{entity}/words", places, texts, colors)
+    log_words(stream, f"{entity}/words", places, texts, colors)
 
 
 def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
@@ -320,13 +320,13 @@ def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
         at, leader = place(np.array([end, (last, name)]))
         aside = [at, (_RIGHT + 1.0, leader[1])]
         entity = f"{entities.LUCK}/leaders/{number}"
-        draw_strips(stream, entity, [np.array(aside)], [line.color], _THIN_RADIUS)
+        log_strips(stream, entity, [np.array(aside)], [line.color], _THIN_RADIUS)
         middle = _RIGHT + 1.0 + _measure_words(line.name) / 2.0
         words.append((middle, float(leader[1]), line.name, line.color))
     if shown.recorded is not None:
         ((x, y),) = place(np.array([shown.recorded])).tolist()
         entity = f"{entities.LUCK}/recorded"
-        draw_points(stream, entity, [(x, y)], [palette.MAIN], _RECORDED_RADIUS)
+        log_points(stream, entity, [(x, y)], [palette.MAIN], _RECORDED_RADIUS)
         # The text is on the side of the curve with more room.
         y += _LINE if shown.recorded[1] > sum(shown.limits) / 2.0 else -_LINE
         words.append((x, y, shown.recorded_name, palette.MAIN))
@@ -343,7 +343,7 @@ def draw_luck_ends(
     ends_m = np.concatenate([shown.plane.ends_m, shown.plane.ghosts_m]) + close_up.goal_xy_m
     colors = [palette.MAIN] * len(shown.plane.ends_m)
     colors += [palette.GHOST] * len(shown.plane.ghosts_m)
-    draw_points(stream, entities.LUCK_ENDS, ends_m, colors, _END_RADIUS)
+    log_points(stream, entities.LUCK_ENDS, ends_m, colors, _END_RADIUS)
 
 
 def count_ends(shown: LuckPicture, close_up: CloseUp | None) -> str:
@@ -373,11 +373,11 @@ def _draw_line(
     parts = [points[first : last + 1] for first, last in line.pieces]
     strips = [part for part in parts if len(part) > 1]
     if strips:
-        draw_strips(stream, entity, strips, [line.color], _LINE_RADIUS)
+        log_strips(stream, entity, strips, [line.color], _LINE_RADIUS)
     dots = [part for part in parts if line.kind == "run" or len(part) == 1]
     if dots:
         places = np.concatenate(dots)
-        draw_points(stream, f"{entity}/starts", places, [line.color], _DOT_RADIUS)
+        log_points(stream, f"{entity}/starts", places, [line.color], _DOT_RADIUS)
 
 
 def _draw_axes(
@@ -397,7 +397,7 @@ def _draw_axes(
     strips += [[(_LEFT - _TICK, y), (_LEFT, y)] for _, y in lefts]
     strips += [[(x, _AXIS_FOOT), (x, _AXIS_FOOT + _TICK)] for x, _ in feet]
     axes = [np.array(strip) for strip in strips]
-    draw_strips(stream, f"{entities.LUCK}/axes", axes, [palette.REFERENCE], _THIN_RADIUS)
+    log_strips(stream, f"{entities.LUCK}/axes", axes, [palette.REFERENCE], _THIN_RADIUS)
     texts = [write_tick(tick, _PLAIN) for tick in rises]
     words = [
         (_LEFT - _TICK - _measure_words(text) / 2.0, y, text, palette.START)

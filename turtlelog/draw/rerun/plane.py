@@ -111,11 +111,11 @@ def draw_world(
     if paths:
         strips = [plane_scene.outline_path(path) for path in paths]
         look, colors = {"draw_order": _BELOW_TRACES}, [palette.TRACKED] * len(paths)
-        draw_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
+        log_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
     starts, goals = plane_scene.list_starts(runs), plane_scene.list_goals(runs)
-    draw_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
+    log_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
     if len(goals):
-        draw_points(stream, entities.GOAL, goals, [palette.GOAL], _MARKER_RADIUS)
+        log_points(stream, entities.GOAL, goals, [palette.GOAL], _MARKER_RADIUS)
         _draw_tolerances(stream, runs)
     if len(starts) == 1 and len(goals) == 1:
         half_m = half_size_m or find_plane_bounds(runs).half_size_m
@@ -123,7 +123,7 @@ def draw_world(
         side = 1.0 if goals[0][0] <= starts[0][0] else -1.0
         asides = np.array([(side * _START_ASIDE, _NAME_UP), (-side * _GOAL_ASIDE, _NAME_UP)])
         places, colors = [starts[0], goals[0]] + half_m * asides, [palette.START, palette.GOAL]
-        write_words(stream, entities.NAMES, places, ["start", "goal"], colors)
+        log_words(stream, entities.NAMES, places, ["start", "goal"], colors)
 
 
 def draw_close_up(
@@ -142,7 +142,7 @@ def draw_close_up(
     for end in close_up.ends:
         told = f"ends {format_length(end.miss_m)} from the goal"
         entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]
-        draw_points(
+        log_points(
             stream, entity, [end.xy_m], [color], _END_RADIUS, labels=[told], show_labels=False
         )
     misses = list_miss_labels(close_up, lettering)
@@ -152,7 +152,7 @@ def draw_close_up(
     hues = [colors[one.runs[0]] if len(one.runs) == 1 else palette.START for one in lines]
     _write_labels(stream, entities.MISSES, up_m, lines, hues)
     _write_labels(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
-    draw_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
+    log_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
 
 
 def draw_ends(
@@ -160,7 +160,7 @@ def draw_ends(
 ) -> None:
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
     ends_m = [run.poses.xy_m[-1] for run in runs]
-    draw_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
+    log_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
     groups = many_runs.find_gain_ends(runs)
     if not groups:
         return
@@ -169,16 +169,16 @@ def draw_ends(
     looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
     looks["labels"] = [f"{name}{many_runs.OUTLINE_LABEL}" for name in names]
     outlines = [group.around_xy_m for group in groups]
-    draw_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
+    log_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
     looks["labels"] = [f"{name}{many_runs.MEDIAN_LABEL}" for name in names]
     medians = [group.median_xy_m for group in groups]
-    draw_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
+    log_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
 
 
 def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: palette.Color) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
     way = [worst.path_xy_m, worst.xy_m]
-    draw_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
+    log_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
     label = label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
@@ -230,10 +230,10 @@ def _write_labels(
     colors: Sequence[palette.Color],
 ) -> None:
     places = [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels]
-    write_words(stream, entity, places, [label.text for label in labels], colors)
+    log_words(stream, entity, places, [label.text for label in labels], colors)
 
 
-def write_words(
+def log_words(
     stream: rr.RecordingStream,
     entity: str,
     places: ArrayLike,
@@ -241,10 +241,10 @@ def write_words(
     colors: Sequence[palette.Color],
 ) -> None:
     """Write each text at its place, as the label of a point without a radius."""
-    draw_points(stream, entity, places, colors, 0.0, labels=texts, show_labels=True)
+    log_points(stream, entity, places, colors, 0.0, labels=texts, show_labels=True)
 
 
-def draw_points(
+def log_points(
     stream: rr.RecordingStream | RunStream,
     entity: str,
     places: ArrayLike,
@@ -257,7 +257,7 @@ def draw_points(
     stream.log(join_path(entity), points, static=True)
 
 
-def draw_strips(
+def log_strips(
     stream: rr.RecordingStream | RunStream,
     entity: str,
     strips: Sequence[ArrayLike],
@@ -362,7 +362,7 @@ class SpeedTrace:
 
     def draw(self, run_stream: RunStream) -> None:
         """Draw the whole path."""
-        draw_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
+        log_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
@@ -394,7 +394,7 @@ def draw_reference_path(run_stream: RunStream, run: Run) -> None:
     stretches = [s for s in _split_where_changed(known) if known[s[0]]]
     strips = [xy_m[first:after] for first, after in stretches]
     colors = [palette.REFERENCE] * len(strips)
-    draw_strips(run_stream, entities.REFERENCE_PATH, strips, colors, TRACE_RADIUS)
+    log_strips(run_stream, entities.REFERENCE_PATH, strips, colors, TRACE_RADIUS)
 
 
 def draw_sensed(run_stream: RunStream, run: Run) -> None:
@@ -409,7 +409,7 @@ def draw_sensed(run_stream: RunStream, run: Run) -> None:
         (entities.DROPPED_PLACES, lost_m, palette.DROPPED_OUT, _ON_TRACES),
     ):
         places_m = places_m[np.isfinite(places_m[:, 0])]
-        draw_points(run_stream, entity, places_m, [color], _SENSED_RADIUS, draw_order=order)
+        log_points(run_stream, entity, places_m, [color], _SENSED_RADIUS, draw_order=order)
 
 
 def list_placed(run: Run) -> list[Event]:
@@ -426,7 +426,7 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
     colors = [palette.WALL_HIT if kind == "wall_hit" else palette.EVENT for kind in kinds]
     look: dict[str, Any] = {"labels": [kind.replace("_", " ") for kind in kinds]}
     look["show_labels"] = False
-    draw_points(run_stream, entities.EVENT_PLACES, places_m, colors, _EVENT_RADIUS, **look)
+    log_points(run_stream, entities.EVENT_PLACES, places_m, colors, _EVENT_RADIUS, **look)
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:

@@ -407,7 +407,7 @@ def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
     run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
 
 
-def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
+def list_dead_time_spans(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
     """Return the intervals of known dead times at the start of each loop, in order of time.
 
     Each interval has a start and an end in the run's own time [ns], from a loop's first sample

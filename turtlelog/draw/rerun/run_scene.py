@@ -303,7 +303,7 @@ def write_violation_rrd(
         # If there is a signal, its title names the check.
         word = cut_name(title, _LONGEST_NAME) if violated is None else "first violated"
         place_m, color = run.poses.xy_m[row : row + 1], palette.VIOLATION
-        plane.draw_points(stream, entities.VIOLATION, place_m, [color], _RADIUS, labels=[word])
+        plane.log_points(stream, entities.VIOLATION, place_m, [color], _RADIUS, labels=[word])
         if violated is not None:
             run_stream = RunStream(stream, "", recording_stream.build_run_timelines(run))
             _draw_signal(run_stream, violated)
@@ -413,4 +413,4 @@ def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal
     strips = [run.poses.xy_m[a : b + 1] for a, b in zip(starts, ends, strict=True) if b > a]
     if strips:
         entity, look = entities.VIOLATED_STRETCH, {"draw_order": _ABOVE_TRACES}
-        plane.draw_strips(stream, entity, strips, [palette.VIOLATION], _STRETCH_RADIUS, **look)
+        plane.log_strips(stream, entity, strips, [palette.VIOLATION], _STRETCH_RADIUS, **look)

@@ -34,7 +34,7 @@ def draw_growing_path(run_stream: RunStream, run: Run) -> None:
     run_stream.log(entities.PLANE, plane.UPWARD)
     strips = _part_strip(run)
     colors = [palette.MAIN] * len(strips)
-    plane.draw_strips(run_stream, entities.PATH, strips, colors, plane.TRACE_RADIUS)
+    plane.log_strips(run_stream, entities.PATH, strips, colors, plane.TRACE_RADIUS)
 
 
 def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
@@ -208,7 +208,7 @@ def draw_trail(
     # The part that is not driven yet is faint.
     bright = palette.pack_colors([look.color] * len(strips))
     faint = bright & np.uint32(0xFFFFFF00) | np.uint32(_FAINT)
-    plane.draw_strips(run_stream, entities.PATH, strips, faint, look.width)
+    plane.log_strips(run_stream, entities.PATH, strips, faint, look.width)
     # Each segment of the trail has the time of its last pose, and views show past segments. A
     # segment never spans a gap in the poses, and always has a length.
     kept = choose_trace_rows(run)
@@ -434,10 +434,10 @@ def draw_key(
     ]
     center, colors = np.array(bounds.center_xy_m), [color for _, color in rows]
     lines = [center + half_m * np.array(sample) for sample in samples]
-    plane.draw_strips(stream, entities.KEY, lines, colors, 2.5)
+    plane.log_strips(stream, entities.KEY, lines, colors, 2.5)
     # In a small window samples are hidden, so that the names have their colours.
     names = [name for name, _ in rows]
-    plane.write_words(stream, entities.KEY_NAMES, center + half_m * np.array(words), names, colors)
+    plane.log_words(stream, entities.KEY_NAMES, center + half_m * np.array(words), names, colors)
 
 
 def _follow(run: Run, ghost: Ghost) -> Values:

@@ -383,7 +383,7 @@ def describe_dead_times(
     return findings
 
 
-def describe_limits(run: Run) -> dict[str, Finding]:
+def find_command_limits(run: Run) -> dict[str, Finding]:
     """Return the limits at which commands are clipped, as the unclipped commands show."""
     samples, found = run.samples, dict[str, Finding]()
     for key, wanted, sent in (

@@ -409,7 +409,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
         **{key: miss(around) for key in (*LOOP_KEYS, "lost_commands")},
         **identification.describe_dead_times(dead_times, motion, run),
         **loop_settings.describe_goal(trace),
-        **identification.describe_limits(run),
+        **identification.find_command_limits(run),
         **settings,
         **({} if recorded.scenario is None else identification.take_seconds(recorded.scenario)),
         "stop_reason": identification.describe_stop_rule(run, recorded),

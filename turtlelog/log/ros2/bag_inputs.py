@@ -162,7 +162,7 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
     return read_twist(fields, "twist." if kind == "geometry_msgs/msg/TwistStamped" else "")
 
 
-def build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
+def build_bag_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
     """Return commands as columns of a run, with times from its start."""
     if rows is None:
         return CommandColumns.build_empty()
