@@ -100,3 +100,13 @@ def test_a_loop_is_called_unstable_where_no_limit_can_steady_it(
 def test_a_gain_backwards_of_the_wrong_sign_is_told() -> None:
     notes = list_scenario_notes(build(plant__turn_reverse_gain=-0.5))
     assert any("plant.turn_reverse_gain = -0.5 feeds the error back" in note for note in notes)
+
+
+@pytest.mark.parametrize("key", ["plant.turn_gain", "plant.turn_reverse_gain"])
+def test_a_gain_of_the_wrong_sign_has_no_model(key: str) -> None:
+    name = key.replace(".", "__")
+    wrong = model(**{name: -0.01})
+    assert wrong.reason == (
+        f"{key} = -0.01 feeds the error back with the wrong sign, so no gain above 0 is stable"
+    )
+    assert not model(**{name: 0.01}).reason

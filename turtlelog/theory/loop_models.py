@@ -273,7 +273,8 @@ def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
 def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float) -> Process | str:
     """Return the process that a loop's command drives, or the reason why it is unknown.
 
-    The gain is the larger of the gains forward and in reverse.
+    The gain is the larger of the gains forward and in reverse. A gain below 0 in either direction
+    feeds errors of one sign back with the wrong sign, so that no gain of the law is stable.
 
     Args:
         loop: Loop of a law.
@@ -283,9 +284,14 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
     key = PLANT_KEYS[loop.command]
     own_s = read_number(parameters, f"{key}dead_time_s")
     gain = read_number(parameters, f"{key}gain", 1.0)
+    reverse_gain = read_number(parameters, f"{key}reverse_gain", gain)
+    for name, value in (("gain", gain), ("reverse_gain", reverse_gain)):
+        if value < 0.0:
+            wrong = f"{key}{name} = {value:g} feeds the error back with the wrong sign"
+            return f"{wrong}, so no gain above 0 is stable"
     try:
         return Process(
-            gain=max(gain, read_number(parameters, f"{key}reverse_gain", gain)),
+            gain=max(gain, reverse_gain),
             lag_s=read_number(parameters, f"{key}lag_s"),
             dead_time_s=dead_time_s + own_s,
             low_pass_s=read_number(parameters, "shaping.low_pass_s"),
