@@ -313,13 +313,16 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
                 f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
             )
         # A sentence on clipped commands covers the limit.
+        keys = [(one, one.partition(" = ")[0]) for one in model.left_out]
         left_out = [
             one
-            for one in model.left_out
-            if shows_all or one.partition(" = ")[0] != model.loop.limit_key
+            for one, key in keys
+            if shows_all or not (key == model.loop.limit_key or model.allows_for(key))
         ]
         if left_out:
             notes.append(f"{of}: theory's linear loop leaves out {', '.join(left_out)}.")
+        if shows_all and model.limits is not None:
+            notes.append(f"{of}: the table of loops is for small steps.")
     return notes
 
 

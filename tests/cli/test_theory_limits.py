@@ -1,0 +1,36 @@
+"""Answers of `theory` for robots whose limits, jitter or gains the linear loop leaves out."""
+
+import pytest
+
+from tests.cli.conftest import Call
+
+JERK = "--set", "limits.jerk_m_s3=0.8", "--set", "loop.period_ticks=3"
+
+
+def test_gains_allow_for_a_jerk_limit_and_say_so(call: Call) -> None:
+    """The overshoot of eight steps is searched, which takes 2 s."""
+    text = " ".join(call("theory", "textbook", *JERK).out.split())
+    assert "without command limits (rotate), with all limits of speed and acceleration" in text
+    assert "translate: better than Kp = 1 1/s in overshoot (5 % instead of" in text
+    assert "stable in small steps for Kp below" in text
+    assert "are the largest of 7 steps of 0.712 m to 5.69 m, with all limits" in text
+    assert "leaves out" not in text
+
+
+def test_a_gain_that_oscillates_on_under_a_limit_has_no_settling_time(call: Call) -> None:
+    """The overshoot of eight steps is searched, which takes 2 s."""
+    told = call("theory", "textbook", *JERK, "--kp", "3", "--details").out
+    text = " ".join(told.split())
+    assert " s instead of none)" in text
+    assert "Without a settling time: the loop still moves after 10 oscillations." in text
+    assert "translate (along-track): the table of loops is for small steps." in text
+    assert "theory's linear loop leaves out limits.speed_m_s = 1, limits.jerk_m_s3 = 0.8." in text
+
+
+@pytest.mark.parametrize(("jerk", "step"), [("0.8", 5.693), ("inf", None)])
+def test_the_largest_step_is_in_json(call: Call, jerk: str, step: float | None) -> None:
+    """The overshoot of eight steps is searched, which takes 2 s."""
+    words = "--set", f"limits.jerk_m_s3={jerk}", "--set", "loop.period_ticks=5"
+    loops = call("theory", "textbook", *words, "--overshoot", "5", "--json").json["loops"]
+    assert loops[0]["largest_step"] is None
+    assert loops[1]["largest_step"] == (step and pytest.approx(step, abs=1e-3))
