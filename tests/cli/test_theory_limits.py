@@ -34,3 +34,22 @@ def test_the_largest_step_is_in_json(call: Call, jerk: str, step: float | None) 
     loops = call("theory", "textbook", *words, "--overshoot", "5", "--json").json["loops"]
     assert loops[0]["largest_step"] is None
     assert loops[1]["largest_step"] == (step and pytest.approx(step, abs=1e-3))
+
+
+def test_jitter_lowers_the_limit_of_stability(call: Call) -> None:
+    text = " ".join(call("theory", "textbook", "--set", "loop.jitter_s=0.05").out.split())
+    assert "stable for Kp below 62.5 1/s" in text
+    assert "rotate (heading): jitter counts as its mean delay, 27.8 ms" in text
+    assert "leaves out" not in text
+
+
+@pytest.mark.parametrize(
+    ("key", "is_late"),
+    [("sensing.dropout_probability=0.1", True), ("sensing.noise_position_m=0.1", False)],
+)
+def test_random_delays_that_are_left_out_may_make_a_loop_unstable(
+    call: Call, key: str, *, is_late: bool
+) -> None:
+    text = " ".join(call("theory", "textbook", "--set", key).out.split())
+    assert f"leaves out {key.replace('=', ' = ')}" in text
+    assert (", which may make it unstable at smaller gains." in text) is is_late

@@ -247,3 +247,33 @@ def test_a_gain_of_the_wrong_sign_has_no_model(key: str) -> None:
         f"{key} = -0.01 feeds the error back with the wrong sign, so no gain above 0 is stable"
     )
     assert not model(**{name: 0.01}).reason
+
+
+@pytest.mark.parametrize(
+    ("jitter_s", "mean_s", "dead_time_s"),
+    [
+        (0.016, 0.008, 0.0),
+        (0.032, 0.0167, 0.016),
+        (0.096, 0.0602, 0.048),
+        (0.192, 0.1359, 0.128),
+        # Up to 2000 periods, the mean is computed.
+        (2000 * 0.016, 31.1165, 31.104),
+        (2001 * 0.016, 32.016, 32.016),
+    ],
+)
+@pytest.mark.parametrize("table", ["loop", "sensing"])
+def test_jitter_counts_as_the_mean_delay_of_messages_in_order(
+    table: str, jitter_s: float, mean_s: float, dead_time_s: float
+) -> None:
+    parameters = tl.scenario.flatten_scenario(tl.load_scenario("textbook"))
+    timing = tl.theory.find_timing({**parameters, f"{table}.jitter_s": jitter_s})
+    assert not isinstance(timing, str)
+    assert timing.jitter_s == pytest.approx(mean_s, abs=6e-5)
+    assert timing.least_s == pytest.approx(dead_time_s)
+
+
+def test_a_robot_has_all_of_the_mean_delay() -> None:
+    timing = model(loop__jitter_s=0.05, plant__period_s=0.05)
+    assert timing.require()[1]["process"].dead_time_s == pytest.approx(0.08 + 0.025)
+    assert timing.counts_as_delay("loop.jitter_s")
+    assert not model().counts_as_delay("loop.jitter_s")

@@ -1,7 +1,7 @@
 """Sampled loops of any kind as tables and JSON: from options, scenarios and recordings."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -312,18 +312,32 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
             notes.append(
                 f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
             )
-        # A sentence on clipped commands covers the limit.
-        keys = [(one, one.partition(" = ")[0]) for one in model.left_out]
-        left_out = [
-            one
-            for one, key in keys
-            if shows_all or not (key == model.loop.limit_key or model.allows_for(key))
-        ]
-        if left_out:
-            notes.append(f"{of}: theory's linear loop leaves out {', '.join(left_out)}.")
-        if shows_all and model.limits is not None:
-            notes.append(f"{of}: the table of loops is for small steps.")
+        notes += _list_left_out(of, model, shows_all=shows_all)
     return notes
+
+
+def _list_left_out(of: str, model: "tl.theory.LoopModel", *, shows_all: bool) -> Iterator[str]:
+    """Yield the settings that the linear loop leaves out, or counts as something simpler."""
+    if model.jitter_s:
+        mean = f"{1e3 * model.jitter_s:.3g} ms"
+        yield f"{of}: jitter counts as its mean delay, {mean}; its variation is left out."
+    left_out = []
+    for one in model.left_out:
+        key = one.partition(" = ")[0]
+        # A sentence on clipped commands covers the limit.
+        is_said = key == model.loop.limit_key or model.allows_for(key)
+        if not model.counts_as_delay(key) and (shows_all or not is_said):
+            left_out.append(one)
+    if left_out:
+        is_late = any(one.startswith(_LATE) for one in left_out)
+        but = ", which may make it unstable at smaller gains" if is_late else ""
+        yield f"{of}: theory's linear loop leaves out {', '.join(left_out)}{but}."
+    if shows_all and model.limits is not None:
+        yield f"{of}: the table of loops is for small steps."
+
+
+_LATE: Final = ("loop.late_", "loop.loss_", "loop.repeat_", "sensing.dropout_")
+"""Beginnings of keys of random delays that theory leaves out."""
 
 
 def tell_motion(loop: "tl.theory.PidLoop") -> str:

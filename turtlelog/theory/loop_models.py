@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Final, TypedDict
 
+import numpy as np
+
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.plants import LAGGED, PLANTS, TURTLESIM, read_plant
@@ -70,6 +72,7 @@ class LoopModel:
         limit: Limit of the loop's command [m/s or rad/s]; infinite without a limit.
         limits: Limits of command and rate with the loop's largest step, which recommended gains
             allow for; None if nothing limits the acceleration.
+        jitter_s: Mean delay by jitter, which the dead time includes [s].
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
@@ -83,6 +86,7 @@ class LoopModel:
     growth: str = "queues"
     limit: float = math.inf
     limits: StepLimits | None = None
+    jitter_s: float = 0.0
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -104,6 +108,10 @@ class LoopModel:
         if self.most_dead_time_s is not None:
             settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)
         return settings
+
+    def counts_as_delay(self, key: str) -> bool:
+        """Return whether the dead time includes the mean delay by a setting."""
+        return self.jitter_s > 0.0 and key in _JITTERS
 
     def allows_for(self, key: str) -> bool:
         """Return whether recommended gains allow for a setting that the linear loop leaves out."""
@@ -144,6 +152,7 @@ def model_loop(
     """
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
     most_s: float | None = None
+    jitter_s = 0.0
     if timing is None:
         scheduled = find_timing(parameters)
         if isinstance(scheduled, str):
@@ -151,6 +160,7 @@ def model_loop(
         else:
             from_scenario = {"period_s": _SCENARIO, "dead_time_s": _SCENARIO}
             period_s, least_s = scheduled.period_s, scheduled.least_s
+            jitter_s = scheduled.jitter_s
             most_s = scheduled.most_s if scheduled.most_s > least_s else None
             timing = MeasuredTiming(period_s=period_s, dead_time_s=least_s, sources=from_scenario)
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
@@ -169,6 +179,7 @@ def model_loop(
         growth="the age of the poses" if is_timed else "queues",
         limit=read_number(parameters, loop.limit_key, math.inf),
         limits=_find_limits(loop, parameters),
+        jitter_s=jitter_s,
         sources={**told, **timing.sources},
         left_out=left_out,
     )
@@ -226,6 +237,8 @@ _ADDED: Final = frozenset(
 """Keys that theory ignores and that cannot make an unstable loop stable. Disturbances and offsets
 move the point of rest; limits bound the amplitude of an oscillation."""
 
+_JITTERS: Final = ("loop.jitter_s", "sensing.jitter_s")
+
 _KINDS: Final = (TURTLESIM.name, LAGGED)
 
 _BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
@@ -241,12 +254,14 @@ class LoopTiming:
         least_s: Smallest dead time from a pose to the plant, without the plant's own dead time [s].
         most_s: Largest dead time that lasts [s]; longer dead times are short exceptions.
         step_s: Resolution of the dead time between these limits [s]: the plant's period.
+        jitter_s: Mean delay by jitter, which both dead times include [s].
     """
 
     period_s: float
     least_s: float
     most_s: float
     step_s: float
+    jitter_s: float = 0.0
 
 
 def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
@@ -369,6 +384,9 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
         return "turtlesim stops by itself between two samples, 1 s after a command"
     delay_s += read_number(parameters, "loop.transport_delay_s")
     delay_s += read_number(parameters, "loop.transport_delay_ticks") * step_s
+    jitter_s = _find_mean_delay(read_number(parameters, "sensing.jitter_s"), step_s)
+    jitter_s += _find_mean_delay(read_number(parameters, "loop.jitter_s"), period_s)
+    delay_s += jitter_s
     queued = parameters.get("loop.queue_policy") == "one-per-tick"
     if is_turtlesim:  # a command acts on the whole tick in which it arrives
         delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
@@ -382,7 +400,29 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
         queues = [read_number(parameters, f"loop.{key}", 1.0) for key in keys]
         least_s += (min(queues) - 1.0) * step_s
         most_s += (queues[2] - 1.0) * step_s
-    return LoopTiming(period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s)
+    return LoopTiming(
+        period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s, jitter_s=jitter_s
+    )
+
+
+_MOST_WAITING: Final = 2000
+"""Largest jitter in periods whose mean delay is computed. Beyond, a message is delayed by the whole
+jitter, which is less than 3 % too much."""
+
+
+def _find_mean_delay(jitter_s: float, period_s: float) -> float:
+    """Return the mean delay of messages with uniform jitter that do not overtake each other [s].
+
+    The probability that a message and all earlier ones have arrived after x is the product of
+    min(1, (x + k T) / J) over k. The mean is the integral of its complement from 0 to J.
+    """
+    if jitter_s > _MOST_WAITING * period_s or jitter_s == 0.0:
+        return jitter_s
+    x_s = np.linspace(0.0, jitter_s, 1001)
+    arrived = np.ones_like(x_s)
+    for k in range(math.ceil(jitter_s / period_s)):
+        arrived *= np.minimum(1.0, (x_s + k * period_s) / jitter_s)
+    return float(np.trapezoid(1.0 - arrived, x_s))
 
 
 def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:
