@@ -53,3 +53,21 @@ def test_random_delays_that_are_left_out_may_make_a_loop_unstable(
     text = " ".join(call("theory", "textbook", "--set", key).out.split())
     assert f"leaves out {key.replace('=', ' = ')}" in text
     assert (", which may make it unstable at smaller gains." in text) is is_late
+
+
+@pytest.mark.parametrize(
+    ("words", "is_between"),
+    [
+        (("--dead-time-s", "0.016", "--period", "0.08"), True),
+        (("--dead-time-s", "0.16", "--period", "0.08", "--low-pass", "0.1"), False),
+        (("--lag", "0.1", "--dead-time", "2", "--period", "0.08"), True),
+    ],
+)
+def test_an_overshoot_at_the_samples_is_told_from_that_of_the_motion(
+    call: Call, words: tuple[str, ...], *, is_between: bool
+) -> None:
+    text = " ".join(call("theory", "--kp", "2.5", *words).out.split())
+    assert (" at the samples, settles in" in text) is is_between
+    assert ("The sampled loop, at its samples" in text) is is_between
+    details = " ".join(call("theory", "--kp", "2.5", *words, "--details").out.split())
+    assert ("Overshoot is at the samples; between samples" in details) is is_between

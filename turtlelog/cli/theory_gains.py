@@ -172,12 +172,13 @@ def show_gains(gains: "tl.theory.PidGains") -> str:
     return join_words(said)
 
 
-def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None") -> str:
+def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: str = "") -> str:
     """Return overshoot and settling time of a stable loop after a step, as text."""
     said = []
     if motion is not None and motion.overshoot_percent is not None:
         percent = motion.overshoot_percent
-        said.append("no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %")
+        told = "no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %"
+        said.append(f"{told}{where}")
     if motion is not None and motion.settling_time_s is not None:
         said.append(f"settles in {motion.settling_time_s:.3g} s")
     return ", ".join(said)

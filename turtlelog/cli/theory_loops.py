@@ -245,7 +245,8 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.T
         cells = tuple("-" if one.found is None else write(one.found) for one in answers)
         if known and not (is_optional and set(cells) <= {"-", "0"}):
             rows.append((name, *cells))
-    return build_table(title, ("", *(answer.title for answer in answers)), rows)
+    notes = [_AT_SAMPLES] if any(map(_moves_between, known)) else []
+    return build_table(title, ("", *(answer.title for answer in answers)), rows, notes)
 
 
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
@@ -264,7 +265,11 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
             columns.append(tl.compare.Column(title=title, unit=unit))
             cells.append([_read_cell(text) for text in texts])
     rows = tuple(zip(*cells, strict=True))
-    return tl.compare.Table(title="The sampled loop", columns=tuple(columns), rows=rows)
+    return tl.compare.Table(
+        title=f"The sampled loop{', at its samples' if any(map(_moves_between, loops)) else ''}",
+        columns=tuple(columns),
+        rows=rows,
+    )
 
 
 def describe_plant(loop: "tl.theory.PidLoop") -> str:
@@ -344,7 +349,23 @@ def tell_motion(loop: "tl.theory.PidLoop") -> str:
     """Return whether a loop is stable, with its overshoot and settling time, as text."""
     if not loop.stable:
         return "unstable"
-    return f"stable, {tell_step(loop) or 'but its slowest part hardly decays'}"
+    step = tell_step(loop, " at the samples" if _moves_between(loop) else "")
+    return f"stable, {step or 'but its slowest part hardly decays'}"
+
+
+def _moves_between(loop: "tl.theory.PidLoop") -> bool:
+    """Return whether a loop may overshoot more between its samples than at the samples.
+
+    The motion of an integrator turns only where a new command begins to act.
+    """
+    samples = loop.dead_time_s / loop.period_s
+    return loop.process.lag_s > 0.0 or abs(samples - round(samples)) > _WHOLE
+
+
+_WHOLE: Final = 1e-9
+"""Largest distance from a whole number of samples that is rounding."""
+
+_AT_SAMPLES: Final = "Overshoot is at the samples; between samples the motion may go further."
 
 
 def _tell_sources(model: "tl.theory.LoopModel") -> str:

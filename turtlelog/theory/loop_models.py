@@ -158,7 +158,8 @@ def model_loop(
         if isinstance(scheduled, str):
             timing = scheduled
         else:
-            from_scenario = {"period_s": _SCENARIO, "dead_time_s": _SCENARIO}
+            with_jitter = ", with the mean delay by jitter" if scheduled.jitter_s else ""
+            from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
             period_s, least_s = scheduled.period_s, scheduled.least_s
             jitter_s = scheduled.jitter_s
             most_s = scheduled.most_s if scheduled.most_s > least_s else None
