@@ -237,7 +237,9 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
         "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 % instead of 22.4 "
     )
     assert "Stable for Kp from 0.2326 to 10.83 1/s." in lines
-    assert any(line.startswith("Kp = 2: stable, overshoots by 22.43 % at the samples") for line in lines)
+    assert any(
+        line.startswith("Kp = 2: stable, overshoots by 22.43 % at the samples") for line in lines
+    )
     assert "Kp = 30: unstable." in lines
 
 
