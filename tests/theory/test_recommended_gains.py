@@ -318,6 +318,7 @@ def test_a_motion_that_creeps_on_within_the_band_has_settled() -> None:
     outside = np.flatnonzero(np.abs(response - 1.0) > 0.02)[-1]
     assert motion is not None
     assert motion.settling_time_s == pytest.approx(0.016 * (outside + 1))
+    assert motion.settling_time_s is not None
     assert 300.0 < motion.settling_time_s < 350.0
     assert abs(response[-1] - 1.0) > 0.004
 
