@@ -27,6 +27,14 @@ def test_a_gain_that_oscillates_on_under_a_limit_has_no_settling_time(call: Call
     assert "theory's linear loop leaves out limits.speed_m_s = 1, limits.jerk_m_s3 = 0.8." in text
 
 
+def test_a_loop_whose_steps_oscillate_on_at_each_gain_has_no_gains(call: Call) -> None:
+    """Eight steps are simulated for each gain, which takes 2 s."""
+    words = "--kp", "3", "--phase-margin", "60"
+    text = " ".join(call("theory", "textbook", *JERK, *words).out.split())
+    assert " (rotate); no gains for translate. This is for 60 deg phase margin" in text
+    assert ", does not settle; stable in small steps for Kp below" in text
+
+
 @pytest.mark.parametrize(("jerk", "step"), [("0.8", 5.693), ("inf", None)])
 def test_the_largest_step_is_in_json(call: Call, jerk: str, step: float | None) -> None:
     """The overshoot of eight steps is searched, which takes 2 s."""

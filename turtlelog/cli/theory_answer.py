@@ -277,9 +277,12 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
         return
     told = [f"recommended {changed}"] if changed else []
     told += [f"keep {kept}"] if kept else []
+    advised = [one for one in advice if one.is_kept or one.best]
+    missing = [one.loop for one in advice if one not in advised]
+    told += [f"no gains for {join_words(missing)}"] if missing else []
     yield f"{name}: {'; '.join(told)}."
-    limited = [one.loop for one in advice if one.is_limited]
-    ideal = [one.loop for one in advice if not one.is_limited]
+    limited = [one.loop for one in advised if one.is_limited]
+    ideal = [one.loop for one in advised if not one.is_limited]
     if not limited:
         yield f"This is for {wishes.describe(rule)}, {_IDEAL}."
     elif not ideal:
@@ -307,12 +310,17 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
         return ""
     own = next((one for one in advice if one.loop == answer.title), None)
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
-    is_limited = own is not None and own.is_limited
-    is_measured = own is not None and (own.is_kept or is_limited) and own.given.motion
-    motion = tell_step(own.given.motion) if own and is_measured else tell_motion(loop)
-    said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
-    where = " in small steps" if is_limited else ""
+    said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {_tell_given(loop, own)}"
+    where = " in small steps" if own and own.is_limited else ""
     return f"{said}; stable{where} for Kp {_show_late_range(loop, answer.model)}."
+
+
+def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
+    """Return the motion of a loop with its own gains, as text."""
+    if own is None or not (own.is_kept or own.is_limited) or own.given.motion is None:
+        return tell_motion(loop)
+    rests = own.given.motion.settling_time_s is not None
+    return f"{tell_step(own.given.motion)}{'' if rests else ', does not settle'}"
 
 
 def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
