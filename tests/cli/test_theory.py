@@ -237,7 +237,9 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
         "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 % instead of 22.4 "
     )
     assert "Stable for Kp from 0.2326 to 10.83 1/s." in lines
-    assert any(line.startswith("Kp = 2: stable, overshoots by 22.43 %, settles") for line in lines)
+    assert any(
+        line.startswith("Kp = 2: stable, overshoots by 22.43 % at the samples") for line in lines
+    )
     assert "Kp = 30: unstable." in lines
 
 
@@ -314,7 +316,7 @@ def test_a_lagged_robot_is_answered_from_its_file(call: Call, tmp_path: Path) ->
     assert rotate["sampled"]["process"] == {
         "gain": 1.0,
         "lag_s": 0.1,
-        "dead_time_s": pytest.approx(0.11),
+        "dead_time_s": pytest.approx(0.115),  # the mean of the jitter is 5 ms
         "low_pass_s": 0.05,
     }
     assert translate["sampled"]["process"]["gain"] == 0.9

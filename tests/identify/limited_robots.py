@@ -198,9 +198,11 @@ def turn_as_advised(model: tl.RobotModel, run: Run, truth: Limited) -> list[floa
     loops = tl.theory.model_loops(declaration, tl.scenario.flatten_scenario(scenario))
     loop = next(loop for loop in loops if loop.loop.name == "rotate")
     # Here a controller reads poses without any age, so the most dead time would be too cautious.
-    settings = replace(loop, most_dead_time_s=None).require_slowest()
+    settings = replace(loop, most_dead_time_s=None).require_latest()
     period_s = settings["period_s"]
-    advised = recommend_gains(settings["process"], period_s=period_s, overshoot_percent=5.0)
+    advised = recommend_gains(
+        settings["process"], period_s=period_s, overshoot_percent=5.0, limits=loop.limits
+    )
     kp = next(one.gains.kp for one in advised if one.controller == "P" and one.gains)
     most = min(float(np.abs(run.commands.turn_rate_rad_s).max()), scenario.limits.turn_rate_rad_s)
     return [turn_by(truth, angle_rad, kp, period_s, most) for angle_rad in TURNS_RAD]

@@ -103,10 +103,8 @@ def turn_as_advised(model: tl.RobotModel, run: Run, keys: Keys) -> list[float]:
     scenario = build_robot_scenario(model, run).scenario
     declaration = tl.simulate.declare_scenario(scenario)
     loops = tl.theory.model_loops(declaration, tl.scenario.flatten_scenario(scenario))
-    settings = next(loop for loop in loops if loop.loop.name == "rotate").require_slowest()
-    advised = recommend_gains(
-        settings["process"], period_s=settings["period_s"], overshoot_percent=5.0
-    )
+    loop = next(loop for loop in loops if loop.loop.name == "rotate")
+    advised = recommend_gains(**loop.require_latest(), overshoot_percent=5.0, limits=loop.limits)
     kp = next(one.gains.kp for one in advised if one.controller == "P" and one.gains)
     # The law lets go within the tolerance, and what then still turns is no overshoot of P control.
     changes = {"law.kp_angular": kp, "law.heading_tolerance_rad": 1e-9, "max_duration_s": 12.0}

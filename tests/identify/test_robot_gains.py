@@ -47,7 +47,7 @@ def model(scenario: tl.Scenario, loop: str) -> LoopModel:
     return next(found for found in models if found.loop.name == loop)
 
 
-def recommend(scenario: tl.Scenario, loop: str, **wishes: float) -> dict[tuple[str, str], Any]:
+def recommend(scenario: tl.Scenario, loop: str, **wishes: Any) -> dict[tuple[str, str], Any]:
     found = model(scenario, loop)
     settings = found.require()[1]
     if found.most_dead_time_s is not None:

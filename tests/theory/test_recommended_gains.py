@@ -309,6 +309,20 @@ def test_a_motion_that_runs_away_or_never_rests_is_none() -> None:
     assert ringing.overshoot_percent == pytest.approx(100.0, abs=1e-3)
 
 
+def test_a_motion_that_creeps_on_within_the_band_has_settled() -> None:
+    """The motion is followed for 200,000 samples, which takes 1 to 2 s."""
+    slow = Process(lag_s=1.0, dead_time_s=0.048)
+    gains = PidGains(kp=0.01102, ki=7.0641e-07)
+    motion = measure_step_motion(gains, period_s=0.016, process=slow)
+    response = compute_pid_step_response(gains, 40_000, period_s=0.016, process=slow)
+    outside = np.flatnonzero(np.abs(response - 1.0) > 0.02)[-1]
+    assert motion is not None
+    assert motion.settling_time_s == pytest.approx(0.016 * (outside + 1))
+    assert motion.settling_time_s is not None
+    assert 300.0 < motion.settling_time_s < 350.0
+    assert abs(response[-1] - 1.0) > 0.004
+
+
 def test_rules_of_skogestad_have_the_margins_that_are_published() -> None:
     # Of K exp(-theta s) / s with tau_c = theta: gain margin 2.96, phase margin 46.9 deg.
     late = Process(gain=0.5, dead_time_s=1.0)

@@ -225,6 +225,7 @@ class DeclaredLoopAnswer:
         sources: Sources of the values.
         left_out: Settings that theory's linear loop leaves out.
         most_dead_time_s: Largest dead time that queues may cause [s].
+        largest_step: Largest step of recommended gains [m or rad]; None if they ignore limits.
         sampled: The sampled loop; None if the loop is unknown.
         recommended: Recommended gains.
         kept_kp: Present Kp, if it needs no change [1/s].
@@ -238,6 +239,7 @@ class DeclaredLoopAnswer:
     sources: Mapping[str, str]
     left_out: list[str]
     most_dead_time_s: float | None
+    largest_step: float | None
     sampled: PidAnswer | None
     recommended: list[RecommendedGains]
     kept_kp: float | None
@@ -290,6 +292,7 @@ def _answer_file(
             sources=dict(model.sources),
             left_out=list(model.left_out),
             most_dead_time_s=model.most_dead_time_s,
+            largest_step=None if model.limits is None else model.limits.step,
             sampled=None if found is None else build_pid_loop(found),
             recommended=[] if gains is None else build_recommended(gains),
             kept_kp=None if gains is None else find_kept(gains, model.loop.name),

@@ -43,6 +43,8 @@ _MOST_COLUMNS: Final = 3
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains, in the second sentence."""
 
+_LIMITED: Final = "with all limits of speed and acceleration"
+
 _UNLIMITED: Final = "Theory leaves out command limits, which change overshoot and settling time."
 
 
@@ -218,7 +220,13 @@ def format_file(
         hint = [] if answers else [f"Gains for a robot: {robot}"]
         return fill_lines([f"{name}: {why}.", *list_sources(answers), *hint])
     advice = [
-        _Advice(loop, one.find_best(given.controller), given, is_kept=one.keeps(given))
+        _Advice(
+            loop,
+            one.find_best(given.controller),
+            given,
+            is_kept=one.keeps(given),
+            is_limited=bool(one.steps),
+        )
         for one in groups
         for loop, given in zip(one.loops, one.given, strict=True)
     ]
@@ -242,12 +250,21 @@ def format_file(
 
 
 class _Advice(NamedTuple):
-    """Recommended gains of a loop, its own gains, and whether its own gains need no change."""
+    """Recommended gains of a loop, and its own gains.
+
+    Attributes:
+        loop: Name of the loop.
+        best: Recommended gains.
+        given: Gains in use.
+        is_kept: Whether the gains in use need no change.
+        is_limited: Whether the gains allow for limits of acceleration.
+    """
 
     loop: str
     best: "Recommendation | None"
     given: "Recommendation"
     is_kept: bool
+    is_limited: bool
 
 
 def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iterator[str]:
@@ -260,8 +277,21 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
         return
     told = [f"recommended {changed}"] if changed else []
     told += [f"keep {kept}"] if kept else []
+    advised = [one for one in advice if one.is_kept or one.best]
+    missing = [one.loop for one in advice if one not in advised]
+    told += [f"no gains for {join_words(missing)}"] if missing else []
     yield f"{name}: {'; '.join(told)}."
-    yield f"This is for {wishes.describe(rule)}, {_IDEAL}."
+    limited = [one.loop for one in advised if one.is_limited]
+    ideal = [one.loop for one in advised if not one.is_limited]
+    if not limited:
+        yield f"This is for {wishes.describe(rule)}, {_IDEAL}."
+    elif not ideal:
+        yield f"This is for {wishes.describe(rule)}, {_LIMITED}."
+    else:
+        yield (
+            f"This is for {wishes.describe(rule)}, {_IDEAL} ({join_words(ideal)}), {_LIMITED}"
+            f" ({join_words(limited)})."
+        )
 
 
 def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
@@ -280,9 +310,17 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
         return ""
     own = next((one for one in advice if one.loop == answer.title), None)
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
-    motion = tell_step(own.given.motion) if own and own.is_kept else tell_motion(loop)
-    said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {motion}"
-    return f"{said}; stable for Kp {_show_late_range(loop, answer.model)}."
+    said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {_tell_given(loop, own)}"
+    where = " in small steps" if own and own.is_limited else ""
+    return f"{said}; stable{where} for Kp {_show_late_range(loop, answer.model)}."
+
+
+def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
+    """Return the motion of a loop with its own gains, as text."""
+    if own is None or not (own.is_kept or own.is_limited) or own.given.motion is None:
+        return tell_motion(loop)
+    rests = own.given.motion.settling_time_s is not None
+    return f"{tell_step(own.given.motion)}{'' if rests else ', does not settle'}"
 
 
 def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
@@ -292,7 +330,7 @@ def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -
     for one in known:
         best = chosen.get(one.title)
         gains = None if best is None else best.gains
-        if one.model is None or math.isinf(one.model.limit):
+        if one.model is None or math.isinf(one.model.limit) or one.model.limits is not None:
             continue
         if gains is None or gains.ki or gains.kd:
             return [_UNLIMITED]

@@ -52,6 +52,7 @@ class WishOptions:
         process: "tl.theory.Process",
         period_s: float,
         filter_s: float = 0.0,
+        limits: "tl.theory.StepLimits | None" = None,
         *,
         given: "Sequence[tl.theory.PidGains]" = (),
     ) -> "Recommended":
@@ -62,19 +63,22 @@ class WishOptions:
             filter_s=filter_s,
             overshoot_percent=self.overshoot,
             phase_margin_rad=None if self.phase_margin is None else math.radians(self.phase_margin),
+            limits=limits,
         )
-        measured = [tl.theory.measure_gains(one, process, period_s=period_s) for one in given]
+        measured = [
+            tl.theory.measure_gains(one, process, period_s=period_s, limits=limits) for one in given
+        ]
         return Recommended(found, tuple(measured))
 
     def recommend_for(self, models: "Sequence[tl.theory.LoopModel]") -> "list[Recommended]":
         """Return gains for the declared loops that theory knows. Equal loops share gains.
 
-        The gains are for the largest dead time of a loop, and for its largest steps.
+        The gains are for the largest dead time of a loop, and for steps of all sizes.
         """
-        groups: dict[tuple[tl.theory.Process, float, float], dict[str, tl.theory.LoopModel]] = {}
+        groups: dict[_Design, dict[str, tl.theory.LoopModel]] = {}
         for model in tl.theory.list_known(models):
-            gains, settings = model.require()[0], model.require_slowest()
-            key = settings["process"], settings["period_s"], gains.filter_s
+            gains, settings = model.require()[0], model.require_latest()
+            key = settings["process"], settings["period_s"], gains.filter_s, model.limits
             groups.setdefault(key, {})[model.loop.name] = model
         found = []
         for key, loops in groups.items():
@@ -82,7 +86,9 @@ class WishOptions:
             recommended = self.recommend(*key, given=[one.require()[0] for one in loops.values()])
             found.append(
                 recommended._replace(
-                    loops=tuple(loops), most_dead_time_s=first.most_dead_time_s, ramp_s=first.ramp_s
+                    loops=tuple(loops),
+                    most_dead_time_s=first.most_dead_time_s,
+                    steps=_tell_steps(first),
                 )
             )
         return found
@@ -112,14 +118,14 @@ class Recommended(NamedTuple):
         given: Results of the given gains, in the order of the loops.
         loops: Names of the loops with these gains.
         most_dead_time_s: Largest dead time, if the dead time may grow [s].
-        ramp_s: Increase of the time constant due to acceleration limits [s].
+        steps: Measured steps in words, if gains allow for limits of acceleration.
     """
 
     found: "tuple[tl.theory.Recommendation, ...]"
     given: "tuple[tl.theory.Recommendation, ...]" = ()
     loops: Sequence[str] = ()
     most_dead_time_s: float | None = None
-    ramp_s: float = 0.0
+    steps: str = ""
 
     def find_best(self, controller: str) -> "tl.theory.Recommendation | None":
         """Return the first recommended gains of a controller, or else of P; None without either."""
@@ -146,6 +152,18 @@ class Recommended(NamedTuple):
         return not self.keeps(given), excess, math.inf if settles_s is None else settles_s
 
 
+_Design = tuple["tl.theory.Process", float, float, "tl.theory.StepLimits | None"]
+
+
+def _tell_steps(model: "tl.theory.LoopModel") -> str:
+    if model.limits is None:
+        return ""
+    unit = "rad" if model.loop.signal == "heading" else "m"
+    sizes = sorted(one.step for one in model.limits.list_steps())
+    low, high = (format_short(size, unit) for size in (sizes[0], sizes[-1]))
+    return f"{len(sizes)} steps of {low} to {high}"
+
+
 def show_gains(gains: "tl.theory.PidGains") -> str:
     """Return gains with their units: `Kp = 4 1/s and Ki = 0.5 1/s^2`."""
     said = [f"Kp = {format_short(gains.kp)} 1/s"]
@@ -154,12 +172,13 @@ def show_gains(gains: "tl.theory.PidGains") -> str:
     return join_words(said)
 
 
-def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None") -> str:
+def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: str = "") -> str:
     """Return overshoot and settling time of a stable loop after a step, as text."""
     said = []
     if motion is not None and motion.overshoot_percent is not None:
         percent = motion.overshoot_percent
-        said.append("no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %")
+        told = "no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %"
+        said.append(f"{told}{where}")
     if motion is not None and motion.settling_time_s is not None:
         said.append(f"settles in {motion.settling_time_s:.3g} s")
     return ", ".join(said)
@@ -178,6 +197,8 @@ def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommenda
     worse: list[str] = []
     pairs = zip(_list_figures(best), _list_figures(given), strict=True)
     for (noun, unit, more_is_better), (new, old) in zip(_FIGURES, pairs, strict=True):
+        if noun == "settling time" and old is None and new is not None:
+            better.append(f"{noun} ({format_short(new, unit)} instead of none)")
         if new is None or old is None:
             continue
         shown, before = format_short(new, unit), format_short(old, unit)
@@ -292,16 +313,21 @@ def _list_notes(recommended: Recommended, wishes: WishOptions, *, shows_all: boo
     if recommended.most_dead_time_s is not None:
         most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
         yield f"They are for the most dead time, {most}."
-    if recommended.ramp_s:
+    motions = [one.motion for one in (*recommended.given, *recommended.found) if one.motion]
+    if recommended.steps:
         yield (
-            "They are for large steps: the limited acceleration counts as"
-            f" {1e3 * recommended.ramp_s:.3g} ms of time constant."
+            f"Overshoot and settling time are the largest of {recommended.steps},"
+            " with all limits. Margins are for small steps."
         )
+    if any(motion.settling_time_s is None for motion in motions):
+        still = "after 10 oscillations" if recommended.steps else "after 200,000 samples"
+        yield f"Without a settling time: the loop still moves {still}."
     if not shows_all:
         return
+    ideal = "" if recommended.steps else " and ignores limits"
     yield (
-        "Overshoot includes the motion between samples and ignores limits. SIMC: Skogestad"
-        " (2003); Ziegler-Nichols (1942): half of the gain at which instability begins."
+        f"Overshoot includes the motion between samples{ideal}. SIMC: Skogestad (2003);"
+        " Ziegler-Nichols (1942): half of the gain at which instability begins."
     )
     reasons: dict[str, list[str]] = {}
     for one in recommended.found:

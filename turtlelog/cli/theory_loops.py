@@ -1,7 +1,7 @@
 """Sampled loops of any kind as tables and JSON: from options, scenarios and recordings."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -245,7 +245,8 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.T
         cells = tuple("-" if one.found is None else write(one.found) for one in answers)
         if known and not (is_optional and set(cells) <= {"-", "0"}):
             rows.append((name, *cells))
-    return build_table(title, ("", *(answer.title for answer in answers)), rows)
+    notes = [_AT_SAMPLES] if any(map(_moves_between, known)) else []
+    return build_table(title, ("", *(answer.title for answer in answers)), rows, notes)
 
 
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
@@ -264,7 +265,11 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
             columns.append(tl.compare.Column(title=title, unit=unit))
             cells.append([_read_cell(text) for text in texts])
     rows = tuple(zip(*cells, strict=True))
-    return tl.compare.Table(title="The sampled loop", columns=tuple(columns), rows=rows)
+    return tl.compare.Table(
+        title=f"The sampled loop{', at its samples' if any(map(_moves_between, loops)) else ''}",
+        columns=tuple(columns),
+        rows=rows,
+    )
 
 
 def describe_plant(loop: "tl.theory.PidLoop") -> str:
@@ -312,22 +317,55 @@ def list_sources(answers: Sequence[LoopAnswer], *, shows_all: bool = False) -> l
             notes.append(
                 f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
             )
-        # A sentence on clipped commands covers the limit.
-        left_out = [
-            one
-            for one in model.left_out
-            if shows_all or one.partition(" = ")[0] != model.loop.limit_key
-        ]
-        if left_out:
-            notes.append(f"{of}: theory's linear loop leaves out {', '.join(left_out)}.")
+        notes += _list_left_out(of, model, shows_all=shows_all)
     return notes
+
+
+def _list_left_out(of: str, model: "tl.theory.LoopModel", *, shows_all: bool) -> Iterator[str]:
+    """Yield the settings that the linear loop leaves out, or counts as something simpler."""
+    if model.jitter_s:
+        mean = f"{1e3 * model.jitter_s:.3g} ms"
+        yield f"{of}: jitter counts as its mean delay, {mean}; its variation is left out."
+    left_out = []
+    for one in model.left_out:
+        key = one.partition(" = ")[0]
+        # A sentence on clipped commands covers the limit.
+        is_said = key == model.loop.limit_key or model.allows_for(key)
+        if not model.counts_as_delay(key) and (shows_all or not is_said):
+            left_out.append(one)
+    if left_out:
+        is_late = any(one.startswith(_LATE) for one in left_out)
+        but = ", which may make it unstable at smaller gains" if is_late else ""
+        yield f"{of}: theory's linear loop leaves out {', '.join(left_out)}{but}."
+    if shows_all and model.limits is not None:
+        yield f"{of}: the table of loops is for small steps."
+
+
+_LATE: Final = ("loop.late_", "loop.loss_", "loop.repeat_", "sensing.dropout_")
+"""Beginnings of keys of random delays that theory leaves out."""
 
 
 def tell_motion(loop: "tl.theory.PidLoop") -> str:
     """Return whether a loop is stable, with its overshoot and settling time, as text."""
     if not loop.stable:
         return "unstable"
-    return f"stable, {tell_step(loop) or 'but its slowest part hardly decays'}"
+    step = tell_step(loop, " at the samples" if _moves_between(loop) else "")
+    return f"stable, {step or 'but its slowest part hardly decays'}"
+
+
+def _moves_between(loop: "tl.theory.PidLoop") -> bool:
+    """Return whether a loop may overshoot more between its samples than at the samples.
+
+    The motion of an integrator turns only where a new command begins to act.
+    """
+    samples = loop.dead_time_s / loop.period_s
+    return loop.process.lag_s > 0.0 or abs(samples - round(samples)) > _WHOLE
+
+
+_WHOLE: Final = 1e-9
+"""Largest distance from a whole number of samples that is rounding."""
+
+_AT_SAMPLES: Final = "Overshoot is at the samples; between samples the motion may go further."
 
 
 def _tell_sources(model: "tl.theory.LoopModel") -> str:

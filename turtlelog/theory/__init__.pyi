@@ -16,7 +16,6 @@ from .continuous_loop import (
     find_plant_final_value as find_plant_final_value,
     judge_bibo as judge_bibo,
 )
-from .exact_gains import StepMotion as StepMotion, measure_step_motion as measure_step_motion
 from .loop_models import (
     LoopModel as LoopModel,
     LoopTiming as LoopTiming,
@@ -57,4 +56,9 @@ from .sampled_loop import (
     compute_sampled_poles as compute_sampled_poles,
     compute_sampled_step_response as compute_sampled_step_response,
     compute_stability_gain as compute_stability_gain,
+)
+from .step_motion import (
+    StepLimits as StepLimits,
+    StepMotion as StepMotion,
+    measure_step_motion as measure_step_motion,
 )

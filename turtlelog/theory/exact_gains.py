@@ -17,13 +17,15 @@ gives one Kp and one Kd at each frequency.
 
 P has no overshoot up to the Kp at which its two slowest poles meet on the real axis: the maximum of
 -1 / L1(z) between the slowest lag's pole and 1. For an integrator, `sampled_loop` has this Kp in
-closed form. The overshoot is measured on the motion, also between samples.
+closed form. The overshoot is measured on the motion, also between samples; with limits of the
+acceleration, on the motions of all steps up to the largest.
 """
 
 import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -41,14 +43,8 @@ from turtlelog.theory.pid_stability import (
     is_stable,
     list_angles,
 )
-from turtlelog.theory.process import (
-    INTEGRATOR,
-    Process,
-    SampledProcess,
-    require_period,
-    sample_process,
-)
-from turtlelog.theory.sampled_loop import BAND, LARGEST_DEVIATION
+from turtlelog.theory.process import Process, SampledProcess, sample_process
+from turtlelog.theory.step_motion import StepLimits, StepMotion, measure_step_motion
 
 _Array = NDArray[np.float64]
 
@@ -62,37 +58,30 @@ _CLOSE: Final = 1e-6
 _CLOSE_PHASE: Final = 1e-9
 """Tolerance of a phase margin [rad]; rounding leaves 1e-12."""
 
+_CLOSE_GAIN: Final = 1e-3
+"""Tolerance of the largest gain without overshoot under limits, as a share of the gain."""
+
 _STEP: Final = 1.25
 """Factor from one gain to the next while the overshoot is too small."""
 
 _LARGEST_OVERSHOOT: Final = 1e3
 """Overshoot of a response that diverges [%]: every wanted overshoot is below 100 %."""
 
+_TRACE: Final = 1e-3
+"""Overshoot that counts as none in a search with limits [%]: the accuracy of limited motions."""
+
 _PARTS: Final = 8
 """Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StepMotion:
-    """Motion of a loop after a reference step, also between samples.
-
-    Attributes:
-        overshoot_percent: Overshoot [% of the step]; 0: no overshoot.
-        settling_time_s: Time of the first sample from which the motion stays within 2 % of the step
-            [s]; None if the motion was not followed to rest.
-    """
-
-    overshoot_percent: float
-    settling_time_s: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LoopDesign:
-    """A loop whose gains are to be found: its process with all dead time, and its clock."""
+    """A loop whose gains are to be found: its process with all dead time, its clock, its limits."""
 
     process: Process
     period_s: float
     filter_s: float = 0.0
+    limits: StepLimits | None = None
 
     @property
     def sampled(self) -> SampledProcess:
@@ -105,6 +94,11 @@ class LoopDesign:
         return 1.0 / (self.process.gain * self.period_s)
 
     @property
+    def close(self) -> float:
+        """Tolerance of an overshoot [% of the step]."""
+        return _CLOSE if self.limits is None else _TRACE
+
+    @property
     def is_slow(self) -> bool:
         """Whether the responses of the loop are too long to measure."""
         process = self.process
@@ -115,12 +109,47 @@ class LoopDesign:
         """Return the loop in dimensionless form."""
         return build_shape(gains, self.sampled, self.period_s)
 
-    def measure(self, gains: PidGains, *, to_rest: bool = True) -> StepMotion | None:
-        """Return the motion after a step; None if the loop is too slow or diverges."""
+    def measure(
+        self, gains: PidGains, *, to_rest: bool = True, must_rest: bool = False
+    ) -> StepMotion | None:
+        """Return the motion after a step; None if the loop is too slow or diverges.
+
+        With limits, the motion has the largest overshoot and the latest rest of all steps. If the
+        motion must come to rest, the first step that does not is the answer.
+        """
         if self.is_slow:
             return None
+        found = []
+        for limits in self._list_steps():
+            motion = self._follow(gains, limits, to_rest=to_rest)
+            if motion is None:
+                return None
+            if must_rest and motion.settling_time_s is None:
+                return motion
+            found.append(motion)
+        times_s = [motion.settling_time_s for motion in found]
+        known_s = [time_s for time_s in times_s if time_s is not None]
+        return StepMotion(
+            overshoot_percent=max(motion.overshoot_percent for motion in found),
+            settling_time_s=max(known_s) if len(known_s) == len(times_s) else None,
+        )
+
+    def overshoots(self, gains: PidGains) -> bool:
+        """Return whether any step overshoots visibly."""
+        motions = (self._follow(gains, limits, to_rest=False) for limits in self._list_steps())
+        return any(one is None or one.overshoot_percent > _TRACE for one in motions)
+
+    def _list_steps(self) -> "list[StepLimits | None]":
+        """Return the limits of all steps to be measured, the largest step first."""
+        if self.limits is None:
+            return [None]
+        return [*self.limits.list_steps(), None]
+
+    def _follow(
+        self, gains: PidGains, limits: StepLimits | None, *, to_rest: bool
+    ) -> StepMotion | None:
         return measure_step_motion(
-            gains, period_s=self.period_s, process=self.process, to_rest=to_rest
+            gains, period_s=self.period_s, process=self.process, to_rest=to_rest, limits=limits
         )
 
     def read_margins(self, gains: PidGains) -> Margins | None:
@@ -163,11 +192,27 @@ def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     """Return the P controller with an overshoot, or the reason why there is no such controller."""
     if design.is_slow:
         return _SLOW
-    start = find_p_without_overshoot(design)
+    start = _find_p_without_any(design)
     if percent == 0.0:
         return PidGains(kp=start)
     ends = start, _STEP * start
-    return PidGains(kp=_find_first(lambda kp: _rate(design, PidGains(kp=kp)), *ends, percent))
+    kp = _find_first(lambda kp: _rate(design, PidGains(kp=kp)), *ends, percent, design.close)
+    return PidGains(kp=kp)
+
+
+@lru_cache(maxsize=64)
+def _find_p_without_any(design: LoopDesign) -> float:
+    """Return the largest Kp [1/s] of P without overshoot of any step, also with limits."""
+    high = find_p_without_overshoot(design)
+    if design.limits is None or not design.overshoots(PidGains(kp=high)):
+        return high
+    low = 0.5 * high
+    while design.overshoots(PidGains(kp=low)):
+        low, high = 0.5 * low, low
+    while high - low > _CLOSE_GAIN * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if design.overshoots(PidGains(kp=middle)) else (middle, high)
+    return low
 
 
 def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
@@ -179,10 +224,14 @@ def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
         )
     if design.is_slow:
         return _SLOW
-    kp = find_p_without_overshoot(design)
+    kp = _find_p_without_any(design)
     # Without lag and dead time an overshoot of 5 % takes Ki = 0.055 K Kp^2.
     start = 0.5 * percent / 100.0 * design.process.gain * kp * kp
-    ki = _find_first(lambda ki: _rate(design, PidGains(kp=kp, ki=ki)), 0.0, start, percent)
+
+    def measure(ki: float) -> float:
+        return _rate(design, PidGains(kp=kp, ki=ki))
+
+    ki = _find_first(measure, 0.0, start, percent, design.close)
     return PidGains(kp=kp, ki=ki)
 
 
@@ -219,7 +268,7 @@ def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) 
     for low in np.linspace(high, lowest, _PARTS + 1)[1:].tolist():
         below = measure(low)
         if below > percent + _CLOSE:
-            gains = follow(_solve(measure, (high, value), (low, below), percent))
+            gains = follow(_solve(measure, (high, value), (low, below), percent, design.close))
             return gains if _has_margin(design, gains, margin_rad) else _tell_no_margin(margin_rad)
         high, value = low, below
     return f"{words} overshoots less"
@@ -318,7 +367,7 @@ def _rate(design: LoopDesign, gains: PidGains) -> float:
 
 
 def _find_first(
-    measure: Callable[[float], float], none: float, first: float, percent: float
+    measure: Callable[[float], float], none: float, first: float, percent: float, close: float
 ) -> float:
     """Return the first gain with an overshoot, searching upward from a gain without it.
 
@@ -327,7 +376,7 @@ def _find_first(
     low, below, high = none, 0.0, first
     while (value := measure(high)) < percent:
         low, below, high = high, value, _STEP * high
-    return _solve(measure, (low, below), (high, value), percent)
+    return _solve(measure, (low, below), (high, value), percent, close)
 
 
 def _solve(
@@ -335,6 +384,7 @@ def _solve(
     start: tuple[float, float],
     end: tuple[float, float],
     target: float,
+    close: float,
 ) -> float:
     """Return the point at which a measure meets its target, between two points on either side.
 
@@ -346,7 +396,7 @@ def _solve(
     for _ in range(80):
         middle = other - far * (other - at) / (far - value)
         found = measure(middle) - target
-        if abs(found) < _CLOSE or abs(other - at) <= 1e-13 * abs(other):
+        if abs(found) < close or abs(other - at) <= 1e-13 * abs(other):
             return middle
         if (found > 0.0) == (far > 0.0):
             value *= 0.5
@@ -365,112 +415,3 @@ def _maximise(compute: Callable[[_Array], _Array], high: float) -> tuple[float, 
         best = int(np.argmax(values))
         low, high = (low, *places, high)[best], (low, *places, high)[best + 2]
     return float(places[best]), float(values[best])
-
-
-_LONGEST_MOTION: Final = 200_000
-"""Longest motion that is followed between samples [samples]: about 0.3 s of computing."""
-
-_SETTLED: Final = 1e-9
-"""Remaining motion that counts as settled, as a share of the step: 1e-7 % of overshoot."""
-
-
-def measure_step_motion(
-    gains: PidGains,
-    *,
-    period_s: float,
-    dead_time_ticks: int = 0,
-    process: Process = INTEGRATOR,
-    to_rest: bool = True,
-) -> StepMotion | None:
-    """Return the motion of a loop after a reference step, without limits.
-
-    Between two samples the plant receives one command and then the next. The motion is therefore
-    known in closed form: its rate follows each command exponentially, and the motion reverses where
-    the rate is 0.
-
-    Args:
-        gains: Gains of the controller.
-        period_s: Sampling period T [s].
-        dead_time_ticks: Dead time in addition to that of the process [samples].
-        process: Plant that the command drives. Default: an integrator.
-        to_rest: Whether to follow the motion to rest; otherwise the motion is followed only until
-            the overshoot is known.
-
-    Returns:
-        The motion; None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at
-        rest nor past its furthest point.
-
-    Raises:
-        TheoryError: If a number is not finite or outside its range.
-    """
-    period_s = require_period(period_s)
-    sampled = sample_process(process, period_s, dead_time_ticks)
-    motion = _Motion(process, sampled, period_s)
-    keep, slope = gains.weigh_derivative(period_s)
-    kp, per_error, filter_gap = gains.kp, gains.ki * period_s, sampled.filter_gap
-    commands = [0.0] * (sampled.whole + 1)
-    patience = 4 * (sampled.whole + 1)
-    last = integral = derivative = filtered = 0.0
-    quiet = outside = 0
-    furthest_at = -1
-    for k in range(_LONGEST_MOTION):
-        error = 1.0 - motion.y
-        outside = k if abs(error) > BAND else outside
-        derivative = keep * derivative - slope * (motion.y - last)
-        command = kp * error + integral + derivative
-        if filter_gap is not None:
-            command = filtered = filtered + filter_gap * (command - filtered)
-        commands.append(command)
-        integral += per_error * error
-        last = motion.y
-        before = motion.furthest
-        motion.hold(commands[k], commands[k + 1])
-        furthest_at = k if motion.furthest > before else furthest_at
-        quiet = quiet + 1 if motion.is_settled() else 0
-        is_known = furthest_at >= 0 and k > 2 * furthest_at + patience
-        if quiet > patience or (is_known and not to_rest):
-            settling_time_s = (outside + 1) * period_s if quiet else None
-            return StepMotion(
-                overshoot_percent=100.0 * (motion.furthest - 1.0), settling_time_s=settling_time_s
-            )
-        if abs(error) > LARGEST_DEVIATION:
-            return None
-    overshoot_percent = 100.0 * (motion.furthest - 1.0)
-    found = StepMotion(overshoot_percent=overshoot_percent, settling_time_s=None)
-    return found if is_known else None
-
-
-class _Motion:
-    """Rate and signal `y` of a process between samples, from rest; `furthest` is at least 1."""
-
-    __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
-
-    def __init__(self, process: Process, sampled: SampledProcess, period_s: float) -> None:
-        self._gain = process.gain
-        self._lag_s = lag_s = process.lag_s if sampled.lag_gap is not None else 0.0
-        parts = enumerate((sampled.part, 1.0 - sampled.part))
-        times_s = ((number, part * period_s) for number, part in parts if part > 0.0)
-        self._pieces = tuple(
-            (number, time_s, -math.expm1(-time_s / lag_s) if lag_s else 1.0)
-            for number, time_s in times_s
-        )
-        self._wait_s = period_s + lag_s
-        self._v, self.y, self.furthest = 0.0, 0.0, 1.0
-
-    def is_settled(self) -> bool:
-        """Return whether the process is at rest at 1, within a negligible overshoot."""
-        return abs(self.y - 1.0) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
-
-    def hold(self, *commands: float) -> None:
-        """Advance by one sample, in which one command acts and then the next."""
-        y, v, furthest, lag_s = self.y, self._v, self.furthest, self._lag_s
-        for number, time_s, gap in self._pieces:
-            w = self._gain * commands[number]
-            if v > 0.0 > w and y + lag_s * v > furthest:  # it may turn back on the way
-                turn_s = lag_s * math.log1p(-v / w)
-                if turn_s < time_s:
-                    furthest = max(furthest, y + lag_s * v + w * turn_s)
-            y += w * time_s + lag_s * (v - w) * gap
-            v += gap * (w - v)
-            furthest = max(furthest, y)
-        self.y, self._v, self.furthest = y, v, furthest

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Final, TypedDict
 
+import numpy as np
+
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
 from turtlelog.plants import LAGGED, PLANTS, TURTLESIM, read_plant
@@ -27,6 +29,7 @@ from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.theory.pid_loop import PidLoop, analyse_pid_loop, is_pid_stable
 from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import Process
+from turtlelog.theory.step_motion import StepLimits
 
 _SCENARIO: Final = "from the scenario"
 
@@ -67,8 +70,9 @@ class LoopModel:
         most_dead_time_s: Largest possible dead time [s]; None if the dead time cannot grow.
         growth: Possible cause of a longer dead time, in words.
         limit: Limit of the loop's command [m/s or rad/s]; infinite without a limit.
-        ramp_s: Increase of the time constant in large steps due to acceleration limits [s], which
-            recommended gains allow for.
+        limits: Limits of command and rate with the loop's largest step, which recommended gains
+            allow for; None if nothing limits the acceleration.
+        jitter_s: Mean delay by jitter, which the dead time includes [s].
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
@@ -81,7 +85,8 @@ class LoopModel:
     most_dead_time_s: float | None = None
     growth: str = "queues"
     limit: float = math.inf
-    ramp_s: float = 0.0
+    limits: StepLimits | None = None
+    jitter_s: float = 0.0
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -97,18 +102,23 @@ class LoopModel:
             raise TheoryError(f"{self.loop.name}: {self.reason}")
         return self.gains, {"period_s": self.period_s, "process": self.process}
 
-    def require_slowest(self) -> Settings:
-        """Return period and process for recommended gains, with the largest possible delay."""
-        settings = self.require_latest()
-        process = settings["process"]
-        return {**settings, "process": replace(process, lag_s=process.lag_s + self.ramp_s)}
-
     def require_latest(self) -> Settings:
         """Return period and process with the largest possible dead time."""
         _, settings = self.require()
         if self.most_dead_time_s is not None:
             settings["process"] = replace(settings["process"], dead_time_s=self.most_dead_time_s)
         return settings
+
+    def counts_as_delay(self, key: str) -> bool:
+        """Return whether the dead time includes the mean delay by a setting."""
+        return self.jitter_s > 0.0 and key in _JITTERS
+
+    def allows_for(self, key: str) -> bool:
+        """Return whether recommended gains allow for a setting that the linear loop leaves out."""
+        plant = PLANT_KEYS[self.loop.command]
+        limits = _SLOPES[self.loop.command], _JERKS[self.loop.command]
+        own = f"{plant}bound", f"{plant}acceleration"
+        return self.limits is not None and key in {self.loop.limit_key, *limits, *own}
 
 
 _Parameters = Mapping[str, Parameter]
@@ -142,13 +152,16 @@ def model_loop(
     """
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
     most_s: float | None = None
+    jitter_s = 0.0
     if timing is None:
         scheduled = find_timing(parameters)
         if isinstance(scheduled, str):
             timing = scheduled
         else:
-            from_scenario = {"period_s": _SCENARIO, "dead_time_s": _SCENARIO}
+            with_jitter = ", with the mean delay by jitter" if scheduled.jitter_s else ""
+            from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
             period_s, least_s = scheduled.period_s, scheduled.least_s
+            jitter_s = scheduled.jitter_s
             most_s = scheduled.most_s if scheduled.most_s > least_s else None
             timing = MeasuredTiming(period_s=period_s, dead_time_s=least_s, sources=from_scenario)
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
@@ -166,7 +179,8 @@ def model_loop(
         most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
         growth="the age of the poses" if is_timed else "queues",
         limit=read_number(parameters, loop.limit_key, math.inf),
-        ramp_s=_find_ramp_s(loop, parameters),
+        limits=_find_limits(loop, parameters),
+        jitter_s=jitter_s,
         sources={**told, **timing.sources},
         left_out=left_out,
     )
@@ -198,6 +212,11 @@ _SLOPES: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Keys of the limits on the rate of change, by command."""
 
+_JERKS: Final[Mapping[str, str]] = MappingProxyType(
+    {"turn_rate": "limits.turn_jerk_rad_s3", "speed": "limits.jerk_m_s3"}
+)
+"""Keys of the limits on the change of the acceleration, by command."""
+
 _DEFAULTS: Final = flatten_scenario(Scenario())
 
 _MODELLED: Final = frozenset(
@@ -219,10 +238,7 @@ _ADDED: Final = frozenset(
 """Keys that theory ignores and that cannot make an unstable loop stable. Disturbances and offsets
 move the point of rest; limits bound the amplitude of an oscillation."""
 
-_RAMP: Final = 0.2
-"""Increase of the time constant by an acceleration limit, as a share of the time for the largest
-change. With this share, the recommended gain for 5 % overshot turns of 0.1 to 3.1 rad by at most
-3.2 %, on 80 robots. With a share of a tenth, this gain overshot by 21 %."""
+_JITTERS: Final = ("loop.jitter_s", "sensing.jitter_s")
 
 _KINDS: Final = (TURTLESIM.name, LAGGED)
 
@@ -239,12 +255,14 @@ class LoopTiming:
         least_s: Smallest dead time from a pose to the plant, without the plant's own dead time [s].
         most_s: Largest dead time that lasts [s]; longer dead times are short exceptions.
         step_s: Resolution of the dead time between these limits [s]: the plant's period.
+        jitter_s: Mean delay by jitter, which both dead times include [s].
     """
 
     period_s: float
     least_s: float
     most_s: float
     step_s: float
+    jitter_s: float = 0.0
 
 
 def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
@@ -273,7 +291,8 @@ def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
 def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float) -> Process | str:
     """Return the process that a loop's command drives, or the reason why it is unknown.
 
-    The gain is the larger of the gains forward and in reverse.
+    The gain is the larger of the gains forward and in reverse. A gain below 0 in either direction
+    feeds errors of one sign back with the wrong sign, so that no gain of the law is stable.
 
     Args:
         loop: Loop of a law.
@@ -283,9 +302,14 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
     key = PLANT_KEYS[loop.command]
     own_s = read_number(parameters, f"{key}dead_time_s")
     gain = read_number(parameters, f"{key}gain", 1.0)
+    reverse_gain = read_number(parameters, f"{key}reverse_gain", gain)
+    for name, value in (("gain", gain), ("reverse_gain", reverse_gain)):
+        if value < 0.0:
+            wrong = f"{key}{name} = {value:g} feeds the error back with the wrong sign"
+            return f"{wrong}, so no gain above 0 is stable"
     try:
         return Process(
-            gain=max(gain, read_number(parameters, f"{key}reverse_gain", gain)),
+            gain=max(gain, reverse_gain),
             lag_s=read_number(parameters, f"{key}lag_s"),
             dead_time_s=dead_time_s + own_s,
             low_pass_s=read_number(parameters, "shaping.low_pass_s"),
@@ -294,22 +318,57 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
         return f"plant: {err}"
 
 
-def _find_ramp_s(loop: ControlLoop, parameters: _Parameters) -> float:
-    """Return the delay of large steps by acceleration limits, as a time constant [s].
+def _find_limits(loop: ControlLoop, parameters: _Parameters) -> StepLimits | None:
+    """Return the limits of a loop with its largest step; None if nothing limits the acceleration.
 
-    It is a fifth of the time for the largest change of the rate; 0 without a largest command. For a
-    limit within the robot's loop, changes slower than the limit have no ramp.
+    A limit within the robot's loop has no effect on rates that change more slowly by the lag. The
+    largest step is the step from start to goal, or the step in which the rate reaches its largest
+    value and overshoots most, if that step is larger.
     """
     key = PLANT_KEYS[loop.command]
-    command = read_number(parameters, loop.limit_key, math.inf)
-    gain = read_number(parameters, f"{key}gain", 1.0)
-    most = min(abs(gain) * command, read_number(parameters, f"{key}bound", math.inf))
-    if not 0.0 < most < math.inf:
-        return 0.0
-    own = read_number(parameters, f"{key}acceleration", math.inf)
-    slope = read_number(parameters, _SLOPES[loop.command], math.inf)
-    within_s = most / own - read_number(parameters, f"{key}lag_s")
-    return _RAMP * max(within_s, most / (abs(gain) * slope), 0.0)
+    inf = math.inf
+    step = _find_step(loop, parameters)
+    found = StepLimits(
+        step=step,
+        command=read_number(parameters, loop.limit_key, inf),
+        acceleration=read_number(parameters, _SLOPES[loop.command], inf),
+        jerk=read_number(parameters, _JERKS[loop.command], inf),
+        bound=read_number(parameters, f"{key}bound", inf),
+        rate_acceleration=read_number(parameters, f"{key}acceleration", inf),
+    )
+    most = min(read_number(parameters, f"{key}gain", 1.0) * found.command, found.bound)
+    is_own = most > found.rate_acceleration * read_number(parameters, f"{key}lag_s")
+    if not is_own and min(found.acceleration, found.jerk) == inf:
+        return None
+    if most == inf:
+        return found
+    slope = min(found.acceleration, found.rate_acceleration, math.sqrt(most * found.jerk))
+    reach = most * (most / slope + slope / found.jerk)
+    if loop.signal == "heading":
+        reach = min(reach, math.pi)
+    return replace(found, step=reach, also=step) if reach > step else found
+
+
+def _find_step(loop: ControlLoop, parameters: _Parameters) -> float:
+    """Return the size of a loop's step from start to goal [m or rad].
+
+    Without such a step, the size is 1 m or a quarter turn.
+    """
+    names = ("start.x_m", "start.y_m", "goal.x_m", "goal.y_m", "start.heading_rad")
+    x_m, y_m, goal_x_m, goal_y_m, heading_rad = (
+        read_number(parameters, name, math.nan) for name in names
+    )
+    step = math.nan
+    if loop.signal == "heading" and loop.reference in {"goal_bearing", "bearing_now"}:
+        step = math.atan2(goal_y_m - y_m, goal_x_m - x_m) - heading_rad
+    elif loop.reference == "goal_heading":
+        step = read_number(parameters, "goal.heading_rad", math.nan) - heading_rad
+    elif loop.reference == "goal_distance" or loop.signal == "distance":
+        step = math.hypot(goal_x_m - x_m, goal_y_m - y_m)
+    if loop.signal == "heading":
+        step = abs(math.remainder(step, math.tau))
+    usual = 0.5 * math.pi if loop.signal == "heading" else 1.0
+    return step if step > 0.0 else usual
 
 
 def find_timing(parameters: _Parameters) -> LoopTiming | str:
@@ -326,6 +385,9 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
         return "turtlesim stops by itself between two samples, 1 s after a command"
     delay_s += read_number(parameters, "loop.transport_delay_s")
     delay_s += read_number(parameters, "loop.transport_delay_ticks") * step_s
+    jitter_s = _find_mean_delay(read_number(parameters, "sensing.jitter_s"), step_s)
+    jitter_s += _find_mean_delay(read_number(parameters, "loop.jitter_s"), period_s)
+    delay_s += jitter_s
     queued = parameters.get("loop.queue_policy") == "one-per-tick"
     if is_turtlesim:  # a command acts on the whole tick in which it arrives
         delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
@@ -339,7 +401,29 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
         queues = [read_number(parameters, f"loop.{key}", 1.0) for key in keys]
         least_s += (min(queues) - 1.0) * step_s
         most_s += (queues[2] - 1.0) * step_s
-    return LoopTiming(period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s)
+    return LoopTiming(
+        period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s, jitter_s=jitter_s
+    )
+
+
+_MOST_WAITING: Final = 2000
+"""Largest jitter in periods whose mean delay is computed. Beyond, a message is delayed by the whole
+jitter, which is less than 3 % too much."""
+
+
+def _find_mean_delay(jitter_s: float, period_s: float) -> float:
+    """Return the mean delay of messages with uniform jitter that do not overtake each other [s].
+
+    The probability that a message and all earlier ones have arrived after x is the product of
+    min(1, (x + k T) / J) over k. The mean is the integral of its complement from 0 to J.
+    """
+    if jitter_s > _MOST_WAITING * period_s or jitter_s == 0.0:
+        return jitter_s
+    x_s = np.linspace(0.0, jitter_s, 1001)
+    arrived = np.ones_like(x_s)
+    for k in range(math.ceil(jitter_s / period_s)):
+        arrived *= np.minimum(1.0, (x_s + k * period_s) / jitter_s)
+    return float(np.trapezoid(1.0 - arrived, x_s))
 
 
 def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from typing import Final
 
 from turtlelog.errors import TheoryError
 from turtlelog.theory import exact_gains as exact
-from turtlelog.theory.exact_gains import LoopDesign, StepMotion
+from turtlelog.theory.exact_gains import LoopDesign
 from turtlelog.theory.pid_stability import Margins, PidGains
 from turtlelog.theory.process import (
     INTEGRATOR,
@@ -21,6 +21,7 @@ from turtlelog.theory.process import (
     require_period,
     require_positive,
 )
+from turtlelog.theory.step_motion import StepLimits, StepMotion
 
 OVERSHOOT_PERCENT: Final = 5.0
 """Default of the wanted overshoot [% of the step]: the overshoot of a second-order loop with a
@@ -31,6 +32,8 @@ PHASE_MARGIN_RAD: Final = math.pi / 3.0
 and time constant of a robot are known only to some ten percent."""
 
 _EXACT: Final = "exact, of the sampled loop"
+
+_GIVEN: Final = "given"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +47,7 @@ class Recommendation:
         gains: Gains of the controller; None if the rule gives no gains.
         reason: Reason why the rule gives no gains; empty if it gives gains.
         motion: Motion after a step, also between samples; None without gains, or if the loop is
-            unstable or too slow to measure.
+            unstable or too slow to measure. With limits, of the worst step.
         margins: Stability margins; None without gains, or if the loop is unstable.
     """
 
@@ -64,6 +67,7 @@ def recommend_gains(
     filter_s: float = 0.0,
     overshoot_percent: float | None = OVERSHOOT_PERCENT,
     phase_margin_rad: float | None = PHASE_MARGIN_RAD,
+    limits: StepLimits | None = None,
 ) -> tuple[Recommendation, ...]:
     """Return gains of P, PI and PD for a heading or a position loop.
 
@@ -75,6 +79,8 @@ def recommend_gains(
         overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
         phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. Without this
             margin, the PD for an overshoot has a phase margin of 60 deg.
+        limits: Limits of command and rate, with the largest step. The overshoot of all steps up to
+            this size then meets the wish. Default: no limits.
 
     Returns:
         The exact gains for the wanted values, then those of published rules.
@@ -86,6 +92,7 @@ def recommend_gains(
         process=process,
         period_s=require_period(period_s),
         filter_s=require_not_negative("filter_s", filter_s),
+        limits=limits,
     )
     margin_rad = PHASE_MARGIN_RAD if phase_margin_rad is None else phase_margin_rad
     margin_rad = require_positive("phase_margin_rad", margin_rad)
@@ -122,7 +129,11 @@ def recommend_gains(
 
 
 def measure_gains(
-    gains: PidGains, process: Process = INTEGRATOR, *, period_s: float
+    gains: PidGains,
+    process: Process = INTEGRATOR,
+    *,
+    period_s: float,
+    limits: StepLimits | None = None,
 ) -> Recommendation:
     """Return the properties of given gains, in the same form as recommended ones.
 
@@ -130,13 +141,14 @@ def measure_gains(
         gains: Gains of the controller.
         process: Plant that the command drives, with all dead time. Default: an integrator.
         period_s: Sampling period T [s].
+        limits: Limits of command and rate, with the largest step. Default: no limits.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.
     """
-    design = LoopDesign(process=process, period_s=require_period(period_s))
+    design = LoopDesign(process=process, period_s=require_period(period_s), limits=limits)
     controller = f"P{'I' if gains.ki else ''}{'D' if gains.kd else ''}"
-    return _judge(design, "given", controller, "given", lambda: gains)
+    return _judge(design, _GIVEN, controller, _GIVEN, lambda: gains)
 
 
 def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
@@ -196,12 +208,17 @@ def _judge(
         gains, margins = str(err), None
     if isinstance(gains, str):
         return Recommendation(rule=rule, controller=controller, source=source, reason=gains)
+    must_rest = design.limits is not None and rule != _GIVEN
+    motion = None if margins is None else design.measure(gains, must_rest=must_rest)
+    if must_rest and motion and motion.settling_time_s is None:
+        reason = "under the limits of acceleration, a step oscillates and does not settle"
+        return Recommendation(rule=rule, controller=controller, source=source, reason=reason)
     return Recommendation(
         rule=rule,
         controller=controller,
         source=source,
         gains=gains,
-        motion=None if margins is None else design.measure(gains),
+        motion=motion,
         margins=margins,
     )
 

@@ -1,0 +1,265 @@
+"""Motion of a sampled loop after a step, also between samples, with or without limits.
+
+Without limits the loop is linear, and the size of the step does not matter. With limits, the motion
+is that of one step:
+
+    command   low-pass, then clipped, then with limited acceleration and jerk, as a run's commands
+    rate'     clip((clip(K command, +-bound) - rate) / tau, +-acceleration), as a robot model's rate
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+from turtlelog.arithmetic import clip
+from turtlelog.effects.acceleration import Follower, follow_with_acceleration, follow_with_jerk
+from turtlelog.theory.pid_stability import PidGains
+from turtlelog.theory.process import (
+    INTEGRATOR,
+    Process,
+    SampledProcess,
+    require_period,
+    sample_process,
+)
+from turtlelog.theory.sampled_loop import BAND, LARGEST_DEVIATION
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepMotion:
+    """Motion of a loop after a reference step, also between samples.
+
+    Attributes:
+        overshoot_percent: Overshoot [% of the step]; 0: no overshoot.
+        settling_time_s: Time of the first sample from which the motion stays within 2 % of the step
+            [s]; None if the motion was not followed to rest.
+    """
+
+    overshoot_percent: float
+    settling_time_s: float | None
+
+
+_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25, 0.175, 0.125)
+"""Steps that are measured with limits, as shares of the largest step. The overshoot is largest for
+a step that just reaches the largest rate. Between two shares it is at most a tenth larger with a
+limit of acceleration; with a limit of jerk alone, it may be twice as large."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepLimits:
+    """Limits of a loop's command and rate, in a step of a size.
+
+    Attributes:
+        step: Size of the step, the largest of several [m or rad].
+        also: Size of a smaller step that is measured too [m or rad]; 0: none.
+        command: Largest command [m/s or rad/s].
+        acceleration: Largest change of the command per second.
+        jerk: Largest change of the command's acceleration per second.
+        bound: Largest rate of the plant [m/s or rad/s].
+        rate_acceleration: Largest change of the plant's rate per second.
+    """
+
+    step: float
+    also: float = 0.0
+    command: float = math.inf
+    acceleration: float = math.inf
+    jerk: float = math.inf
+    bound: float = math.inf
+    rate_acceleration: float = math.inf
+
+    def list_steps(self) -> "list[StepLimits]":
+        """Return the limits for the steps that are measured, the largest step first."""
+        sizes = [share * self.step for share in _SHARES]
+        return [replace(self, step=size) for size in (*sizes, self.also) if size > 0.0]
+
+    def build_follower(self, period_s: float) -> "_Limiter":
+        """Return the limits of the command in a unit step, at rest."""
+        return _Limiter(self, period_s)
+
+
+class _Limiter:
+    """The command behind its limits, divided by the step."""
+
+    __slots__ = ("_acceleration", "_jerk", "_most", "_period_s", "_state")
+
+    def __init__(self, limits: StepLimits, period_s: float) -> None:
+        self._most = limits.command / limits.step
+        self._acceleration = limits.acceleration / limits.step
+        self._jerk = limits.jerk / limits.step
+        self._period_s, self._state = period_s, Follower()
+
+    def clips(self, command: float, error: float) -> bool:
+        """Return whether a command is clipped while the error drives it further."""
+        return abs(command) > self._most and command * error > 0.0
+
+    def step(self, command: float) -> float:
+        """Return the command of the next sample."""
+        command = clip(command, self._most)
+        if math.isfinite(self._jerk):
+            rates = self._acceleration, self._jerk
+            return follow_with_jerk(self._state, self._most, rates, command, self._period_s)
+        if math.isfinite(self._acceleration):
+            return follow_with_acceleration(
+                self._state, self._acceleration, command, self._period_s
+            )
+        return command
+
+
+_LONGEST_MOTION: Final = 200_000
+"""Longest motion that is followed between samples [samples]: about 0.3 s of computing."""
+
+_MOST_TURNS: Final = 20
+"""Largest number of times that a motion with limits passes its goal: 10 oscillations. A motion that
+is not yet within 2 % loses less than a fifth of its amplitude each time, and may never rest."""
+
+_SETTLED: Final = 1e-9
+"""Remaining motion that counts as settled, as a share of the step: 1e-7 % of overshoot."""
+
+_SETTLED_LIMITED: Final = 1e-5
+"""The same with limits: 1e-3 % of overshoot, in half of the time."""
+
+
+def measure_step_motion(
+    gains: PidGains,
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    process: Process = INTEGRATOR,
+    to_rest: bool = True,
+    limits: StepLimits | None = None,
+) -> StepMotion | None:
+    """Return the motion of a loop after a reference step.
+
+    Between two samples the plant receives one command and then the next. The motion is therefore
+    known in closed form: its rate follows each command exponentially, and the motion reverses where
+    the rate is 0.
+
+    Args:
+        gains: Gains of the controller.
+        period_s: Sampling period T [s].
+        dead_time_ticks: Dead time in addition to that of the process [samples].
+        process: Plant that the command drives. Default: an integrator.
+        to_rest: Whether to follow the motion to rest; otherwise the motion is followed only until
+            the overshoot is known.
+        limits: Limits of command and rate, with the size of the step. Default: no limits. An
+            integral then waits while the command is clipped.
+
+    Returns:
+        The motion; None if it goes beyond 1e9 steps, or if after 200,000 samples it is neither at
+        rest nor past its furthest point. With limits, a motion still outside the band of 2 % after
+        10 oscillations has no settling time.
+
+    Raises:
+        TheoryError: If a number is not finite or outside its range.
+    """
+    period_s = require_period(period_s)
+    sampled = sample_process(process, period_s, dead_time_ticks)
+    motion = _Motion(process, sampled, period_s, limits)
+    follow = None if limits is None else limits.build_follower(period_s)
+    keep, slope = gains.weigh_derivative(period_s)
+    kp, per_error, filter_gap = gains.kp, gains.ki * period_s, sampled.filter_gap
+    commands = [0.0] * (sampled.whole + 1)
+    patience = 4 * (sampled.whole + 1)
+    last = integral = derivative = filtered = 0.0
+    quiet = outside = 0
+    furthest_at, turns, is_below = -1, 0, True
+    for k in range(_LONGEST_MOTION):
+        error = 1.0 - motion.y
+        outside = k if abs(error) > BAND else outside
+        derivative = keep * derivative - slope * (motion.y - last)
+        command = kp * error + integral + derivative
+        if filter_gap is not None:
+            command = filtered = filtered + filter_gap * (command - filtered)
+        if follow is None or not follow.clips(command, error):
+            integral += per_error * error
+        commands.append(command if follow is None else follow.step(command))
+        last = motion.y
+        before = motion.furthest
+        motion.hold(commands[k], commands[k + 1])
+        furthest_at = k if motion.furthest > before else furthest_at
+        quiet = quiet + 1 if motion.is_settled() else 0
+        is_known = furthest_at >= 0 and k > 2 * furthest_at + patience
+        if quiet > patience or (is_known and not to_rest):
+            settling_time_s = (outside + 1) * period_s if quiet else None
+            return StepMotion(
+                overshoot_percent=100.0 * (motion.furthest - 1.0), settling_time_s=settling_time_s
+            )
+        if abs(error) > LARGEST_DEVIATION:
+            return None
+        if follow is not None and is_below != (error > 0.0):
+            turns, is_below = turns + 1, error > 0.0
+            if turns > _MOST_TURNS:
+                is_known = True
+                break
+    overshoot_percent = 100.0 * (motion.furthest - 1.0)
+    settling_time_s = (outside + 1) * period_s if k > 2 * outside + patience else None
+    found = StepMotion(overshoot_percent=overshoot_percent, settling_time_s=settling_time_s)
+    return found if is_known else None
+
+
+class _Motion:
+    """Rate and signal `y` of a process between samples, from rest; `furthest` is at least 1."""
+
+    __slots__ = (
+        *("_acceleration", "_bound", "_gain", "_lag_s", "_pieces", "_settled"),
+        *("_v", "_wait_s", "furthest", "y"),
+    )
+
+    def __init__(
+        self,
+        process: Process,
+        sampled: SampledProcess,
+        period_s: float,
+        limits: StepLimits | None,
+    ) -> None:
+        self._gain = process.gain
+        self._bound = math.inf if limits is None else limits.bound / limits.step
+        self._acceleration = math.inf if limits is None else limits.rate_acceleration / limits.step
+        self._lag_s = lag_s = process.lag_s if sampled.lag_gap is not None else 0.0
+        parts = enumerate((sampled.part, 1.0 - sampled.part))
+        times_s = ((number, part * period_s) for number, part in parts if part > 0.0)
+        self._pieces = tuple(
+            (number, time_s, -math.expm1(-time_s / lag_s) if lag_s else 1.0)
+            for number, time_s in times_s
+        )
+        self._settled = _SETTLED if limits is None else _SETTLED_LIMITED
+        self._wait_s = period_s + lag_s
+        self._v, self.y, self.furthest = 0.0, 0.0, 1.0
+
+    def is_settled(self) -> bool:
+        """Return whether the process is at rest at 1, within a negligible overshoot."""
+        within = self._settled
+        return abs(self.y - 1.0) < within and abs(self._v) * self._wait_s < within
+
+    def hold(self, *commands: float) -> None:
+        """Advance by one sample, in which one command acts and then the next."""
+        for number, time_s, gap in self._pieces:
+            w = clip(self._gain * commands[number], self._bound)
+            if self._acceleration < math.inf:
+                ramp_s = (abs(w - self._v) - self._acceleration * self._lag_s) / self._acceleration
+                if ramp_s > 0.0:
+                    self._ramp(math.copysign(self._acceleration, w - self._v), min(ramp_s, time_s))
+                    if ramp_s >= time_s:
+                        continue
+                    time_s -= ramp_s
+                    gap = -math.expm1(-time_s / self._lag_s) if self._lag_s else 1.0
+            self._decay(w, time_s, gap)
+
+    def _ramp(self, slope: float, time_s: float) -> None:
+        """Advance while the rate changes by its largest acceleration."""
+        y, v = self.y, self._v
+        if v > 0.0 > slope and -v / slope < time_s:  # it turns back on the way
+            self.furthest = max(self.furthest, y - 0.5 * v * v / slope)
+        self.y = y + (v + 0.5 * slope * time_s) * time_s
+        self._v = v + slope * time_s
+        self.furthest = max(self.furthest, self.y)
+
+    def _decay(self, w: float, time_s: float, gap: float) -> None:
+        """Advance while the rate approaches a rate by its lag."""
+        y, v, furthest, lag_s = self.y, self._v, self.furthest, self._lag_s
+        if v > 0.0 > w and y + lag_s * v > furthest:  # it may turn back on the way
+            turn_s = lag_s * math.log1p(-v / w)
+            if turn_s < time_s:
+                furthest = max(furthest, y + lag_s * v + w * turn_s)
+        y += w * time_s + lag_s * (v - w) * gap
+        v += gap * (w - v)
+        self.y, self._v, self.furthest = y, v, max(furthest, y)
