@@ -47,11 +47,11 @@ def identify(
     between two poses is compared with the model's response to the commands (zero-order hold): rate
     = gain exp(-dead_time s) / (lag s + 1). Intervals contain the true value for 95 of 100 robots.
     Further models have a second time constant, a limit of acceleration or speed, a deadband,
-    friction or a different gain backwards. A further model is accepted only if it changes a rate by
-    2 % and predicts a held-back part of the log better. If no model explains the motion, intervals
-    are wider and the output contains a doubt. If a parameter cannot be identified, the output gives
-    the reason and suggests a test drive. Several files of one robot are fitted together, and
-    differences between them are listed.
+    friction, a drift or a different gain backwards. A further model is accepted only if it changes
+    a rate by 2 % (a drift: 0.2 %) and predicts a held-back part of the log better. If no model
+    explains the motion, intervals are wider and the output contains a doubt. If a parameter cannot
+    be identified, the output gives the reason and suggests a test drive. Several files of one robot
+    are fitted together, and differences between them are listed.
 
     Turtlesim needs no fit: each pose shows which command was applied in its tick.
 
@@ -133,6 +133,7 @@ class AxisAnswer:
     deadband: Interval | None
     reverse_gain: Interval | None
     friction: Interval | None
+    drift: Interval | None
     doubts: tuple[str, ...]
     correlation_delay_s: Interval | None
     correlation_reason: str | None
@@ -273,10 +274,13 @@ def format_robot(
 def describe_gain(axis: "tl.identify.AxisModel") -> str:
     """Return the steady-state response of an axis, with the digits that its interval allows.
 
-    An axis with a bound follows its commands up to that rate.
+    An axis with a bound follows its commands up to that rate, and a drift is added.
     """
-    gain, does = axis.gain, _DOES[axis.axis]
+    gain, does, drift = axis.gain, _DOES[axis.axis], axis.drift
     bound = "" if axis.bound is None else f" up to {axis.bound.value:.3g} {axis.bound.unit}"
+    if drift is not None:
+        sign = "minus" if drift.value < 0.0 else "plus"
+        bound += f" {sign} {abs(drift.value):.3g} {drift.unit}"
     if gain is None:
         return does.format("an unknown") + bound
     off = max(abs(gain.low - 1.0), abs(gain.high - 1.0))
@@ -331,6 +335,9 @@ def _describe_axis(axis: "tl.identify.AxisModel") -> Iterator[str]:
     if axis.reverse_gain is not None:
         gain = tl.identify.format_gain(axis.reverse_gain)
         yield f"{name}: commands below 0 have a gain of {gain}."
+    if axis.drift is not None:
+        rest = "Gain and limits are those without the drift."
+        yield f"{name} drifts by {_show_limit(axis.drift)} at zero command. {rest}"
 
 
 def _describe_fit(axis: "tl.identify.AxisModel", explained: float) -> Iterator[str]:

@@ -50,11 +50,12 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
             *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
         ),
         "friction": ("friction", "deadband"),
+        "drift": ("drift",),
     }
 )
 """Fields of an axis that are exchanged together."""
 
-_MIXED: Final = ("gain", "dead time", "time constant and limits", "friction")
+_MIXED: Final = ("gain", "dead time", "time constant and limits", "friction", "drift")
 """Names of parts that are used if no model has one robot's time constant and the other's limits."""
 
 _MOSTLY: Final = 0.98
@@ -252,6 +253,10 @@ def draw_model(model: AxisModel, rng: np.random.Generator, sign: float) -> AxisM
     product, ratio = model.lag_product_s2, lag_s / lag.value if lag.value else 1.0
     if product is not None:
         product = replace(product, value=product.value * ratio * ratio)
+    drift = model.drift
+    if drift is not None:  # the only value that may be negative
+        moved = _find_error(drift) * sign * float(rng.standard_normal())
+        drift = replace(drift, value=drift.value + moved)
     return replace(
         model,
         gain=_move(gain, numbers[2]),
@@ -262,6 +267,7 @@ def draw_model(model: AxisModel, rng: np.random.Generator, sign: float) -> AxisM
         bound=_move(model.bound, numbers[4]),
         rate_limit=_move(model.rate_limit, numbers[5]),
         friction=_move(model.friction, numbers[6]),
+        drift=drift,
     )
 
 

@@ -187,7 +187,7 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
     """Return the best first-order fit without time constant, using the noise of another fit."""
-    start = fit.parameters[: LAG + 1].copy()
+    start = fit.parameters.copy()
     start[DEAD_TIME] += start[LAG]
     start[LAG] = 0.0
     parameters, cost = _descend(fit.model, start, fit.whitening.apply, fixed=(LAG,))
@@ -378,10 +378,10 @@ def _descend(
     fixed: Sequence[int] = (),
 ) -> tuple[Values, float]:
     """Return the parameters with the smallest cost (Levenberg-Marquardt), and the cost."""
-    # Neither time constants nor the dead time become negative, nor the dead time larger than the
-    # limit.
+    # Only a drift may be negative, and the dead time is not larger than the limit.
     lowest, highest = np.full(len(parameters), 0.0), np.full(len(parameters), np.inf)
     highest[DEAD_TIME] = LARGEST_DEAD_TIME_S
+    lowest[EXTRA:] = [-np.inf if name == "drift" else 0.0 for name in model.structure.names]
     modelled, slopes = model.linearise(parameters)
     white, slopes = whiten(model.moved - modelled), whiten(slopes)
     cost, damping = sum_softly(white), 1e-3

@@ -122,12 +122,35 @@ class AxisMotion:
         first = np.searchsorted(others_s, changes_s - _TOGETHER_S)
         return np.asarray(first < np.searchsorted(others_s, changes_s + _TOGETHER_S, side="right"))
 
+    def is_resting(self, dead_time_s: float, settled_s: float) -> NDArray[np.bool_]:
+        """Return whether both commands are 0 in each step, for some time after they act [s]."""
+        return _is_idle(self, self.commands, dead_time_s, settled_s) & self.is_alone(
+            dead_time_s, settled_s
+        )
+
+    def is_alone(self, dead_time_s: float, settled_s: float = 0.0) -> NDArray[np.bool_]:
+        """Return whether the command of the other axis is 0 in each step, for some time [s]."""
+        if self.beside is None:
+            return np.ones(len(self.moved), dtype=bool)
+        return _is_idle(self, self.beside, dead_time_s, settled_s)
+
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
         moved, direction_rad = self.moved[steps], self.direction_rad[steps]
         first, stops = self.first[steps], self.stops
         taken = _select(self.time_s, first, moved, direction_rad, self.commands, stops)
         return replace(taken, beside=self.beside)
+
+
+def _is_idle(
+    motion: AxisMotion, commands: HeldInput, dead_time_s: float, settled_s: float
+) -> NDArray[np.bool_]:
+    begins, ends = (
+        commands.place(motion.time_s[rows] - dead_time_s)
+        for rows in (motion.first, motion.first + 1)
+    )
+    is_held = (begins.held == ends.held) & (begins.since_s >= settled_s)
+    return np.asarray(is_held & (begins.value == 0.0))
 
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:

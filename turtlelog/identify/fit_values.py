@@ -52,14 +52,13 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         _estimate_delay(fit, float(parameters[DEAD_TIME]), (1.0, -1.0)),
         _estimate_delay(fit, float(parameters[LAG]), (0.0, 1.0)),
     )
-    # Dead time and time constant are not negative, so neither exceeds their sum.
-    return AxisModel(
+    found = AxisModel(
         axis=axis,
         status="ok",
         model="second_order" if structure.order == "second_order" else "first_order",
         gain=_estimate(float(parameters[GAIN]), float(errors[GAIN]), "1"),
-        dead_time_s=replace(dead_time, high=min(dead_time.high, total.high)),
-        lag_s=replace(lag, high=min(lag.high, total.high)),
+        dead_time_s=dead_time,
+        lag_s=lag,
         total_delay_s=total,
         bound_acts=structure.bound,
         deadband=_estimate_deadband(fit, UNITS[axis]),
@@ -70,6 +69,7 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         steps=len(fit.residual),
         changes=changes,
     )
+    return _cap_parts(found)
 
 
 _ROUNDING: Final = 1e-18
@@ -101,7 +101,7 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     its curvature.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
-    if fit.model.structure != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
+    if fit.model.structure.without_drift != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
         return dead_time, lag
     without = axis_fit.fit_without_lag(fit)
     if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:
@@ -111,9 +111,9 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     return replace(dead_time, high=max(dead_time.high, high)), replace(lag, low=0.0)
 
 
-def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
+def _estimate(value: float, error: float, unit: str = "s", least: float = 0.0) -> Estimate:
     half = NORMAL_95 * error
-    return Estimate(value=value, low=max(value - half, 0.0), high=value + half, unit=unit)
+    return Estimate(value=value, low=max(value - half, least), high=value + half, unit=unit)
 
 
 def _estimate_further(fit: AxisFit, name: str, unit: str) -> Estimate | None:
@@ -124,7 +124,8 @@ def _estimate_further(fit: AxisFit, name: str, unit: str) -> Estimate | None:
     if relation == "itself":
         return _estimate(by, own_error, unit)
     if relation == "product":
-        return _estimate(gain * by, _find_error(fit, place, [by, gain]), unit)
+        error = _find_error(fit, place, [by, gain])
+        return _estimate(gain * by, error, unit, -np.inf if name == "drift" else 0.0)
     if by <= 0.0:
         return None
     if relation == "quotient":
@@ -159,7 +160,7 @@ def _measure_whiteness(white: Values) -> float | None:
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _LIMITS: Final = (
     *("rate_limit", "rate_limit_beside", "jerk_time_s", "bound", "bound_beside"),
-    *("deadband", "reverse_gain", "friction"),
+    *("deadband", "reverse_gain", "friction", "drift"),
 )
 """Further parameters of structures; their values may differ between two structures."""
 
@@ -202,16 +203,20 @@ def cover_rivals(
     """Return an axis with intervals that cover those of equally good structures."""
     covered = found
     for _, other in others:
+        none = {"reverse_gain": other.gain, "drift": Estimate(value=0.0, low=0.0, high=0.0)}
         for field in (*_FIELDS, *_LIMITS):
-            covered = _widen(covered, field, getattr(other, field))
+            value = getattr(other, field)
+            covered = _widen(covered, field, none.get(field) if value is None else value)
     pairs = [(getattr(found, field), getattr(covered, field)) for field in _FIELDS]
     is_wider = any(wide.high - wide.low > _TELLS * (own.high - own.low) for own, wide in pairs)
     if not (is_wider and _matters(covered)):
         return covered
-    rivals = describe_rivals([structure, *(one for one, _ in others)])
+    structures = [structure, *(one for one, _ in others)]
+    rest = " A rest of some seconds between commands would show a drift."
     doubt = (
-        f"The log does not show what limits the {NAMES[found.axis]}: {rivals}."
+        f"The log does not show what the {NAMES[found.axis]} has: {describe_rivals(structures)}."
         " The intervals cover both cases, and advice uses the longer delay."
+        f"{rest if len({one.has_drift for one in structures}) > 1 else ''}"
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 
@@ -256,6 +261,7 @@ _PARTS: Final = MappingProxyType(
         "reduced": "a reduction by the other axis",
         "has_reverse": "another gain backwards",
         "has_friction": "friction",
+        "has_drift": "a drift",
         "deadband": "a deadband",
     }
 )
@@ -263,7 +269,8 @@ _PARTS: Final = MappingProxyType(
 
 
 def _list_parts(structure: Structure) -> list[str]:
-    fields = [one for one in ("has_reverse", "has_friction", "deadband") if getattr(structure, one)]
+    names = "has_reverse", "has_friction", "deadband", "has_drift"
+    fields = [one for one in names if getattr(structure, one)]
     return [_PARTS[one] for one in (structure.order, structure.bound, *fields) if one in _PARTS]
 
 
@@ -287,6 +294,7 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
             covered = _widen(covered, field, value)
         if differing:
             said.append(pair)
+    covered = _cap_parts(covered)
     if not (said or is_curve) or not _matters(covered):
         return covered
     told = ", and between ".join(said)
@@ -373,16 +381,29 @@ def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:
     if own is None:
         return axis
     low, high = (own.value + factor * (end - own.value) for end in (own.low, own.high))
-    return replace(axis, **{field: replace(own, low=max(low, 0.0), high=high)})
+    return replace(axis, **{field: replace(own, low=max(low, _find_least(field)), high=high)})
 
 
 def _widen(axis: AxisModel, field: str, other: Estimate | None) -> AxisModel:
-    """Return an axis with the interval of a field extended to another interval, but not below 0."""
+    """Return an axis with the interval of a field extended; only a drift may be below 0."""
     own = getattr(axis, field)
     if own is None or other is None:
         return axis
-    low, high = min(own.low, max(other.low, 0.0)), max(own.high, other.high)
+    low, high = min(own.low, max(other.low, _find_least(field))), max(own.high, other.high)
     return replace(axis, **{field: replace(own, low=low, high=high)})
+
+
+def _cap_parts(axis: AxisModel) -> AxisModel:
+    """Return an axis whose dead time and time constant, as both are positive, are below the sum."""
+    dead_time, lag, total = axis.dead_time_s, axis.lag_s, axis.total_delay_s
+    if dead_time is None or lag is None or total is None:
+        return axis
+    dead_time, lag = (replace(one, high=min(one.high, total.high)) for one in (dead_time, lag))
+    return replace(axis, dead_time_s=dead_time, lag_s=lag)
+
+
+def _find_least(field: str) -> float:
+    return -np.inf if field == "drift" else 0.0
 
 
 def _matters(covered: AxisModel) -> bool:

@@ -3,13 +3,13 @@
 The transfer function from held commands to the rate is exp(-dead_time s) / (c s^2 + b s + 1).
 Between two commands the response is a sum of exponentials, so its integral is known at any time. No
 time grid is needed, however irregular commands and poses are. A `Structure` adds further
-parameters: limits, a bound, friction, a deadband.
+parameters: limits, a bound, friction, a deadband, a drift.
 """
 
 import cmath
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal, Protocol
 
@@ -283,6 +283,24 @@ class MeanResponse:
         return way, rate
 
 
+class DriftingResponse:
+    """A response with a constant rate added to it."""
+
+    def __init__(self, response: HeldResponse, drift: float) -> None:
+        """Take a response, and the added rate for a gain of 1 [m/s or rad/s]."""
+        self._response, self._drift = response, drift
+
+    def place(self, time_s: Values) -> tuple[Any, Values]:
+        """Return the command that is held at each time minus the dead time [s], and this time."""
+        return self._response.place(time_s), time_s
+
+    def evaluate(self, places: tuple[Any, Values]) -> tuple[Values, Values]:
+        """Return the integral of the rate, up to a constant, and the rate itself."""
+        place, time_s = places
+        way, rate = self._response.evaluate(place)
+        return way + self._drift * time_s, rate + self._drift
+
+
 _LEAST_TIGHTNESS: Final = 1e-6
 """Reciprocal of what stands for no limit of an axis without the other [s/m or s/rad]."""
 
@@ -316,7 +334,7 @@ one is reduced: all that commands of one size show."""
 
 _STEPS: Final = MappingProxyType(
     {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
-    | {"friction": 1e-5, "jerk_time": 1e-4, "slowness_beside": 1e-4}
+    | {"friction": 1e-5, "jerk_time": 1e-4, "slowness_beside": 1e-4, "drift": 1e-4}
 )
 """Steps for derivatives with respect to the further parameters, in their units."""
 
@@ -345,6 +363,8 @@ class Structure:
         has_friction: Whether the magnitude of every command is reduced; the parameter is the
             reduction [m/s or rad/s].
         deadband: Magnitude up to which commands cause no motion [m/s or rad/s].
+        has_drift: Whether a constant rate is added to the response; the parameter is the command
+            that would cause this rate [m/s or rad/s], the only one that may be negative.
     """
 
     order: Order = "first_order"
@@ -352,6 +372,7 @@ class Structure:
     has_reverse: bool = False
     has_friction: bool = False
     deadband: float = 0.0
+    has_drift: bool = False
 
     @property
     def is_slow(self) -> bool:
@@ -381,6 +402,7 @@ class Structure:
             "coupling": self.bound in COUPLED,
             "reverse": self.has_reverse,
             "friction": self.has_friction,
+            "drift": self.has_drift,
         }
         return (*_OF_ORDER[self.order], *(name for name, is_there in has.items() if is_there))
 
@@ -397,7 +419,12 @@ class Structure:
     @property
     def bends(self) -> bool:
         """Whether the effective commands depend on the further parameters."""
-        return self not in {FIRST_ORDER, SECOND_ORDER}
+        return self.without_drift not in {FIRST_ORDER, SECOND_ORDER}
+
+    @property
+    def without_drift(self) -> "Structure":
+        """The same structure without a drift."""
+        return replace(self, has_drift=False)
 
     def respond(
         self,
@@ -411,6 +438,10 @@ class Structure:
         `beside` are the commands of the other axis; None if they are 0.
         """
         values = dict(zip(self.names, extras, strict=True))
+        if self.has_drift:
+            others = [values[name] for name in self.without_drift.names]
+            response = self.without_drift.respond(commands, lag_s, others, beside)
+            return DriftingResponse(response, values["drift"])
         if self.order == "limited_wheels" and beside is not None:
             return self._respond_wheels(commands, lag_s, values, beside)
         if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:

@@ -24,7 +24,7 @@ from turtlelog.identify.axis_motion import (
 from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiting, describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
-from turtlelog.identify.structure_choice import LEAST_BELOW, choose_structure
+from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure, find_rests
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
@@ -82,7 +82,10 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     (speed, speed_events), (turn_rate, turn_events) = (_identify_axis(runs, axis) for axis in AXES)
     models = _doubt_waiting(runs, speed, turn_rate), _doubt_waiting(runs, turn_rate, speed)
     notes = [doubt for model in models for doubt in model.doubts]
-    for list_notes in (_compare_runs, _note_one_size, _note_one_beside, _note_backward):
+    for list_notes in (
+        *(_compare_runs, _note_one_size, _note_one_beside, _note_backward),
+        _note_drift,
+    ):
         notes += [note for model in models for note in list_notes(runs, model)]
     notes += [
         f"The {NAMES[model.axis]} stops by itself where no command comes,"
@@ -214,6 +217,20 @@ def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
         )
 
 
+def _note_drift(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    """Yield a note if no rest shows the drift of a known axis."""
+    if model.drift is None or model.dead_time_s is None or model.lag_s is None:
+        return
+    motions = [read_axis_motion(run, model.axis) for run in runs]
+    rests = find_rests(motions, model.dead_time_s.value, model.lag_s.value)
+    rested_s = float(np.concatenate([one.duration_s for one in motions])[rests].sum())
+    if rested_s < RESTED_S:
+        yield (
+            f"The robot never rests long enough in this log. The drift of the {NAMES[model.axis]}"
+            " is the one that its motion beside commands shows, and may be different at rest."
+        )
+
+
 def _count_reaching(reaches: NDArray[np.bool_]) -> str:
     return "every" if reaches.all() else "nearly every"
 
@@ -279,8 +296,10 @@ def _compare_runs(runs: Sequence[Run], together: AxisModel) -> list[str]:
 
 def _tell_differences(name: str, alone: AxisModel, together: AxisModel) -> list[str]:
     told = []
-    for field in ("gain", "dead_time_s", "lag_s", "total_delay_s"):
+    for field in ("gain", "dead_time_s", "lag_s", "total_delay_s", "drift"):
         one, other = getattr(alone, field), getattr(together, field)
+        if one is None or other is None:
+            continue
         # The interval of all runs may be wider because of their differences, but never less
         # certain.
         half = one.high - one.value

@@ -108,6 +108,8 @@ class AxisModel:
         reverse_gain: Gain of negative commands, if it differs [1].
         friction: Part of every command's magnitude that has no effect [m/s] or [rad/s], if the
             motion shows it. The gain applies to the rest.
+        drift: Rate at a command of 0 [m/s] or [rad/s], if the motion shows it; it is added to the
+            response to every command.
         explained: Fraction of the variance of the steps about one constant speed that the model
             explains.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square,
@@ -146,6 +148,7 @@ class AxisModel:
     deadband: Estimate | None = None
     reverse_gain: Estimate | None = None
     friction: Estimate | None = None
+    drift: Estimate | None = None
     explained: float | None = None
     whiteness: float | None = None
     outliers: int = 0
@@ -160,7 +163,7 @@ class AxisModel:
     def to_control(self, pade_order: int = 4) -> Any:
         """Return the axis as a `control.TransferFunction`, from command to rate.
 
-        Limits and a deadband are nonlinear and left out.
+        Limits and a deadband are nonlinear and left out. So is a drift, which is no response.
 
         Args:
             pade_order: Pade order of the rational function that approximates the dead time; 0: no
@@ -178,8 +181,8 @@ class AxisModel:
     def to_process(self) -> Process:
         """Return the axis as a process of `theory`: a delayed rate, integrated.
 
-        For second order, the time constant is the sum of both time constants. Limits and a deadband
-        are left out.
+        For second order, the time constant is the sum of both time constants. Limits, a deadband
+        and a drift are left out.
 
         Raises:
             IdentifyError: If the axis is unknown.
@@ -243,6 +246,7 @@ class AxisModel:
             has_reverse=self.reverse_gain is not None,
             has_friction=self.friction is not None,
             deadband=0.0 if self.deadband is None else self.deadband.low,
+            has_drift=self.drift is not None,
         )
 
     @property
@@ -252,9 +256,9 @@ class AxisModel:
         found = []
         for field, relation, _ in (FURTHER[name] for name in self.structure.names):
             if (one := getattr(self, field)) is not None:
-                inverse = (1.0 if relation == "reciprocal" else gain) / one.value
-                plain = one.value / gain if relation == "product" else one.value
-                found.append(inverse if relation in {"reciprocal", "quotient"} else plain)
+                of_gain = gain if relation in {"product", "quotient"} else 1.0
+                is_inverse = relation in {"reciprocal", "quotient"}
+                found.append(of_gain / one.value if is_inverse else one.value / of_gain)
         return found
 
     @property
@@ -283,6 +287,7 @@ FURTHER: Final = MappingProxyType(
         "coupling": ("bound_beside", "reciprocal", "{other}"),
         "reverse": ("reverse_gain", "product", "1"),
         "friction": ("friction", "itself", "{own}"),
+        "drift": ("drift", "product", "{own}"),
     }
 )
 """Field of each further parameter of a structure; the relation of its value to the parameter
@@ -385,7 +390,8 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
     said = [f"{name}: total delay {', '.join(delays)}."]
     gains = [
         f"{NAMES[axis.axis]} {axis.gain.value:.3f}"
-        + (f" up to its limit of {bound.value:.3g} {bound.unit}" if (bound := axis.bound) else "")
+        + (f" up to its limit of {_show(axis.bound)}" if axis.bound else "")
+        + (f" with a drift of {_show(axis.drift)}" if axis.drift else "")
         for axis in axes
         if axis.gain is not None
     ]
@@ -398,6 +404,10 @@ def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
     if doubted:
         said.append(f"In doubt: {join_words(doubted)}.")
     return said
+
+
+def _show(value: Estimate) -> str:
+    return f"{value.value:.3g} {value.unit}"
 
 
 def _write_doubted(axis: AxisModel) -> str:

@@ -107,8 +107,9 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
             # ones.
             sensed = np.flatnonzero(~run.poses.dropped_out[rows]) + rows.start
             time_s = run.poses.time_ns[sensed] / 1e9
-            turned = np.unwrap(run.poses.read_heading_rad[sensed])
-            places.append(np.column_stack([time_s, run.poses.read_xy_m[sensed]]))
+            headings_rad = run.poses.read_heading_rad[sensed]
+            xy_m, turned = _remove_drift(model, time_s, run.poses.read_xy_m[sensed], headings_rad)
+            places.append(np.column_stack([time_s, xy_m]))
             headings.append(np.column_stack([time_s, turned]))
             standing_s += float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     if not standing_s:
@@ -165,18 +166,33 @@ def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
         first, last = np.searchsorted(time_s, [begin_s, end_s]).tolist()
         rows = slice(first, last)
         is_long = last - first > 2 and time_s[last - 1] - time_s[first] >= _SHORTEST_STAND_S
-        if is_long and _stands(run, rows):
+        if is_long and _stands(model, run, rows):
             yield rows
 
 
-def _stands(run: Run, rows: slice) -> bool:
+def _remove_drift(
+    model: RobotModel, time_s: Values, xy_m: Values, heading_rad: Values
+) -> tuple[Values, Values]:
+    """Return positions and unwrapped headings while a robot is at rest, without its drift."""
+    speed_m_s, turn_rate_rad_s = (
+        0.0 if axis.drift is None else axis.drift.value for axis in model.axes
+    )
+    turned = np.unwrap(heading_rad)
+    middle_rad = 0.5 * (turned[1:] + turned[:-1])
+    ways = speed_m_s * np.diff(time_s)[:, None]
+    steps_m = ways * np.column_stack([np.cos(middle_rad), np.sin(middle_rad)])
+    drifted_m = np.concatenate([np.zeros((min(len(time_s), 1), 2)), np.cumsum(steps_m, axis=0)])
+    return xy_m - drifted_m, turned - turn_rate_rad_s * time_s
+
+
+def _stands(model: RobotModel, run: Run, rows: slice) -> bool:
     poses = run.poses
-    time_s, xy_m = poses.time_ns[rows] / 1e9, poses.xy_m[rows]
+    time_s = poses.time_ns[rows] / 1e9
+    xy_m, turned = _remove_drift(model, time_s, poses.xy_m[rows], poses.heading_rad[rows])
     most_m, most_rad = (
         _MOST_RATE * float(np.abs(get_commands(run, axis)).max()) * (time_s[-1] - time_s[0])
         for axis in AXES
     )
-    turned = np.unwrap(poses.heading_rad[rows])
     # An axis that is never commanded has no scale of its own.
     still_m = not most_m or float(np.hypot(*(xy_m[-1] - xy_m[0]))) <= most_m
     return still_m and (not most_rad or abs(float(turned[-1] - turned[0])) <= most_rad)

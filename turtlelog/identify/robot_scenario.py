@@ -57,6 +57,10 @@ _RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = MappingProxyType(
 )
 """Keys of the limits before the time constant."""
 
+_DRIFT_KEYS: Final[Mapping[Axis, str]] = MappingProxyType(
+    {"speed": "disturbance.speed_m_s", "turn_rate": "disturbance.turn_rate_rad_s"}
+)
+
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001
 """Shortest period of a scenario [s]."""
@@ -195,6 +199,8 @@ def _list_plant(model: RobotModel) -> Part:
             f"{key}lag_s": _round(max(lag.value, 0.0)),
         }
         values |= {f"{key}{name}": _round(value) for name, value in _list_own_limits(axis)}
+        if axis.drift is not None:
+            values[_DRIFT_KEYS[axis.axis]] = _round(axis.drift.value)
         if axis.model == "second_order":
             longer_s = axis.oscillation_delay_s
             longer = f" Its dead time is {1e3 * longer_s:.3g} ms longer, because it oscillates."
@@ -202,7 +208,7 @@ def _list_plant(model: RobotModel) -> Part:
                 f"The {name} is of second order, the plant of first: its time constant is the sum"
                 f" of both.{longer if longer_s else ''}"
             )
-        notes += _tell_plant(axis)
+        notes += [*_tell_plant(axis), *_tell_drift(axis)]
     return values, notes
 
 
@@ -259,6 +265,17 @@ def _tell_plant(axis: AxisModel) -> Iterator[str]:
             f"The plant has no friction: the {name} has one of {friction.value:.3g}"
             f" {friction.unit}."
         )
+
+
+def _tell_drift(axis: AxisModel) -> Iterator[str]:
+    if axis.drift is None or axis.gain is None:
+        return
+    unit, off = axis.drift.unit, abs(axis.drift.value / axis.gain.value)
+    yield (
+        f"{_NOTE}The {NAMES[axis.axis]} drifts by {axis.drift.value:.3g} {unit} at zero command, as"
+        f" the scenario's disturbance. P control holds a goal only to {off:.3g} {unit} divided by"
+        " Kp."
+    )
 
 
 def _list_periods(runs: Sequence[Run]) -> Part:

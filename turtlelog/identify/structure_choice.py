@@ -1,4 +1,4 @@
-"""Structures beyond one time constant: a second one, limits of acceleration or speed, a deadband.
+"""Structures beyond one time constant: a second one, limits of acceleration or speed, a drift.
 
 More parameters always reduce the residual. Therefore another structure must reduce the residual
 clearly, and change the robot's response noticeably. After a fit to only a part of the log, it must
@@ -12,6 +12,7 @@ from itertools import product
 from typing import Final, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
@@ -34,6 +35,25 @@ robots."""
 _MATTERS: Final = 0.02
 """Required change of some step between poses, as a share of the largest rate: 2 % counts as
 settled. A smaller change is invisible, even if a log without noise shows it."""
+
+_DRIFTS: Final = 0.002
+"""The same share for a drift. A drift also acts at rest: in ten seconds it moves a robot as far as
+a change of 2 % does in one second."""
+
+_AT_REST: Final = 0.5
+"""Smallest share of a drift that the mean rate at rest must have: then it is nearer to the drift
+than to rest. A robot that only veers while it drives does not drift."""
+
+_SETTLES: Final = 3.0
+"""Time constants after which a robot counts as at rest: 5 % of its rate is left, which the model
+explains to a tenth."""
+
+RESTED_S: Final = 1.0
+"""Shortest total rest that shows a drift [s]: thirty poses of a usual robot."""
+
+_SURELY: Final = 4.0
+"""Standard deviations from which steps without the other axis show a drift: by chance in 1 of
+30,000 robots, and each robot has several such fits."""
 
 _PREDICTED: Final = 1.0
 """Required decrease of twice the negative log-likelihood for the predicted steps, with the
@@ -150,7 +170,7 @@ def _try_neighbours(
     for structure, starts in neighbours:
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
             other = axis_fit.refit_axis(fit, structure, chosen)
-            if shows_gain(other):
+            if shows_gain(other) and shows_drift(other):
                 tried[structure] = other
     near = min(tried.values(), key=lambda one: one.badness)
     if near is not fit:
@@ -196,8 +216,10 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
     is_clear = fit.badness - other.badness >= _CLEARLY
     if not is_clear or other.parameters[GAIN] <= 0.0:
         return False
+    has_drift = [one.model.structure.has_drift for one in (fit, other)]
+    least = _DRIFTS if has_drift == [False, True] else _MATTERS
     return is_soft(fit.model.structure, other.model.structure) or (
-        measure_effect(fit, other) >= _MATTERS
+        measure_effect(fit, other) >= least
     )
 
 
@@ -220,6 +242,39 @@ def shows_gain(fit: AxisFit) -> bool:
         moving_s += float(held_s[moves].sum())
         below_s += float(held_s[moves & (tightness * size < 1.0)].sum())
     return below_s >= LEAST_BELOW * moving_s
+
+
+def shows_drift(fit: AxisFit) -> bool:
+    """Return whether the rests of a log show the drift of a fit, if it has one.
+
+    In a log without rests, the steps while the other axis rests must show it: a robot that turns
+    about another point than the one it reports seems to drift as long as it turns.
+    """
+    names = fit.model.structure.names
+    if "drift" not in names:
+        return True
+    place = EXTRA + names.index("drift")
+    gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
+    drift = float(fit.parameters[place])
+    at_rest = find_rests(fit.model.motions, dead_time_s, lag_s) & ~fit.is_outlier
+    rested_s = float(fit.model.duration_s[at_rest].sum())
+    if rested_s >= RESTED_S:
+        off = float(fit.residual[at_rest].sum()) / rested_s / gain if gain > 0.0 else 0.0
+        return bool((drift + off) * drift > _AT_REST * drift**2)
+    alone = np.concatenate([one.is_alone(dead_time_s) for one in fit.model.motions])
+    alone &= ~fit.is_outlier
+    if np.count_nonzero(alone) <= len(fit.parameters):
+        return False
+    moves, covariance = axis_fit.solve_part(fit, alone)
+    surely = _SURELY * float(np.sqrt(max(covariance[place, place], 0.0)))
+    return bool((drift + moves[place]) * np.sign(drift) > surely)
+
+
+def find_rests(
+    motions: Sequence[AxisMotion], dead_time_s: float, lag_s: float
+) -> NDArray[np.bool_]:
+    """Return the steps of runs in which both commands are 0, and earlier ones have faded."""
+    return np.concatenate([one.is_resting(dead_time_s, _SETTLES * lag_s) for one in motions])
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
@@ -259,6 +314,7 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
             "friction",
             [share * largest for share in _FRICTIONS],
         ),
+        (replace(structure, has_drift=True), "drift", [_find_drift(fit)]),
     ):
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
@@ -332,6 +388,18 @@ def _list_coupled(
             yield other, starts
 
 
+def _find_drift(fit: AxisFit) -> float:
+    """Return the drift by plain least squares for the delays of a fit; 0 for a negative gain.
+
+    A law that holds a drifting robot leaves most steps without motion, which no gain explains well.
+    """
+    _, dead_time_s, lag_s, *extras = fit.parameters.tolist()
+    way = fit.model.predict(dead_time_s, fit.model.prepare(lag_s, *extras))[0][0]
+    terms = fit.whitening.apply(np.column_stack([way, fit.model.duration_s, fit.model.moved]))
+    gain, rate = np.linalg.lstsq(terms[:, :2], terms[:, 2])[0].tolist()
+    return float(rate / gain) if gain > 0.0 else 0.0
+
+
 def _find_deadbands(fit: AxisFit, levels: Values) -> list[float]:
     """Return the most likely magnitude up to which commands cause no motion, and its neighbours."""
     structure, extras = fit.model.structure, fit.parameters[EXTRA:].tolist()
@@ -360,10 +428,10 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
     """Return the most promising start values; empty if no further parameter is worth trying."""
     if structure.size <= fit.model.structure.size or is_soft(fit.model.structure, structure):
         return starts
-    asks = {"reverse": 1.1}
+    asks = {("reverse", 1.0): 1.1, ("drift", 0.0): 0.1}
     moved = [
         tuple(
-            asks[name] if name in asks and value == 1.0 else value
+            asks.get((name, value), value)
             for name, value in zip(structure.names, extras, strict=True)
         )
         for extras in starts
