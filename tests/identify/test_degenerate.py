@@ -186,3 +186,15 @@ def test_a_few_steps_with_all_information_have_the_variance_of_the_noise() -> No
         slopes[rows, column], white[rows] = 1.0, 0.905 * (-1.0) ** rows
     covariance, _ = _estimate_covariance(white, slopes)
     assert 20.0 * np.diag(covariance) == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.mark.parametrize(("moving", "is_known"), [(5, False), (6, True)])
+def test_five_steps_with_motion_may_be_a_jump(moving: int, *, is_known: bool) -> None:
+    time_s = np.arange(0.0, 10.0, 0.05)
+    x_m = np.clip(time_s - 5.1, 0.0, 0.05 * moving)
+    commands = np.array([0.0, 5.0, 5.0 + 0.05 * moving]), np.array([0.0, 1.0, 0.0]), np.zeros(3)
+    run = build_run(time_s, np.column_stack([x_m, 0.0 * x_m]), 0.0 * x_m, commands)
+    axis = tl.identify_robot(run).speed
+    assert axis.is_known is is_known
+    told = "commands act in only 5 steps of 67 between poses, which may be a jump"
+    assert axis.reason == ("" if is_known else told)

@@ -13,11 +13,13 @@ from typing import Final
 import numpy as np
 import scipy
 
+from turtlelog.display import describe_count
 from turtlelog.identify.axis_fit import DEAD_TIME, LAG, AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
     LARGEST_DEAD_TIME_S,
     NAMES,
     OTHER,
+    STANDING,
     UNITS,
     Axis,
     AxisMotion,
@@ -43,6 +45,10 @@ _SUDDEN_S: Final = 0.1
 _SUDDEN_SHARE: Final = 0.05
 """Share of the range of commands that must change within this time; slower changes are ramps. A
 ramp over the range then takes more than 2 s, and shows no start."""
+
+_FEWEST_MOVING: Final = 6
+"""Smallest number of steps in which commands move the robot: up to five may be one jump, which
+follows any command with some gain."""
 
 _ENDLESS: Final = 10.0
 """Multiple of a value above which the end of its interval is not printed: it is as good as none,
@@ -183,6 +189,11 @@ def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
             "the commands explain nothing of how the motion changes: are they this robot's, and of"
             " the clock of its poses?"
         )
+    size = np.abs(fit.model.moved - fit.residual) / fit.model.duration_s
+    moving = int(np.count_nonzero(size > STANDING * size.max()))
+    if moving < _FEWEST_MOVING:
+        count = describe_count(moving, "step")
+        return f"commands act in only {count} of {len(size)} between poses, which may be a jump"
     return _find_wide(found, float(np.median(fit.model.duration_s)))
 
 
