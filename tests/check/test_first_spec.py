@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 
 import turtlelog as tl
 from tests.check.recordings import simulate
-from turtlelog.check.spec_templates import choose_bound, format_first_spec
+from turtlelog.check.spec_templates import choose_bound, find_doubt, format_first_spec
 from turtlelog.measure import METRICS
 
 
@@ -83,3 +83,24 @@ def test_times_of_a_robot_leave_one_of_its_own_ticks() -> None:
     robot = {"plant.kind": "lagged", "goal.x_m": 7.0, "goal.y_m": 6.0}
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), robot))
     assert 'run.largest_gap <= 0.1"' in format_first_spec(run, reference="run.mcap")
+
+
+def test_a_first_spec_doubts_a_run_that_did_not_end_well() -> None:
+    good, cut = simulate("paper-kp2"), simulate(max_duration_s=3.0)
+    for run, text in [
+        (good, None),
+        # A law without an end of its own holds the goal until the maximum duration.
+        (dataclasses.replace(good, stop_reason="max_duration"), None),
+        (dataclasses.replace(good, stop_reason="law_failed"), "(stop reason: law failed)"),
+        (simulate("paper-kp10"), "It missed the goal by 0.107 m"),
+        (cut, "(stop reason: max duration)"),
+        (cut.slice(0.0, 2.0), "(stop reason: end not recorded)"),
+        (
+            dataclasses.replace(good, notes={"partial": "cut"}),
+            "The recording is not complete: cut.",
+        ),
+    ]:
+        doubt = find_doubt(run)
+        assert doubt is None if text is None else text in str(doubt)
+        lines = format_first_spec(run, reference="good.mcap").splitlines()
+        assert any("Was it a good run?" in line for line in lines) is (text is not None)

@@ -186,7 +186,7 @@ def test_a_first_spec_is_passed_by_the_run_that_it_was_read_off(
     assert (target.parent / tables["reference"]).resolve() == kp4.resolve()
     answer = call("check", target, kp4)
     assert answer.code == 0
-    assert "bounds were read off a good run: look at observed = true in" in answer.out
+    assert "bounds were read off a run: look at observed = true in" in answer.out
     assert call("check", target, kp10).code == 1
 
 
@@ -194,6 +194,16 @@ def test_a_first_spec_is_printed_without_a_target(call: Call, kp4: Path) -> None
     answer = call("check", "--init", kp4)
     assert answer.code == 0
     assert tomllib.loads(answer.out)["format"] == 1
+
+
+def test_a_first_spec_of_a_run_that_missed_its_goal_asks_whether_it_was_good(
+    call: Call, kp10: Path, tmp_path: Path
+) -> None:
+    tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp2")), tmp_path / "kp2.mcap")
+    assert "good run?" not in call("check", "--init", tmp_path / "kp2.mcap").err
+    doubt = "Was kp10.mcap a good run? It missed the goal by 0.107 m"
+    assert doubt in call("check", "--init", kp10).err
+    assert doubt in call("check", "--init", kp10, "-o", tmp_path / "first.toml").flat
 
 
 def test_a_truncated_recording_fails_unless_partial_is_asked_for(

@@ -62,6 +62,16 @@ def test_a_loop_that_never_settles_is_said_before_the_table(call: Call, tmp_path
     assert table[0].split()[:1] == ["rotate"]
 
 
+def test_swings_that_outliers_cause_are_no_oscillation(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "outliers.mcap"
+    kicks = {"outlier_probability": 0.05, "outlier_m": 2.0, "outlier_rad": 3.0}
+    gains = {"law.kp_angular": 2.0, "law.kp_linear": 2.0}
+    write_textbook(file, {**gains, **{f"sensing.{key}": one for key, one in kicks.items()}})
+    words = call("metrics", file).out.splitlines()
+    assert "Irregular swings, as from random disturbances: rotate and translate." in words
+    assert not any("die out" in line for line in words)
+
+
 @pytest.mark.parametrize(
     ("law", "first"),
     [

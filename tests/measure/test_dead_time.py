@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -391,3 +392,37 @@ def test_of_motion_among_gaps_alone_no_dead_time_is_known() -> None:
     found = find_dead_time(run, "translate")
     assert isinstance(found, Missing)
     assert found.reason == "gaps of the poses come no more than 40 ticks after each other"
+
+
+FAST = {
+    "law.kp_angular": 1.99,
+    "plant.period_s": 1.0,
+    "plant.turn_dead_time_s": 0.0,
+    "limits.turn_rate_rad_s": math.inf,
+}
+
+
+def test_a_robot_that_turns_by_more_than_half_a_turn_between_poses_is_measured() -> None:
+    # It turns by 4.46 rad in the first second: 0.1 to 0.9 of the step of 2.24 rad in 0.4 s.
+    run = simulate("lagged", **FAST, **{"plant.turn_lag_s": 0.0})
+    found = measure_run(run, only=["rotate.rise_time", "rotate.decay_ratio", "rotate.stable"])
+    assert found["rotate.rise_time"].value == pytest.approx(0.8 / 1.99, abs=1e-4)
+    assert found["rotate.decay_ratio"].value == pytest.approx(0.99**2, abs=1e-4)
+    assert found["rotate.stable"].value == 1.0
+    assert (require_found(run, "rotate").ticks, require_found(run, "rotate").is_exact) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("name", "loop", "changes"),
+    [
+        ("lagged", "rotate", {**FAST, "plant.turn_lag_s": 0.3}),  # the rate changes in a step
+        ("posture", "align", {"law.k": 900.0, "limits.turn_rate_rad_s": math.inf}),
+    ],
+)
+def test_full_turns_that_the_log_hides_are_said(
+    name: str, loop: str, changes: dict[str, Any]
+) -> None:
+    metrics = measure_run(simulate(name, **changes), only=[f"{loop}.rise_time"])
+    metric = metrics[f"{loop}.rise_time"]
+    assert (metric.value, metric.status) == (None, Status.UNDETERMINED)
+    assert "hides full turns" in metric.reason

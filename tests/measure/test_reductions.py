@@ -35,6 +35,7 @@ def list_calls(count: int) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
     """Return what each reduction is asked; of what takes two rows or more only then."""
     time_s, values = draw(count)
     step_s, step_error = np.diff(time_s), values[::-1]
+    rows = np.arange(count + 2) + np.round(np.append(time_s, [9e3, 9e3]) / 0.016).astype(np.int64)
     calls: list[tuple[Any, tuple[Any, ...]]] = [
         *((reductions.find_furthest_row, (values, way)) for way in (1.0, -1.0)),
         *((reductions.find_first_beyond, (values, 1.5, way)) for way in (1.0, -1.0)),
@@ -49,6 +50,7 @@ def list_calls(count: int) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
         (reductions.find_rise_behind_peak, (values,)),
         (reductions.count_beyond, (values, 1.0)),
         (reductions.find_crossing_rows, (values, 0.1, MEMORY)),
+        *((reductions.compare_durations, (rows, first)) for first in (0, count // 3)),
         (reductions.find_swing_ends, (time_s, values, 0.1, 0.4, 0.05)),
         (reductions.fold_at_zero, (time_s, values, MEMORY)),
         (reductions.add_values, (values, MEMORY)),

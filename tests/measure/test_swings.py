@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -101,6 +102,54 @@ def test_nothing_decays_that_swings_further_than_it_began() -> None:
 )
 def test_less_than_two_swings_rest_where_they_slow_down(error: list[float], verdict: str) -> None:
     assert judge_errors(error) == verdict
+
+
+def last(durations: Sequence[int], peak: float = 0.5) -> list[float]:
+    """Return errors that swing with one peak, each swing for a number of rows."""
+    sides = [[(-1.0) ** (number + 1) * peak] * rows for number, rows in enumerate(durations)]
+    return [*START, *chain.from_iterable(sides), 1e-3 * (-1.0) ** (len(durations) + 1)]
+
+
+@pytest.mark.parametrize(("shorter", "verdict"), [(80, "swings"), (79, "irregular")])
+def test_swings_of_a_loop_last_about_equally_long(shorter: int, verdict: str) -> None:
+    # Each swing is compared with the next to its side.
+    assert judge_errors(last([shorter, 500, 100, 400] * 3)) == verdict
+    assert judge_errors(last([shorter, shorter, 100, 100] * 3), most=0.9) == "swings"  # it turned
+    assert judge_errors([*last([shorter], 0.3)[:-1], *[0.4] * 100, -1e-3]) == verdict
+    assert judge_errors(last([50, 100] * 6)) == "swings"
+
+
+KICKS = {
+    "disturbances": {"disturbance.noise_speed": 0.3},
+    "at goal": {"disturbance.noise_speed": 0.3, "goal.x_m": 5.6, "goal.y_m": 5.6},
+    "noise": {"sensing.noise_position_m": 0.1},
+    "outliers": {
+        "sensing.outlier_probability": 0.05,
+        "sensing.outlier_m": 2.0,
+        "sensing.outlier_rad": 3.0,
+    },
+}
+
+
+def judge_loops(changes: Sequence[dict[str, float]]) -> list[float | None]:
+    """Return `stable` of both loops of the textbook's run after each set of changes."""
+    base, names = tl.load_scenario("textbook"), ["rotate.stable", "translate.stable"]
+    scenarios = [tl.override_scenario(base, dict(one)) for one in changes]
+    runs = [run for run in simulate_many(scenarios) if isinstance(run, tl.Run)]
+    assert len(runs) == len(scenarios)
+    return [one.value for run in runs for one in tl.measure_run(run, only=names).values()]
+
+
+@pytest.mark.parametrize("kicks", KICKS.values(), ids=KICKS)
+def test_random_kicks_are_no_oscillation_of_a_stable_loop(kicks: dict[str, float]) -> None:
+    stable = [{"law.kp_linear": 2.0, "law.kp_angular": 2.0, "seed": n, **kicks} for n in range(4)]
+    assert 0.0 not in judge_loops(stable)
+
+
+def test_an_unstable_loop_oscillates_also_with_noise() -> None:
+    noise = {"sensing.noise_position_m": 0.002, "loop.transport_delay_ticks": 6}
+    found = judge_loops([{"seed": n, "law.kp_linear": 20.0, **noise} for n in range(4)])[1::2]
+    assert found == [0.0] * 4
 
 
 RATIOS = (0.2, 0.6, 0.9, 0.97, 0.99, 1.01, 1.03, 1.1, 1.5)

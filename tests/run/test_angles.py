@@ -1,5 +1,6 @@
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,15 @@ from turtlelog.errors import FrameError
 from turtlelog.laws import Goal, Pose, SequentialP, SequentialPParameters
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.run import PoseColumns
 from turtlelog.run.angles import (
     build_rotation,
+    find_heading_steps,
     project_on_heading,
     rotate_to_turtle,
     rotate_to_world,
     subtract_headings,
+    unwrap_headings,
     wrap_angle,
 )
 
@@ -278,3 +282,50 @@ def test_the_law_as_its_equation_says_projects_on_the_heading() -> None:
     assert decision.phase == "translate"
     world_xy = [decision.world_v_x_m_s, decision.world_v_y_m_s]
     assert decision.speed_m_s == project_on_heading(world_xy, pose.heading_rad)
+
+
+def turn(turned_rad: list[float], rates: list[float], last_s: float = 1.0) -> PoseColumns:
+    """Return poses one second apart, except the last, that turn by angles at rates."""
+    count = len(turned_rad) + 1
+    heading_rad = wrap_angle(np.append(0.0, np.cumsum(turned_rad)))
+    time_ns = np.arange(count) * 1_000_000_000
+    time_ns[-1] = time_ns[-2] + round(last_s * 1e9)
+    return PoseColumns(
+        time_ns=time_ns,
+        xy_m=np.zeros((count, 2)),
+        heading_rad=heading_rad,
+        turn_rate_rad_s=np.append(0.0, rates),
+    )
+
+
+def test_the_turn_rate_counts_the_full_turns_between_poses() -> None:
+    turned_rad = [4.46, -4.42, 40.0, 3.2, -3.2, 0.5]
+    poses = turn(turned_rad, turned_rad)
+    assert np.diff(unwrap_headings(poses)) == pytest.approx(turned_rad)
+    assert find_heading_steps(poses).is_fast.tolist() == [True] * 5 + [False]
+    shortest = np.diff(unwrap_headings(replace(poses, turn_rate_rad_s=None)))
+    assert shortest[0] == pytest.approx(4.46 - 2.0 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("rate", "last_s", "is_fast", "is_lost"),
+    [
+        (4.09, 1.0, True, False),
+        (4.11, 1.0, True, True),  # more than 0.1 rad from the turn
+        (3.15, 1.0, True, True),
+        (3.14, 1.0, False, False),
+        (4.0 / 1.49, 1.49, True, False),
+        (4.0 / 1.51, 1.51, False, False),  # during a silence the rate is unknown
+    ],
+)
+def test_a_rate_counts_turns_that_it_explains_in_usual_steps(
+    rate: float,
+    last_s: float,
+    is_fast: bool,  # noqa: FBT001
+    is_lost: bool,  # noqa: FBT001
+) -> None:
+    poses = turn([0.1, 0.1, 4.0], [0.1, 0.1, rate], last_s)
+    steps = find_heading_steps(poses)
+    assert (steps.is_fast[-1], steps.is_lost[-1]) == (is_fast, is_lost)
+    found = 4.0 if is_fast and not is_lost else 4.0 - 2.0 * math.pi
+    assert np.diff(unwrap_headings(poses))[-1] == pytest.approx(found)

@@ -233,6 +233,21 @@ def test_line_to_the_goal_begins_where_a_pushed_robot_is_read_first() -> None:
         require_row(rows, row, override_scenario(base, {"law.kp_linear": gain}))
 
 
+def test_full_turns_between_poses_are_counted_as_in_a_single_run() -> None:
+    """A new loop is compiled."""
+    fast = {
+        "plant.period_s": 1.0,
+        "plant.turn_dead_time_s": 0.0,
+        "limits.turn_rate_rad_s": math.inf,
+    }
+    base = override_scenario(get_preset("lagged"), {**fast, "law.kp_angular": 1.99})
+    lags_s = [0.0, 0.3]
+    rows = measure_rows(base, {"plant.turn_lag_s": lags_s}, METRICS)
+    assert (rows.compiled, rows.interpreted) == (2, 0)
+    for row, lag_s in enumerate(lags_s):
+        require_row(rows, row, override_scenario(base, {"plant.turn_lag_s": lag_s}))
+
+
 def test_rows_are_the_same_on_one_thread_and_on_two() -> None:
     columns = {"law.kp_linear": np.linspace(0.5, 12.0, 80).tolist()}
     one, two = (measure_rows(PAPER, columns, METRICS, threads=count) for count in (1, 2))

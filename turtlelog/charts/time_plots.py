@@ -20,6 +20,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import ShowError
 from turtlelog.measure import find_outliers
 from turtlelog.run import Run
+from turtlelog.run.angles import unwrap_headings
 from turtlelog.run.loops import COMMAND_UNITS, DONE, PAUSE
 
 _TOLERANCES: Final[Mapping[str, str]] = {
@@ -384,7 +385,7 @@ def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     [ns]. Before the first and after the last pose, the robot is at rest.
     """
     own_s = (run.poses.time_ns - zero_ns) / 1e9
-    heading_rad = np.unwrap(run.poses.heading_rad)
+    heading_rad = unwrap_headings(run.poses)
     xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
     return xy_m, np.interp(time_s, own_s, heading_rad)
 

@@ -1,4 +1,4 @@
-"""Templates for authors of specifications: a first text from a good run, and the JSON Schema."""
+"""Templates for authors of specifications: a first text from a run, and the JSON Schema."""
 
 import math
 import os
@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from turtlelog.check.formula_trace import RunEnding, find_ending
+from turtlelog.check.formula_trace import RunEnding, find_ending, find_loss
 from turtlelog.check.spec import ASSOCIATIONS, FORMAT, READ_TEXTS
 from turtlelog.compare import ALIGNMENTS
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
@@ -30,6 +30,7 @@ from turtlelog.measure import (
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
 from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
+from turtlelog.run.stop_reasons import LAW_FAILED, STEP_BUDGET, find_goal_end
 
 _OF_LOOP: Final = ("overshoot", "settling_time", "rms_error", "largest_error", "saturated_share")
 _OF_RUN: Final = (
@@ -58,15 +59,38 @@ def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = Non
     `reference` is the run's file as the specification names it; `read` are the settings with which
     the run was read, so that other recordings are read equally.
     """
+    doubt = find_doubt(run)
     head = (
         f"# What runs like {_comment(run.name)} are held to: turtlelog check SPEC RUN...",
         "# Bounds marked observed = true were read off that run. Ask of each what it should be,",
         "# change it, and take the mark away.",
+        *([] if doubt is None else [f"# Was it a good run? {_comment(doubt)}"]),
         "format = 1",
         f"reference = {_quote(reference)}",
     )
     checks = _list_of_motion(run) if run.is_lawless else _list_of_law(run)
     return "\n".join([*head, *_list_read(read or ReadChoice()), *checks]) + "\n"
+
+
+def find_doubt(run: Run) -> str | None:
+    """Return a sentence on why bounds of a run may be those of a bad run; None without a doubt.
+
+    A run that reached its goal is good, also if its maximum duration ended it. A third-party bag
+    does not tell how it ended, which is no doubt.
+    """
+    ending, loss = find_ending(run), find_loss(run)
+    if ending is RunEnding.LOST and loss is not None:
+        return f"{loss[0].upper()}{loss[1:]}."
+    end = find_goal_end(run)
+    is_broken = run.stop_reason in {LAW_FAILED, STEP_BUDGET}
+    if end is not None and end.verdict == "reached" and not is_broken:
+        return None
+    is_bad = end is not None and (end.verdict == "missed" or end.turned_rad is not None)
+    if not is_bad and ending is not RunEnding.CUT:
+        return None
+    how = f"ended after {run.duration_s:.3g} s" if end is None else end.describe()
+    stop = run.stop_reason or "end not recorded"
+    return f"It {how} (stop reason: {stop.replace('_', ' ')})."
 
 
 def name_reference(path: Path, target: Path | None) -> str:
@@ -345,7 +369,7 @@ def _build_check() -> dict[str, Any]:
             "reason": _REASON,
             "observed": {
                 "type": "boolean",
-                "description": "The bound was read off a good run; nobody has thought about it.",
+                "description": "The bound was read off a run; nobody has thought about it.",
             },
         },
         oneOf=[{"required": ["expect"]}, {"required": ["holds"]}],

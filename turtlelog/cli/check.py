@@ -262,7 +262,7 @@ def _write_first(
     path: Path, words: Sequence[Path], output: Path | None, topics: options.ReadingOptions
 ) -> int:
     from turtlelog.check.judge_run import read_to_judge
-    from turtlelog.check.spec_templates import format_first_spec, name_reference
+    from turtlelog.check.spec_templates import find_doubt, format_first_spec, name_reference
 
     if words:
         raise UsageError(f"--init: takes one good run and no other file; leave out {words[0]}")
@@ -274,7 +274,11 @@ def _write_first(
     if topic is not None:  # the specification distinguishes both
         choice = replace(choice, pose_topic=topic)
     text = format_first_spec(run, reference=name_reference(file, output), read=choice)
+    doubt = find_doubt(run)
+    doubts = [] if doubt is None else [f"Was {file.name} a good run? {doubt}"]
     if output is None:
+        for line in doubts:
+            console.print_note(line)
         console.print_text(text)
         return console.EXIT_FINE
     console.write_text(output, text)
@@ -283,6 +287,7 @@ def _write_first(
     spec = console.quote_file(output)
     lines = [
         f"{output.name}: {checks} read off {file.name}, each bound with its reason.",
+        *doubts,
         f"Set each bound to what it should be. Then: turtlelog check {spec} FILE...",
     ]
     console.print_text(console.fill_lines(lines))

@@ -308,7 +308,7 @@ def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool)
     observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
     if spec is not None and observed and not _count_observed(counted, spec):
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
-        yield f"{were} read off a good run: look at observed = true in {spec.source}"
+        yield f"{were} read off a run: look at observed = true in {spec.source}"
     if spec is None:
         return
     measured = next((one for one in counted.failures if one.value is not None), None)

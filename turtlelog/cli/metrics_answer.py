@@ -230,6 +230,11 @@ def _list_remarks(
     restless = [loop for loop in shown if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
+    stable = {loop: summary.metrics.get(f"{loop}.stable") for loop in shown}
+    reason = tl.measure.step_response.IRREGULAR_SWINGS
+    kicked = [loop for loop, one in stable.items() if one is not None and one.reason == reason]
+    if kicked:
+        yield f"Irregular swings, as from random disturbances: {join_words(kicked)}."
     for loop in shown:
         metric = summary.metrics.get(f"{loop}.settling_time")
         if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:

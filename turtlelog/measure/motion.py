@@ -14,7 +14,7 @@ from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.lagged import want_rate
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
-from turtlelog.run.angles import subtract_headings
+from turtlelog.run.angles import find_heading_steps, subtract_headings
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
 
 Values = NDArray[np.float64]
@@ -148,6 +148,10 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     heading_rad, xy_m = poses.heading_rad[ends], poses.xy_m[ends]
     if loop.command == "turn_rate":
         moved = subtract_headings(heading_rad[1:], heading_rad[:-1])
+        moves = find_heading_steps(poses)
+        is_kept &= ~moves.is_lost[steps]
+        fast = np.flatnonzero(moves.is_fast[steps])
+        moved[fast] = (heading_rad[1:] - heading_rad[:-1] + moves.added_rad[steps])[fast]
         half = _find_half_steps(poses.heading_rad)[ends]
         rounding = half[:-1] + half[1:] + _EXACT
         command = samples.turn_rate_rad_s

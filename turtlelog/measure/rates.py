@@ -19,6 +19,7 @@ from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.signals import find_signal
 from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run
+from turtlelog.run.angles import unwrap_headings
 
 Values = NDArray[np.float64]
 Axis = Literal["speed", "turn_rate"]
@@ -77,7 +78,7 @@ def space_poses(run: Run) -> SpacedPoses:
     poses = run.poses
     rows = thin_poses(poses.time_ns)
     time_s = (poses.time_ns[rows] - run.start_ns) / 1e9
-    return SpacedPoses(rows=rows, time_s=time_s, heading_rad=np.unwrap(poses.heading_rad)[rows])
+    return SpacedPoses(rows=rows, time_s=time_s, heading_rad=unwrap_headings(poses)[rows])
 
 
 def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates | None:

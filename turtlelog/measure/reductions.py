@@ -227,6 +227,30 @@ def find_crossing_rows(values: Values, reference: float, memory: Any) -> Rows:  
     return np.asarray(rows[1:][side[1:] != side[:-1]])
 
 
+def _compare_durations(rows: Any, first: int) -> float:
+    apart = 2 if len(rows) - first > 3 else 1
+    shorter = longer = 0
+    for place in range(first, len(rows) - 1 - apart):
+        before = rows[place + 1] - rows[place]
+        after = rows[place + 1 + apart] - rows[place + apart]
+        shorter += min(before, after)
+        longer += max(before, after)
+    return shorter / longer
+
+
+@compiled_as(_compare_durations)
+def compare_durations(rows: Rows, first: int) -> float:
+    """Return the shorter by the longer duration of successive swings to one side, over all swings.
+
+    `rows` are those of the crossings, at least three from `first` on. Of only two swings, both
+    sides are compared.
+    """
+    lasting = rows[first + 1 :] - rows[first:-1]
+    apart = 2 if len(lasting) > 2 else 1
+    before, after = lasting[:-apart], lasting[apart:]
+    return int(np.minimum(before, after).sum()) / int(np.maximum(before, after).sum())
+
+
 def _find_swing_ends(
     time_s: Any, values: Any, reference: float, width: float, apart_s: float
 ) -> tuple[int, int]:

@@ -16,7 +16,7 @@ from turtlelog.measure.references import read_controlled_distance, read_referenc
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
 from turtlelog.run import PhaseSpan, Run
-from turtlelog.run.angles import wrap_angle
+from turtlelog.run.angles import find_heading_steps, wrap_angle
 from turtlelog.run.loops import PAUSE, ControlLoop
 from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT
@@ -188,6 +188,15 @@ def find_response(
     if len(controlled[inside]) < 2:
         found = f"{len(controlled[inside])} pose" + ("" if len(controlled[inside]) == 1 else "s")
         return Missing(Status.TOO_SHORT, f"{found} in {loop.name}")
+    moves = find_heading_steps(run.poses) if loop.signal == "heading" else None
+    # The error of a moving reference is wrapped, which aliases.
+    if (
+        moves
+        and (moves.is_fast if isinstance(wanted, np.ndarray) else moves.is_lost)[
+            first : inside.stop - 1
+        ].any()
+    ):
+        return Missing(Status.UNDETERMINED, LOST_TURNS)
     values, target = _refer_to_start(loop, controlled[inside], wanted, inside)
     initial, reference = _find_step(loop, values, target, settings)
     return Response(
@@ -206,6 +215,9 @@ def find_response(
         ended_itself=stretch[-1].phase == PAUSE or end_ns < run.end_ns or came_to_rest(run),
     )
 
+
+LOST_TURNS: Final = "the heading turns more than half a turn between poses, which hides full turns"
+"""Reason for no response of a heading that aliases."""
 
 _NEAR: Final = 1.5
 """Longest usual step between poses, as a multiple of the usual one. In a longer step the robot may

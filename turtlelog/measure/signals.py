@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
-from turtlelog.measure.reductions import subtract_neighbours
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
@@ -22,7 +21,7 @@ from turtlelog.measure.references import (
     trace_poses,
 )
 from turtlelog.run import Run, require_run
-from turtlelog.run.angles import subtract_headings
+from turtlelog.run.angles import subtract_headings, unwrap_headings
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import STATE_PATTERN, Declaration
 
@@ -237,9 +236,7 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
 
 def _read_heading(run: Run) -> Values:
     """Return the heading without jumps at full turns."""
-    heading_rad = run.poses.heading_rad
-    jumps = np.abs(subtract_neighbours(heading_rad)) > np.pi
-    return np.unwrap(heading_rad) if jumps.any() else heading_rad
+    return unwrap_headings(run.poses)
 
 
 def _read_sensed(run: Run, axis: int) -> Values | None:

@@ -36,6 +36,7 @@ from turtlelog.arithmetic import least
 from turtlelog.measure.reductions import (
     add_triples,
     add_values,
+    compare_durations,
     compute_misfit,
     find_crossing_rows,
     find_first_beyond,
@@ -268,10 +269,10 @@ def _tell_shift(number: int, count: int, apart_s: float, most_s: float) -> float
     return most_s if number == count - 1 else number * apart_s - most_s
 
 
-VERDICTS: Final = ("rests", "swings", "away", "passing", "slow", "unknown")
+VERDICTS: Final = ("rests", "swings", "away", "passing", "slow", "unknown", "irregular")
 """Verdicts by number."""
 
-RESTS, SWINGS, AWAY, PASSING, SLOW, UNKNOWN = range(6)
+RESTS, SWINGS, AWAY, PASSING, SLOW, UNKNOWN, IRREGULAR = range(7)
 
 NEVER, NOBODY_KNOWS = -1, -2
 """Values that replace the last row with a command at its limit: no such row, and unknown."""
@@ -303,6 +304,16 @@ _GROWN: Final = 1.05
 per swing, peaks between samples explain less: 1 - cos(pi / 6) is 0.13, but it affects both
 swings."""
 
+IRREGULAR_SWINGS: Final = (
+    "the swings go on irregularly, as if random disturbances caused them, not the loop"
+)
+"""Reason of the verdict `irregular`."""
+
+_REGULAR: Final = 0.8
+"""Ratio of the durations of successive swings to one side, the shorter by the longer, from which
+swings are an oscillation of the loop. It is 0.9 to 1 for simulated limit cycles and growing swings,
+and at most 0.75 for stable loops that outliers, sensor noise or disturbances move."""
+
 _LARGE: Final = 0.1
 """Share of the largest error from which swings are large, if no limit is known. Noise of a loop at
 rest is smaller, unless the log is mostly noise."""
@@ -331,9 +342,11 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
 
     `rests`: the swings die out, or are small and do not grow. `swings`: the oscillation grows, or
     keeps an amplitude that is large or reaches the limit. `away`: the response ends further from
-    the reference than it began. Three verdicts are undecided. `passing`: the response ends while it
+    the reference than it began. Four verdicts are undecided. `passing`: the response ends while it
     passes the reference. `slow`: the response has not come near the reference. `unknown`: the
-    swings are too few or change too little.
+    swings are too few or change too little. `irregular`: the swings go on, but their durations
+    differ as if random disturbances caused them, not the loop. The durations of a heading that
+    turned by more than `most` differ without disturbances, because its error wraps.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.
@@ -361,7 +374,10 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
     if decays and falls and share < (_DYING if is_long else _HALVED):
         return RESTS
     if clipped >= rows[begun] or after >= _LARGE * largest:
-        return SWINGS if share >= (_GOING_ON if is_long else _GROWN) else UNKNOWN
+        if share < (_GOING_ON if is_long else _GROWN):
+            return UNKNOWN
+        is_regular = compare_durations(rows, begun) >= _REGULAR
+        return SWINGS if is_regular or largest > most else IRREGULAR
     # Noise grows occasionally; an unstable oscillation grows continuously.
     grew = not is_long or before > _find_peak(error, rows, 0, third)
     is_growing = grew and share > 1.0 / (_DYING if is_long else _HALVED)

@@ -13,16 +13,19 @@ from numpy import arctan2, fmod, hypot, rint
 from turtlelog.arithmetic import called, wrap_angle
 from turtlelog.measure.metric import Status, add_reason
 from turtlelog.measure.reductions import USES
+from turtlelog.measure.response import LOST_TURNS
+from turtlelog.run.angles import EXPLAINED_RAD
 
 NO_PHASE: Final = add_reason(Status.NO_PHASE, "the run has no such phase")
 _TOO_SHORT: Final = add_reason(Status.TOO_SHORT, "less than two poses in the loop")
 NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
+_LOST_TURNS: Final = add_reason(Status.UNDETERMINED, LOST_TURNS)
 _NO_SAMPLES: Final = -1
 
 SIGNALS: Final = ("heading", "along_track", "cross_track", "distance")
 PATH: Final = "path"
 REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now", PATH)
-"""References and signals of loops, by number."""
+"""References and signals of loops, by number; references from `bearing_now` on move."""
 HEADING, ALONG, CROSS, _DISTANCE = range(4)
 _ZERO, _GOAL_BEARING, _GOAL_DISTANCE, _GOAL_HEADING, _BEARING_NOW = range(5)
 
@@ -124,20 +127,44 @@ def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -
     end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
     if facts.published > 0:
         end_ns = max(end_ns, samples[facts.published - 1].published_ns)
-    _unwrap(ticks, memory.numbers[HEADINGS])
+    _unwrap(ticks, facts.period_ns, memory.numbers[HEADINGS])
     _find_spans(samples, loops, memory.spans)
     return samples[0].time_ns, end_ns
 
 
-def _unwrap(ticks: Any, heading_rad: Any) -> None:
-    """Unwrap the heading, as numpy's unwrap does."""
+def _unwrap(ticks: Any, period_ns: int, heading_rad: Any) -> None:
+    """Unwrap the heading, as `unwrap_headings` does."""
     turned = 0.0
     before = heading_rad[0] = ticks[0].heading_rad
     for row in range(1, len(ticks)):
         now = ticks[row].heading_rad
-        turned += find_turn(now - before)
+        full_rad = _find_full_turns(now - before, ticks[row].turn_rate_rad_s * (period_ns / 1e9))
+        turned += find_turn(now - before) if math.isnan(full_rad) else full_rad
         heading_rad[row] = now + turned
         before = now
+
+
+def _find_full_turns(step_rad: float, turned_rad: float) -> float:
+    """Return the full turns that a turn adds to a step of the heading [rad].
+
+    The result is NaN if the turn is at most half a turn, or does not explain the step.
+    """
+    if abs(turned_rad) <= math.pi:
+        return math.nan
+    full_rad: float = TURN_RAD * rint((turned_rad - step_rad) / TURN_RAD)
+    return full_rad if abs(turned_rad - step_rad - full_rad) <= EXPLAINED_RAD else math.nan
+
+
+def _loses_turns(row: Row, moves: bool, first: int, after: int) -> bool:  # noqa: FBT001
+    """Return whether full turns between poses are lost, as in `find_response`."""
+    period_s, lost = row.facts.period_ns / 1e9, 0
+    for place in range(first + 1, after):
+        turned_rad = row.ticks[place].turn_rate_rad_s * period_s
+        step_rad = row.ticks[place].heading_rad - row.ticks[place - 1].heading_rad
+        is_lost = moves or math.isnan(_find_full_turns(step_rad, turned_rad))
+        if is_lost and abs(turned_rad) > math.pi:
+            lost += 1
+    return lost > 0
 
 
 def find_turn(step_rad: float) -> float:
@@ -193,7 +220,12 @@ def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
     loop = row.loops[number]
     if loop.reference == _GOAL_HEADING and math.isnan(row.line.goal_heading_rad):
         return first, after, NO_REFERENCE
-    return first, after, _TOO_SHORT if after - first < 2 else 0
+    if after - first < 2:
+        return first, after, _TOO_SHORT
+    moves = loop.reference >= _BEARING_NOW
+    if loop.signal == HEADING and _loses_turns(row, moves, first, after):
+        return first, after, _LOST_TURNS
+    return first, after, 0
 
 
 def _end_ns(row: Row, span: Any) -> int:

@@ -20,6 +20,8 @@ from turtlelog.measure.reductions import (
 )
 from turtlelog.measure.response import Response, Track
 from turtlelog.measure.step_response import (
+    IRREGULAR,
+    IRREGULAR_SWINGS,
     PASSING,
     RESTS,
     SHORTEST_HOLD_S,
@@ -61,6 +63,7 @@ _PASSING: Final = add_reason(
 _SLOW: Final = add_reason(
     Status.NOT_REACHED, "the phase ends before the response is near its reference"
 )
+_IRREGULAR: Final = add_reason(Status.UNDETERMINED, IRREGULAR_SWINGS)
 _UNKNOWN: Final = add_reason(
     Status.UNDETERMINED,
     "the oscillation is too short, or changes too little, to say whether it dies out",
@@ -197,6 +200,8 @@ def _judge_stability(curve: Response) -> Outcome:
         return math.nan, math.nan, _PASSING
     if verdict == SLOW:
         return math.nan, math.nan, _SLOW
+    if verdict == IRREGULAR:
+        return math.nan, math.nan, _IRREGULAR
     if verdict == UNKNOWN:
         return math.nan, math.nan, _UNKNOWN
     return 1.0 if verdict == RESTS else 0.0, curve.start_s + curve.time_s[-1], FOUND

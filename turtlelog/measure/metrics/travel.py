@@ -11,6 +11,7 @@ from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
 from turtlelog.measure.rates import AXES, Axis, Rates, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
+from turtlelog.run.angles import unwrap_headings
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -62,7 +63,7 @@ run_metric(
 @run_metric("run.total_turning", "deg", better=None, grows=True)
 def _compute_turning(context: RunContext) -> Result:
     """Sum of the magnitudes of all turns from pose to pose."""
-    turns_rad = subtract_neighbours(np.unwrap(context.run.poses.heading_rad))
+    turns_rad = subtract_neighbours(unwrap_headings(context.run.poses))
     return Found(degrees(float(np.abs(turns_rad).sum())))
 
 
