@@ -41,8 +41,8 @@ def test_map_says_the_best_rows_and_the_border_beside_theory(
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith("t.parquet: translate.stable: the border lies within one cell of")
     told = (
-        "lies within one cell of theory's line in 3 of 3 columns; 2 columns have no border: they are"
-        " stable at every measured gain, as in theory",
+        "lies within one cell of theory's line in 3 of 3 columns; 2 columns have no border: they"
+        " are stable at every measured gain, as in theory",
         "60 rows; loop.transport_delay_ticks by law.kp_linear",
         "translate.overshoot: 0 % to 216 %, best in row 0 and 8 more (",
         "; no value: 15 rows too short best translate.overshoot: "

@@ -1,4 +1,9 @@
-from . import tune as tune, tune_candidates as tune_candidates, tune_search as tune_search
+from . import (
+    tune as tune,
+    tune_candidates as tune_candidates,
+    tune_neighbourhood as tune_neighbourhood,
+    tune_search as tune_search,
+)
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,

@@ -238,7 +238,9 @@ def tell_borders(borders: Sequence[Border]) -> str:
     told = []
     if known:
         columns = describe_count(len(known), "column")
-        told.append(f"the border lies within one cell of theory's line in {sum(known)} of {columns}")
+        told.append(
+            f"the border lies within one cell of theory's line in {sum(known)} of {columns}"
+        )
     without = [one for one in borders if one.is_near is None and one.verdict is not None]
     for (verdict, agrees), count in Counter((one.verdict, one.agrees) for one in without).items():
         columns = describe_count(count, "column")
