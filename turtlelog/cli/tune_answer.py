@@ -264,9 +264,9 @@ def _tabulate_best(found: "TunedScenario") -> "tl.compare.Table":
     for one in found.around.ranges:
         low, high = (end.replace("objective", "worse") for end in (one.low_end, one.high_end))
         reasons = one.low_constraint or low, one.high_constraint or high
-        ends = one.low, one.high, one.largest_step
+        ends = one.low, one.high, float(f"{one.largest_step:.3g}")
         rows.append((one.key, found.values[one.key], *ends, *reasons))
-    heads = ("key", "best", "from", "to", "largest step", "below", "above")
+    heads = ("key", "best", "from", "to", "step", "below", "above")
     return build_table("How far each key can go", heads, rows, notes)
 
 
@@ -275,7 +275,7 @@ def _list_notes(found: "TunedScenario") -> Iterator[str]:
         slack = format_number(found.around.slack, found.unit)
         yield (
             f"From and to: as far as this key alone can go until the objective is worse by {slack},"
-            " or a constraint breaks. The steps between tried values are at most the largest step."
+            " or a constraint breaks. Step: the largest distance between values tried in this range."
         )
     goal, tuned = found.goal, found.tuned
     kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)
