@@ -275,7 +275,8 @@ def _list_notes(found: "TunedScenario") -> Iterator[str]:
         slack = format_number(found.around.slack, found.unit)
         yield (
             f"From and to: as far as this key alone can go until the objective is worse by {slack},"
-            " or a constraint breaks. Step: the largest distance between values tried in this range."
+            " or a constraint breaks. Step: the largest distance between values tried in this"
+            " range."
         )
     goal, tuned = found.goal, found.tuned
     kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)

@@ -70,6 +70,7 @@ from .sweep_views import (
     SweptCells as SweptCells,
     SweptView as SweptView,
     choose_view as choose_view,
+    count_rivals as count_rivals,
     fill_cells as fill_cells,
     find_best_rows as find_best_rows,
     list_shown_values as list_shown_values,
