@@ -41,7 +41,8 @@ def test_map_says_the_best_rows_and_the_border_beside_theory(
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith("t.parquet: translate.stable: the border lies within one cell of")
     told = (
-        "lies within one cell of theory's line in 5 of 5 columns",
+        "lies within one cell of theory's line in 3 of 3 columns; 2 columns have no border: they"
+        " are stable at every measured gain, as in theory",
         "60 rows; loop.transport_delay_ticks by law.kp_linear",
         "translate.overshoot: 0 % to 216 %, best in row 0 and 8 more (",
         "; no value: 15 rows too short best translate.overshoot: "
@@ -60,6 +61,7 @@ def test_json_has_what_is_drawn(call: Call, table: Path) -> None:
     ]
     stable, overshoot = told["metrics"]
     assert stable["best"] is None
+    assert [one["within_one_cell"] for one in stable["borders"]] == [None, None, True, True, True]
     assert stable["borders"][2]["at"] == [6]
     assert (stable["borders"][2]["last_stable"], stable["borders"][2]["first_unstable"]) == (14, 16)
     assert stable["borders"][2]["theory"] == pytest.approx(15.07, abs=0.01)
@@ -68,6 +70,8 @@ def test_json_has_what_is_drawn(call: Call, table: Path) -> None:
         "row": 0,
         "value": 0.0,
         "as_good": 9,
+        "within_chance": None,
+        "others": None,
         "keys": {"loop.transport_delay_ticks": 0, "law.kp_linear": 2.0},
     }
     assert overshoot["no_value"] == {"too short": 15}
@@ -231,3 +235,25 @@ def test_the_measured_border_of_stability_is_theorys(
         "translate.stable: the border lies within one cell of theory's line in 4 of 4 columns"
     )
     assert expected in done.flat
+
+
+@pytest.mark.parametrize(
+    ("spread", "said"),
+    [
+        (0.1, "best mean with law.kp_linear = 1 (seeds from row 0 on) 6 rows"),
+        (2.0, "no clear best: over 3 seeds, all differences of these means may be chance 6 rows"),
+    ],
+)
+def test_a_best_mean_is_told_if_it_is_more_than_chance(
+    spread: float, said: str, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = write_table(
+        tmp_path / "s.parquet",
+        ["law.kp_linear=1:2", "seed=0:2"],
+        {"run.duration": lambda kp, seed: 8.0 + kp + (spread * (seed - 1) if kp > 1 else 0.0)},
+        units={"run.duration": "s"},
+    )
+    done = call("plot", path.name)
+    assert said in done.flat
+    assert (" run --from " in done.out) is (spread < 1.0)

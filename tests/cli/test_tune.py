@@ -75,7 +75,7 @@ def test_text_tells_bounds_constraints_and_variants(call: Call) -> None:
     )
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith("law.kp_linear = 12: translate.settling_time is ")
-    assert "s, the smallest of the 51\nof 52 candidates that fulfil the constraints." in done.out
+    assert "s, the smallest of the 82\nof 83 candidates that fulfil the constraints." in done.out
     assert "translate.stable == 1      1       0  yes" in done.out
     assert "4 variants of the best" in done.out
     assert "start.heading_rad from 0 to 0.5" in done.out

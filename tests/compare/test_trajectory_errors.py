@@ -282,3 +282,25 @@ def test_numbered_poses_have_no_seconds() -> None:
         compare(numbered)
     with pytest.raises(CompareError, match="no relative motions in s"):
         compare(numbered, numbered, deltas=(parse_delta("1s"),))
+
+
+@pytest.mark.parametrize(("lost", "is_told"), [(9, True), (8, False)])
+def test_time_without_pairs_is_told_from_a_hundredth_of_the_duration_on(
+    *, lost: int, is_told: bool
+) -> None:
+    """Of 50 s, the gap is 0.50 or 0.45 s."""
+    truth = make_trajectory(1000)
+    rows = np.delete(np.arange(1000), np.arange(400, 400 + lost))
+    found = compare(replace(take_poses(truth, rows), name="estimate"), truth)
+    told = [note for note in found.notes if note.startswith("No poses are compared for ")]
+    assert bool(told) is is_told
+    if told:
+        assert told[0].startswith("No poses are compared for 0.5 s, from 19.9 s after the first:")
+    assert len(found.reference) == 1000 - lost
+    assert len(found.whole_reference) == 1000
+
+
+def test_the_whole_reference_ends_with_the_compared_times() -> None:
+    truth = make_trajectory(200)
+    found = compare(take_poses(truth, np.arange(20, 120, 2)), truth)
+    assert found.whole_reference.time_ns.tolist() == truth.time_ns[20:119].tolist()

@@ -45,14 +45,41 @@ def test_borders_of_theory_itself_lie_in_their_cells(tmp_path: Path) -> None:
     view = view_table(write_table(tmp_path / "t.parquet", GRID, {"translate.stable": is_stable}))
     borders = find_borders(view, view.results.metrics[0], find_loop_limits(view))
     assert borders is not None
-    assert [border.is_near for border in borders] == [True] * 5
+    assert [border.is_near for border in borders] == [None, None, True, True, True]
     last = borders[-1]
     assert last.theory is not None
     assert last.last_stable is not None
     assert last.first_unstable is not None
     assert last.last_stable <= last.theory <= last.first_unstable
-    assert borders[0].first_unstable is None
-    assert tell_borders(borders).endswith("in 5 of 5 columns")
+    assert [border.first_unstable for border in borders[:2]] == [None, None]
+    assert tell_borders(borders) == (
+        "the border lies within one cell of theory's line in 3 of 3 columns; 2 columns have no"
+        " border: they are stable at every measured gain, as in theory"
+    )
+
+
+@pytest.mark.parametrize(
+    ("gains", "is_stable", "is_near", "said"),
+    [
+        ("2:14:2", 1.0, None, "it is stable at every measured gain, as in theory"),
+        ("2:16:2", 1.0, None, "it is stable at every measured gain"),
+        ("2:18:2", 1.0, False, "theory's line in 0 of 1 column"),
+        ("16:24:2", 0.0, None, "it is unstable at every measured gain, as in theory"),
+        ("14:24:2", 0.0, None, "it is unstable at every measured gain"),
+        ("12:24:2", 0.0, False, "theory's line in 0 of 1 column"),
+    ],
+)
+def test_a_column_with_one_verdict_has_no_border(
+    *, gains: str, is_stable: float, is_near: bool | None, said: str, tmp_path: Path
+) -> None:
+    """Theory's limit at 6 ticks is 15.07. A border beyond the grid may be a cell beside it."""
+    grid = [f"{DELAY}=6", f"{KP}={gains}"]
+    path = write_table(tmp_path / "t.parquet", grid, {"translate.stable": lambda *_: is_stable})
+    view = view_table(path)
+    borders = find_borders(view, view.results.metrics[0], find_loop_limits(view))
+    assert borders is not None
+    assert [border.is_near for border in borders] == [is_near]
+    assert tell_borders(borders).endswith(said)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +113,7 @@ def test_a_column_that_is_stable_again_has_no_border_near(tmp_path: Path) -> Non
     view = view_table(write_table(tmp_path / "t.parquet", GRID, {"translate.stable": judge}))
     borders = find_borders(view, view.results.metrics[0], find_loop_limits(view))
     assert borders is not None
-    assert [border.is_near for border in borders] == [True, True, False, False, False]
+    assert [border.is_near for border in borders] == [None, None, False, False, False]
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from turtlelog.sweep import (
     Sampling,
     build_plan,
     choose_view,
+    count_rivals,
     fill_cells,
     find_best_rows,
     list_shown_values,
@@ -153,6 +154,38 @@ def test_over_seeds_the_best_is_the_best_mean(tmp_path: Path) -> None:
     assert find_best_rows(view, results.metrics[0]) == [2]
     rows, values = list_shown_values(view, results.metrics[0])
     assert (rows.tolist(), values.tolist()) == ([0, 2, 4], [11.0, 9.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("better", "within", "is_open"), [(0.99, 1, False), (1.01, 2, True)], ids=["clear", "chance"]
+)
+def test_a_mean_is_best_if_chance_does_not_explain_its_distance(
+    *, better: float, within: int, is_open: bool, tmp_path: Path
+) -> None:
+    """Of 2 others, each has an error of 2.5 %: Student's t of 3 degrees of freedom is 3.182."""
+    noise = (-1.0, -1.0, 1.0, 1.0)  # standard deviation 1.1547, standard error 0.57735
+    means = {1: 0.0, 2: 0.1, 3: 3.182 * 0.57735 / better}
+    path = write_table(
+        tmp_path / "t.parquet",
+        [f"{KP}=1:3", f"{SEED}=0:3"],
+        {"run.duration": lambda kp, seed: 9.0 + means[int(kp)] + (noise[seed] if kp > 1 else 0.0)},
+    )
+    results = read_swept_results(path)
+    found = count_rivals(choose_view(results), results.metrics[0])
+    assert found is not None
+    assert (found.within_chance, found.others, found.is_open) == (within, 2, is_open)
+
+
+def test_without_noise_every_difference_counts(tmp_path: Path) -> None:
+    path = write_table(
+        tmp_path / "t.parquet",
+        [f"{KP}=1:3", f"{SEED}=0:1"],
+        {"run.duration": lambda kp, _: max(kp, 2.0)},
+    )
+    results = read_swept_results(path)
+    assert count_rivals(choose_view(results), results.metrics[0]) == (0, 1)
+    alone = choose_view(results, at={SEED: 0})
+    assert count_rivals(alone, results.metrics[0]) is None
 
 
 def test_seeds_that_were_drawn_are_no_repetitions(tmp_path: Path) -> None:

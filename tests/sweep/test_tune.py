@@ -2,6 +2,7 @@
 
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.sweep import tune, tune_candidates, tune_search
 from turtlelog.sweep.batch import measure_rows
-from turtlelog.sweep.tune_search import explore_neighbourhood
+from turtlelog.sweep.tune_neighbourhood import explore_best, explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [
     (
@@ -159,6 +160,50 @@ def test_the_neighbourhood_ends_where_a_constraint_breaks() -> None:
     assert (around.high_end, around.high_constraint) == ("constraint", "law.kp_linear <= 5")
 
 
+@pytest.mark.parametrize(("top", "low"), [(3.2, 3.2), (3.04, 1.0)])
+def test_the_range_ends_at_a_bad_place_inside_that_its_scan_sees(top: float, low: float) -> None:
+    """Steps of 5/32 from 6 to 1 try 3.1875, not 3.03125; those of the walk try 3.19 as well."""
+    goal = tune_candidates.parse_goal(
+        "0 * run.duration + 1", [f"law.kp_linear <= 3.035 or law.kp_linear >= {top}"]
+    )
+    candidates, keys = prepare("textbook", {}, {"law.kp_linear": (1.0, 6.0)}, goal)
+    (best,) = candidates.evaluate([(6.0,)])
+    (around,) = explore_neighbourhood(candidates, keys, best).ranges
+    assert around.low == pytest.approx(low, abs=0.01)
+    assert around.low >= low
+    assert around.largest_step <= 5.0 / 32.0
+    tried = [one for one in candidates.list_known() if one.point[0] >= around.low]
+    assert all(one.is_feasible for one in tried)
+
+
+@pytest.mark.parametrize(("high", "jumps"), [("1.8002", True), ("1.7998", False)])
+def test_a_jump_is_a_change_within_a_thousandth_of_the_range(*, high: str, jumps: bool) -> None:
+    """Steps are 1/1001 or 1/999 of the range. Between gains of 1.676 and 1.680 the robot begins to
+    miss its goal at the first pass, and drives 4 s longer."""
+    base = tl.load_scenario("lagged")
+    goal = tune_candidates.parse_goal("run.duration", ["final.position_error <= 0.01"])
+    keys = tune_search.parse_searched_keys(
+        [f"kp=1.6:{high}:0.0002"], tl.scenario.flatten_scenario(base)
+    )
+    candidates = tune_candidates.Candidates(base, ["kp"], goal, jobs=1)
+    (best,) = candidates.evaluate([(keys[0].round(1.7467),)])
+    found = explore_neighbourhood(candidates, keys, best)
+    assert (found.jump is not None) is jumps
+    if found.jump is not None:
+        assert found.jump.change > 4.0
+        assert found.jump.high - found.jump.low == pytest.approx(0.0002)
+
+
+def test_a_smooth_objective_has_no_jump_and_a_single_key_its_largest_step() -> None:
+    candidates, keys = prepare("textbook", {}, BOUNDS, GOAL)
+    found, around = explore_best(
+        candidates, keys, tune_search.search_best(candidates, keys, evaluations=60)
+    )
+    assert around.jump is None
+    tried = sorted(one.point[0] for one in candidates.list_known())
+    assert found.largest_step == max(high - low for low, high in pairwise(tried))
+
+
 @pytest.mark.parametrize(
     ("text", "values", "value", "margin", "holds"),
     [
@@ -231,7 +276,7 @@ def test_a_better_one_in_the_neighbourhood_is_taken() -> None:
     goal = tune_candidates.parse_goal("final.position_error")
     candidates, keys = prepare("paper-kp10", {}, {"law.kp_angular": (1.0, 12.0)}, goal)
     first = tune_search.search_best(candidates, keys, evaluations=12)
-    found, around = tune_search.explore_best(candidates, keys, first)
+    found, around = explore_best(candidates, keys, first)
     assert first.best.objective is not None
     assert found.best.objective is not None
     assert found.best.objective < first.best.objective

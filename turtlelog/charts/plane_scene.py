@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.charts.curves import Curve, Values
 from turtlelog.errors import ReplayError
 from turtlelog.measure import find_outliers
-from turtlelog.measure.breaks import find_gaps
+from turtlelog.measure.breaks import find_gap_rows
 from turtlelog.measure.references import hold_reference
 from turtlelog.plants import LAGGED, TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
@@ -156,9 +156,18 @@ def part_curve(run: Run, curve: Curve) -> Curve:
 
 def find_break_rows(run: Run) -> NDArray[np.int64]:
     """Return the rows of poses before which curves break: at jumps, and after gaps."""
-    least_ns = min(_find_least_ns(run), _LEAST_NS)
-    gaps = [gap.row for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
+    gaps = _find_long_gaps(run.poses.time_ns, min(_find_least_ns(run), _LEAST_NS))
     return np.unique(np.array([*find_jump_rows(run), *gaps], dtype=np.int64))
+
+
+def find_time_breaks(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rows before which curves over some times break, after gaps."""
+    return _find_long_gaps(time_ns, min(_LEAST_SHARE * float(np.ptp(time_ns)), _LEAST_NS))
+
+
+def _find_long_gaps(time_ns: NDArray[np.int64], least_ns: float) -> NDArray[np.int64]:
+    rows = find_gap_rows(time_ns)
+    return rows[time_ns[rows] - time_ns[rows - 1] >= least_ns]
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:
@@ -209,16 +218,33 @@ def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
     Returns:
         Start and end of each gap, from the first sample [s], and its length in words.
     """
-    least_ns = _find_least_ns(run)
-    gaps = [gap for gap in find_gaps(run) if gap.end_ns - gap.start_ns >= least_ns]
-    longest = sorted(gaps, key=lambda gap: gap.start_ns - gap.end_ns)[:_MOST_NAMED]
+    return list_time_gaps(run.poses.time_ns, run.start_ns, _find_least_ns(run), "poses")
+
+
+def list_time_gaps(
+    time_ns: NDArray[np.int64], zero_ns: int, least_ns: float | None = None, missing: str = "pairs"
+) -> list[tuple[float, float, str]]:
+    """Return the longest gaps of some times, as `list_seen_gaps` does.
+
+    Args:
+        time_ns: Times [ns], ascending.
+        zero_ns: Origin of the results [ns].
+        least_ns: Smallest length of a gap [ns]. Default: 1 % of the duration.
+        missing: What a gap lacks.
+    """
+    least_ns = _LEAST_SHARE * float(np.ptp(time_ns)) if least_ns is None else least_ns
+    rows = _find_long_gaps(time_ns, least_ns)
+    lengths_ns = time_ns[rows] - time_ns[rows - 1]
+    longest = np.sort(rows[np.argsort(-lengths_ns, kind="stable")[:_MOST_NAMED]])
     return [
         (
-            (gap.start_ns - run.start_ns) / 1e9,
-            (gap.end_ns - run.start_ns) / 1e9,
-            f"{(gap.end_ns - gap.start_ns) / 1e9:.2g} s without poses",
+            (start_ns - zero_ns) / 1e9,
+            (end_ns - zero_ns) / 1e9,
+            f"{(end_ns - start_ns) / 1e9:.2g} s without {missing}",
         )
-        for gap in sorted(longest, key=lambda gap: gap.start_ns)
+        for start_ns, end_ns in zip(
+            time_ns[longest - 1].tolist(), time_ns[longest].tolist(), strict=True
+        )
     ]
 
 

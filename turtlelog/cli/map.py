@@ -167,11 +167,17 @@ class SweptAxisAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BestRow:
-    """The best row of a metric: number, value and keys; `as_good` counts equally good rows."""
+    """The best row of a metric: number, value and keys; `as_good` counts equally good rows.
+
+    With means over seeds, it is the first row of the best mean. `within_chance` counts worse means
+    whose difference from the best may be chance, of `others`.
+    """
 
     row: int
     value: float
     as_good: int
+    within_chance: int | None
+    others: int | None
     keys: Mapping[str, Any]
 
 
@@ -415,10 +421,13 @@ def _describe_best(view: "SweptView", metric: "SweptMetric") -> BestRow | None:
         return None
     row = found[0]
     rows, values = tl.sweep.list_shown_values(view, metric)
+    rivals = tl.sweep.count_rivals(view, metric)
     return BestRow(
         row=view.results.row_numbers[row],
         value=float(values[rows == row][0]),
         as_good=len(found),
+        within_chance=None if rivals is None else rivals.within_chance,
+        others=None if rivals is None else rivals.others,
         keys=_name_values({axis: axis.places[row] for axis in view.results.axes}),
     )
 
@@ -459,7 +468,7 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     for metric, one in zip(results.metrics, told.metrics, strict=True):
         borders = tl.sweep.find_borders(view, metric, limits)
         lines.append(_tell_metric(view, one, borders))
-        if one.best is not None:
+        if one.best is not None and _is_clear(one.best):
             best.setdefault(one.best.row, []).append(one.id)
     ids = [one.id for one in told.metrics]
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
@@ -482,10 +491,24 @@ def _tell_metric(view: "SweptView", one: MetricOfTable, borders: "Sequence[Borde
     if borders is not None:
         return f"{name}: {tl.sweep.tell_borders(borders)}{tail}"
     text = f"{name}: {format_number(one.least, unit)} to {format_number(one.most, unit)}"
-    best = one.best
-    if best is not None:
-        more = best.as_good - 1
-        text += f", best in row {best.row}" + (f" and {more} more" if more else "")
-        place = view.results.row_numbers.index(best.row)
-        text += f" ({view.results.tell_row(place)})"
-    return text + tail
+    return text + ("" if one.best is None else _tell_best(view, one.best)) + tail
+
+
+def _is_clear(best: BestRow) -> bool:
+    """Return whether any other mean over seeds is worse by more than chance."""
+    return not best.others or best.within_chance != best.others
+
+
+def _tell_best(view: "SweptView", best: BestRow) -> str:
+    more = f" and {best.as_good - 1} more" if best.as_good > 1 else ""
+    place = view.results.row_numbers.index(best.row)
+    if best.others is None:
+        return f", best in row {best.row}{more} ({view.results.tell_row(place)})"
+    seeds = describe_count(view.seeds, "seed")
+    if not _is_clear(best):
+        return f"; no clear best: over {seeds}, all differences of these means may be chance"
+    keys = ", ".join(axis.tell_row(place) for axis in (*view.axes, *view.held))
+    text = f", best mean with {keys}{more} (seeds from row {best.row} on)"
+    if best.within_chance:
+        text += f"; {best.within_chance} of {best.others} worse means may be as good by chance"
+    return text

@@ -292,5 +292,8 @@ def _describe_best(output: Path) -> str:
                     where = "every run" if all_have else "every run that has a value"
                     return f"{metric.name} is {low} in {where}"
                 least = results.tell_row(int(np.nanargmin(metric.values)))
-                return f"{metric.name} is {low} to {high}, least with {least}"
+                axes = [axis for axis in results.axes if len(axis) > 1]
+                is_one = any("seed" in axis.keys for axis in axes)
+                run = " in a single run," if is_one else ""
+                return f"{metric.name} is {low} to {high}, least{run} with {least}"
     return "no metric has a value in any row"

@@ -244,7 +244,7 @@ def _search(
     running: dict[str, Any],
 ) -> "TunedScenario":
     """Return the best of about `most` candidates and its neighbourhood."""
-    expected = most + tl.sweep.tune_search.NEIGHBOURS * len(keys)
+    expected = most + tl.sweep.tune_neighbourhood.NEIGHBOURS * len(keys)
     with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
         candidates = tl.sweep.tune_candidates.Candidates(
             scenario,

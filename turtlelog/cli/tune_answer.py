@@ -13,7 +13,8 @@ from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
     from turtlelog.sweep.tune import Spread, TunedScenario
-    from turtlelog.sweep.tune_search import KeyRange, SearchedKey
+    from turtlelog.sweep.tune_neighbourhood import KeyRange
+    from turtlelog.sweep.tune_search import SearchedKey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,13 +29,24 @@ class ConstraintAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RangeAnswer:
-    """Range of a single key, with the reasons for its ends."""
+    """Range of a single key: reasons for its ends, and largest step between tried values."""
 
     key: str
     low: float
     high: float
+    largest_step: float
     low_end: str | None
     high_end: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JumpAnswer:
+    """Change of the objective between two close values of a key, the other keys at their best."""
+
+    key: str
+    low: float
+    high: float
+    change: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +83,10 @@ class TuneAnswer:
         is_flat: Whether all candidates have the same value.
         neighbourhood: Range of each key with good values.
         slack: Accepted loss of the objective in this range.
+        jump: Largest jump of the objective by more than the accepted loss; None without such a
+            jump. A search may miss a better value of an objective that jumps.
+        largest_step: Largest distance between neighbouring tried values in the searched range; None
+            if several keys vary.
         spread: Spread of variants; None if no variants were simulated.
     """
 
@@ -89,6 +105,8 @@ class TuneAnswer:
     is_flat: bool
     neighbourhood: list[RangeAnswer]
     slack: float | None
+    jump: JumpAnswer | None
+    largest_step: float | None
     spread: SpreadAnswer | None
 
 
@@ -117,6 +135,9 @@ def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAn
             for one in (found.around.ranges if found.around else ())
         ],
         slack=found.around.slack if found.around else None,
+        jump=copy_fields(JumpAnswer, found.around.jump)
+        if found.around and found.around.jump
+        else None,
         spread=None
         if spread is None
         else copy_fields(
@@ -184,6 +205,32 @@ def _describe_room(found: "TunedScenario") -> Iterator[str]:
             f"Every value tried from {join_words(ways)}{alone} is at most {slack} worse than the"
             " best."
         )
+        yield from _describe_jump(found)
+
+
+def _describe_jump(found: "TunedScenario") -> Iterator[str]:
+    """Yield that the objective jumps, and how closely the range of a single key was tried."""
+    jump = None if found.around is None else found.around.jump
+    if jump is None:
+        return
+    change = format_short(jump.change, found.unit)
+    # The sides of a jump may differ in a late digit.
+    digits = max(
+        3, 2 - math.floor(math.log10((jump.high - jump.low) / max(abs(jump.high), 1e-300)))
+    )
+    sides = f"{jump.low:.{digits}g} and {jump.high:.{digits}g}"
+    yield (
+        f"{found.goal.objective.text} jumps by {change} between {jump.key} = {sides}, so the search"
+        " may miss a better value."
+    )
+    step = found.tuned.largest_step
+    if step:
+        (key,) = found.keys
+        low, high = format_number(key.low), format_number(key.high)
+        yield (
+            f"From {key.key} = {low} to {high}, neighbouring values that were tried are up to"
+            f" {format_short(step)} apart."
+        )
 
 
 def _goes_on(found: "TunedScenario", key: "SearchedKey", number: float) -> bool:
@@ -217,8 +264,9 @@ def _tabulate_best(found: "TunedScenario") -> "tl.compare.Table":
     for one in found.around.ranges:
         low, high = (end.replace("objective", "worse") for end in (one.low_end, one.high_end))
         reasons = one.low_constraint or low, one.high_constraint or high
-        rows.append((one.key, found.values[one.key], one.low, one.high, *reasons))
-    heads = ("key", "best", "from", "to", "below", "above")
+        ends = one.low, one.high, float(f"{one.largest_step:.3g}")
+        rows.append((one.key, found.values[one.key], *ends, *reasons))
+    heads = ("key", "best", "from", "to", "step", "below", "above")
     return build_table("How far each key can go", heads, rows, notes)
 
 
@@ -226,8 +274,9 @@ def _list_notes(found: "TunedScenario") -> Iterator[str]:
     if found.around:
         slack = format_number(found.around.slack, found.unit)
         yield (
-            "From and to: as far as this key alone can go, in the steps of the search, until the"
-            f" objective is worse by {slack}, or a constraint breaks."
+            f"From and to: as far as this key alone can go until the objective is worse by {slack},"
+            " or a constraint breaks. Step: the largest distance between values tried in this"
+            " range."
         )
     goal, tuned = found.goal, found.tuned
     kind = None if goal.metric is None else tl.measure.find_metric_kind(goal.metric)

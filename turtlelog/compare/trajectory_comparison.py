@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.compare import trajectory_errors
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.trajectory_errors import Alignment, DeltaUnit, ErrorStatistics, PoseErrors
 from turtlelog.display import describe_count, fit_line, format_short, join_words
 from turtlelog.errors import CompareError, suggest_names
+from turtlelog.measure.breaks import find_gap_rows
 from turtlelog.run.columns import Trajectory
 
 AlignIn = Literal["none", "origin", "se2", "se3", "sim2", "sim3"]
@@ -92,6 +94,7 @@ class TrajectoryComparison:
         alignment: Transformation of the alignment.
         reference: trajectory_errors.Associated poses of the reference.
         estimate: Aligned poses of the estimate at the same times.
+        whole_reference: All poses of the reference from the first to the last of these times.
         errors: ATE of positions and rotations, then the RPE of each delta.
         absolute: Errors of the ATE, pose by pose.
         before_m: RMSE of the positions without alignment [m].
@@ -106,6 +109,7 @@ class TrajectoryComparison:
     alignment: Alignment
     reference: Trajectory
     estimate: Trajectory
+    whole_reference: Trajectory
     errors: tuple[TrajectoryError, ...]
     absolute: PoseErrors
     before_m: float
@@ -200,12 +204,21 @@ def compare_trajectories(
         alignment=alignment,
         reference=pair.reference,
         estimate=aligned,
+        whole_reference=_cut_reference(reference, pair.reference.time_ns, is_planar=is_planar),
         errors=tuple(errors),
         absolute=absolute,
         before_m=trajectory_errors.summarise_errors(before.position_m).rmse,
         poses=(len(estimate), len(reference)),
         notes=tuple(_list_notes(reference, estimate, pair, absolute, align, settings)),
     )
+
+
+def _cut_reference(
+    reference: Trajectory, time_ns: NDArray[np.int64], *, is_planar: bool
+) -> Trajectory:
+    is_inside = (reference.time_ns >= time_ns[0]) & (reference.time_ns <= time_ns[-1])
+    inside = trajectory_errors.take_poses(reference, np.flatnonzero(is_inside))
+    return trajectory_errors.project_trajectory(inside) if is_planar else inside
 
 
 def _choose_align(reference: Trajectory, estimate: Trajectory, asked: AlignIn | None) -> AlignIn:
@@ -345,6 +358,7 @@ def _list_notes(
             f"Only {used} of {fewer} poses have a partner within {settings.most_apart_s:g} s: the"
             " errors are of these alone. A larger --max-difference takes more."
         )
+    yield from _describe_gap(pair.reference)
     spread_m = float(
         np.sqrt(
             ((pair.reference.xyz_m - pair.reference.xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()
@@ -369,6 +383,26 @@ def _list_notes(
     if {estimate.space, reference.space} == {"plane", "space"}:
         planar = estimate if estimate.space == "plane" else reference
         yield f"{planar.name} has x, y and heading alone: both are compared in the plane."
+
+
+_SEEN: Final = 0.01
+"""Smallest share of the compared time that a gap without pairs must have to be told."""
+
+
+def _describe_gap(reference: Trajectory) -> Iterator[str]:
+    """Yield the longest segment of time without compared poses."""
+    time_ns = reference.time_ns
+    rows = find_gap_rows(time_ns)
+    lengths_s = (time_ns[rows] - time_ns[rows - 1]) / 1e9
+    if reference.clock == "frame" or not len(rows):
+        return
+    longest = int(lengths_s.argmax())
+    if lengths_s[longest] >= _SEEN * np.ptp(time_ns) / 1e9:
+        start_s = (time_ns[rows[longest] - 1] - time_ns[0]) / 1e9
+        yield (
+            f"No poses are compared for {format_short(lengths_s[longest], 's')}, from"
+            f" {format_short(start_s, 's')} after the first: the errors leave this time out."
+        )
 
 
 def tabulate_trajectories(found: Sequence[TrajectoryComparison]) -> Table:

@@ -34,7 +34,7 @@ from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.sweep.sweep_analysis import LoopLimits, find_borders, tell_borders
 from turtlelog.sweep.sweep_table import SweptMetric
-from turtlelog.sweep.sweep_views import SweptView, find_best_rows, list_shown_values
+from turtlelog.sweep.sweep_views import SweptView, count_rivals, find_best_rows, list_shown_values
 
 _MOST_COLUMNS: Final = 4
 """Largest number of runs with a column of metrics each; more columns would be wider than a page."""
@@ -323,8 +323,10 @@ def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | Non
     unit = show_angle(0.0, metric.unit)[1]
     ends = (show_angle(float(find(known)), metric.unit)[0] for find in (np.min, np.max))
     least, most = ends if len(known) else (None, None)
-    row = best[0] if best else None
-    keys = "" if row is None else view.results.tell_row(row)
+    rivals = count_rivals(view, metric)
+    is_open = rivals is not None and rivals.is_open
+    row = best[0] if best and not is_open else None
+    keys = "no clear best" if is_open else "" if row is None else view.results.tell_row(row)
     number = "" if row is None else str(view.results.row_numbers[row])
     missing = str(len(values) - len(known))
     return metric.name, unit, least, most, missing, number, keys

@@ -109,19 +109,24 @@ class PoseJump:
 def find_gaps(run: Run) -> tuple[PoseGap, ...]:
     """Return the segments of time without poses, each longer than four usual steps."""
     time_ns = run.poses.time_ns
-    step_ns = np.diff(time_ns)
-    if not len(step_ns):
-        return ()
-    usual_ns = float(np.quantile(step_ns, _USUAL))
     return tuple(
         PoseGap(
-            row=row + 1,
-            start_ns=int(time_ns[row]),
-            end_ns=int(time_ns[row + 1]),
-            usual_ns=int(compute_median(step_ns)),
+            row=row,
+            start_ns=int(time_ns[row - 1]),
+            end_ns=int(time_ns[row]),
+            usual_ns=int(compute_median(np.diff(time_ns))),
         )
-        for row in np.flatnonzero(step_ns > GAP_STEPS * usual_ns).tolist()
+        for row in find_gap_rows(time_ns).tolist()
     )
+
+
+def find_gap_rows(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rows that follow the row before after more than four usual steps."""
+    step_ns = np.diff(time_ns)
+    if not len(step_ns):
+        return np.zeros(0, dtype=np.int64)
+    usual_ns = float(np.quantile(step_ns, _USUAL))
+    return np.flatnonzero(step_ns > GAP_STEPS * usual_ns) + 1
 
 
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:

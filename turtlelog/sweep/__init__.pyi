@@ -1,4 +1,9 @@
-from . import tune as tune, tune_candidates as tune_candidates, tune_search as tune_search
+from . import (
+    tune as tune,
+    tune_candidates as tune_candidates,
+    tune_neighbourhood as tune_neighbourhood,
+    tune_search as tune_search,
+)
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
@@ -65,6 +70,7 @@ from .sweep_views import (
     SweptCells as SweptCells,
     SweptView as SweptView,
     choose_view as choose_view,
+    count_rivals as count_rivals,
     fill_cells as fill_cells,
     find_best_rows as find_best_rows,
     list_shown_values as list_shown_values,

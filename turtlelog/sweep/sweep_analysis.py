@@ -10,6 +10,7 @@ Theory gives the limits of a gain in every column of a map.
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -86,15 +87,27 @@ class Border:
         last_stable: Largest gain below the border that was measured as stable; None if no gain was.
         first_unstable: Smallest gain that was measured as unstable; None if no gain was.
         theory: Gain from which the loop is unstable in theory; None if theory gives no limit.
+        verdict: Whether all measured gains are stable (True) or unstable (False): the grid has no
+            border in this column. None if stable and unstable gains were measured, or no gain.
         is_near: Whether the measured and the theoretical border are within one cell; None if one is
-            unknown.
+            unknown. A border outside the grid is unknown, but is not near a limit well inside.
     """
 
     place: int
     last_stable: float | None
     first_unstable: float | None
     theory: float | None
+    verdict: bool | None
     is_near: bool | None
+
+    @property
+    def agrees(self) -> bool:
+        """Whether theory has the same verdict at all measured gains."""
+        if self.theory is None or self.verdict is None:
+            return False
+        if self.verdict:
+            return self.last_stable is not None and self.last_stable < self.theory
+        return self.first_unstable is not None and self.first_unstable >= self.theory
 
 
 def list_gain_keys(results: SweptResults) -> tuple[str, ...]:
@@ -222,10 +235,19 @@ def find_borders(
 def tell_borders(borders: Sequence[Border]) -> str:
     """Return a comparison of borders with theory, as sentences."""
     known = [border.is_near for border in borders if border.is_near is not None]
-    if not known:
-        return "no border beside a limit of theory"
-    columns = describe_count(len(known), "column")
-    return f"the border lies within one cell of theory's line in {sum(known)} of {columns}"
+    told = []
+    if known:
+        columns = describe_count(len(known), "column")
+        told.append(
+            f"the border lies within one cell of theory's line in {sum(known)} of {columns}"
+        )
+    without = [one for one in borders if one.is_near is None and one.verdict is not None]
+    for (verdict, agrees), count in Counter((one.verdict, one.agrees) for one in without).items():
+        columns = describe_count(count, "column")
+        they = "has no border: it is" if count == 1 else "have no border: they are"
+        text = f"{columns} {they} {'stable' if verdict else 'unstable'} at every measured gain"
+        told.append(text + (", as in theory" if agrees else ""))
+    return "; ".join(told) or "no border beside a limit of theory"
 
 
 def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimits | None) -> Border:
@@ -233,17 +255,23 @@ def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimit
     first = int(unstable[0]) if len(unstable) else len(gains)
     stable = np.flatnonzero(verdicts[:first] >= 0.5)
     last = int(stable[-1]) if len(stable) else -1
+    is_stable_again = bool((verdicts[first:] >= 0.5).any())
+    is_measured = bool(np.isfinite(verdicts).any())
+    has_border = is_stable_again or (len(unstable) > 0 and len(stable) > 0)
     theory = None if limit is None or len(limit.stable) != 1 else limit.stability
-    near = None
-    if theory is not None and np.isfinite(verdicts).any():
+    near: bool | None = None
+    if theory is not None and is_measured:
         step = int(np.searchsorted(gains, theory))
         # Theory agrees if its border is between the two neighbouring gains, or one cell beside.
-        near = last <= step <= first + 1 and not (verdicts[first:] >= 0.5).any()
+        near = last <= step <= first + 1 and not is_stable_again
+        if near and not has_border:
+            near = None
     return Border(
         place=place,
         last_stable=None if last < 0 else float(gains[last]),
         first_unstable=None if first == len(gains) else float(gains[first]),
         theory=theory,
+        verdict=None if has_border or not is_measured else not len(unstable),
         is_near=near,
     )
 

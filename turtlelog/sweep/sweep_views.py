@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -301,3 +301,57 @@ def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
         values = np.maximum(values, kind.floor)
     best = np.nanmin(values) if kind.better == "lower" else np.nanmax(values)
     return [int(row) for row in rows[values == best]]
+
+
+class Rivals(NamedTuple):
+    """Means over seeds beside the best mean.
+
+    Attributes:
+        within_chance: Number of means that are not significantly worse than the best.
+        others: Number of means that are worse, significantly or not.
+    """
+
+    within_chance: int
+    others: int
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there are worse means, and none of them is significantly worse."""
+        return 0 < self.others == self.within_chance
+
+
+_CHANCE: Final = 0.05
+"""Probability that chance makes a mean that is as good as the best seem worse, for all means
+together."""
+
+
+def count_rivals(view: SweptView, metric: SweptMetric) -> Rivals | None:
+    """Return how many means over seeds may be as good as the best; None without a best mean.
+
+    The runs of two means are paired by seed. A difference is significant if it exceeds the quantile
+    of Student's t. The error probability is divided by the number of means (Bonferroni), because
+    the best of many means is partly the luckiest.
+    """
+    best, seed = find_best_rows(view, metric), view.results.find_axis(SEED)
+    if view.seeds == 1 or not best or seed is None or seed in view.axes:
+        return None
+    from scipy.special import stdtrit
+
+    runs = np.full((view.shape[0] * view.shape[1], len(seed)), np.nan)
+    runs[view.cells, seed.places[view.rows]] = metric.values[view.rows]
+    counts = np.isfinite(runs).sum(axis=1)
+    cells = dict(zip(view.rows.tolist(), view.cells.tolist(), strict=True))
+    equal = [cells[row] for row in best]
+    others = np.setdiff1d(np.flatnonzero(counts == counts.max()), equal)
+    kind = find_metric_kind(metric.name)
+    sign = -1.0 if kind is not None and kind.better == "higher" else 1.0
+    worse = sign * (runs[others] - runs[equal[0]])
+    known = np.isfinite(worse).sum(axis=1)
+    within = 0
+    for count, row in zip(known.tolist(), worse, strict=True):
+        if count < 2:
+            within += 1
+            continue
+        error = np.nanstd(row, ddof=1) / np.sqrt(count)
+        within += bool(np.nanmean(row) <= stdtrit(count - 1, 1.0 - _CHANCE / len(others)) * error)
+    return Rivals(within, len(others))

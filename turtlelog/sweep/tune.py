@@ -26,7 +26,7 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep import tune_search
+from turtlelog.sweep import tune_neighbourhood, tune_search
 from turtlelog.sweep.sweep_plan import KP
 from turtlelog.sweep.tune_candidates import Candidates, TuningGoal, spread_keys
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 FOR_EACH_KEY: Final = 300
-"""Default number of candidates per key: the cover takes 32, and a generation of the evolution
-12."""
+"""Default number of candidates per key: the cover takes 32 (128 if one key varies alone), and a
+generation of the evolution 12."""
 
 FEWEST: Final = 8
 """Smallest number of candidates of a search."""
@@ -57,7 +57,7 @@ class TunedScenario:
     keys: tuple[tune_search.SearchedKey, ...]
     goal: TuningGoal
     tuned: tune_search.Tuned
-    around: tune_search.Neighbourhood | None = None
+    around: tune_neighbourhood.Neighbourhood | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -161,7 +161,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         [one.key for one in keys],
         goal,
         jobs=jobs,
-        expected=most + tune_search.NEIGHBOURS * len(keys),
+        expected=most + tune_neighbourhood.NEIGHBOURS * len(keys),
         step_budget_s=step_budget_s,
         source="ranges",
     )
@@ -191,7 +191,7 @@ def tune_candidates(
     goal, around = candidates.goal, None
     tuned = tune_search.search_best(candidates, keys, evaluations=evaluations, seed=seed)
     if tuned.best.is_feasible:
-        tuned, around = tune_search.explore_best(candidates, keys, tuned)
+        tuned, around = tune_neighbourhood.explore_best(candidates, keys, tuned)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 

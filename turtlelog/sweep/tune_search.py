@@ -1,4 +1,4 @@
-"""The search for the best values of keys, in three steps, and for the range of each around them.
+"""The search for the best values of keys, in three steps.
 
 First, a scrambled Sobol sequence covers the range evenly. Second, differential evolution (R. Storn
 and K. Price, J. Global Optimization 11, 1997; as in scipy) continues from the best points, whole
@@ -11,11 +11,11 @@ genetic algorithms", Computer Methods in Applied Mechanics and Engineering 186, 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from statistics import median
-from typing import Any, Final, Literal
+from operator import sub
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ from turtlelog.sweep.tune_candidates import Candidate, Candidates, Point, Tuning
 _SPREAD: Final = 32
 """Number of points per key of the first cover: one key has steps of 3 % of its range. The number is
 a power of two, as the Sobol sequence requires."""
+
+_SPREAD_ALONE: Final = 128
+"""The same number if one key varies alone, with steps of 1 % of its range: a metric that depends on
+the sampling instants has narrow minima, and the evolution of one key needs few candidates."""
 
 _POPULATION: Final = 12
 """Population of the evolution per key: the authors of the method advise 10, scipy uses 15."""
@@ -62,6 +66,8 @@ class Tuned:
         at_bounds: Keys whose best value is at a bound of their range.
         is_flat: Whether all candidates that satisfy the constraints, at least two, have the same
             objective.
+        largest_step: Largest distance between neighbouring tried values of the key in its range;
+            None if several keys vary.
     """
 
     best: Candidate
@@ -71,6 +77,7 @@ class Tuned:
     at_bounds: tuple[str, ...]
     is_flat: bool = False
     failure: str = ""
+    largest_step: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +144,16 @@ def sum_up(candidates: Candidates, keys: Sequence[SearchedKey]) -> Tuned:
         feasible=len(feasible),
         is_flat=len(feasible) > 1 and len(set(feasible)) == 1,
         at_bounds=tuple(key.key for key, value in values if value in {key.low, key.high}),
+        largest_step=find_largest_step([one.point[0] for one in known], keys[0].low, keys[0].high)
+        if len(keys) == 1
+        else None,
     )
+
+
+def find_largest_step(values: Sequence[float], low: float, high: float) -> float:
+    """Return the largest distance between neighbouring values in a range; 0 if there is one."""
+    inside = sorted(value for value in values if low <= value <= high)
+    return max(map(sub, inside[1:], inside), default=0.0)
 
 
 def find_best(candidates: Candidates) -> Candidate:
@@ -193,7 +209,8 @@ class _Search:
         points = self._place(np.full((1, count), 0.5))
         if count <= _CORNERS:
             points += self._place(np.array([*product((0.0, 1.0), repeat=count)]))
-        wanted = max(min(_SPREAD * count, self._most // 2), 2)
+        most = _SPREAD_ALONE if count == 1 else _SPREAD * count
+        wanted = max(min(most, self._most // 2), 2)
         generator = np.random.default_rng(seed)
         sequence: Any = qmc.Sobol(count, rng=generator)
         points += self._place(sequence.random_base2(max(math.floor(math.log2(wanted)), 1)))
@@ -289,161 +306,3 @@ def parse_searched_keys(
             steps=() if one.is_open else tuple(steps),
         )
     return tuple(found.values())
-
-
-_WORSE: Final = 0.1
-"""Largest loss of the objective, as a share of the best value: the rounding of a gain."""
-
-_OF_SPREAD: Final = 0.01
-"""The same loss as a share of the distance from the best to the median candidate, if that is
-larger. A share of a best value of 0 would always be 0."""
-
-_POINTS: Final = 16
-"""Number of candidates between the best value and each bound, denser near the best."""
-
-_ROUNDS: Final = 5
-"""Largest number of neighbourhoods. If a metric depends on single samples, each may contain a
-better value."""
-
-_HALVINGS: Final = 8
-"""Number of halvings of the step, down to 1/256."""
-
-NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS)
-"""Largest number of candidates of a neighbourhood for each key."""
-
-End = Literal["objective", "constraint", "no value", "bound"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeyRange:
-    """Range of a key around its best value, with all other keys at their best values.
-
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value that is still good.
-        high: Largest value that is still good.
-        low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
-            value is missing, or the given bound is reached.
-        high_end: Reason for the upper end, with the same values.
-        low_constraint: Constraint that is violated below the range; empty if no constraint is.
-        high_constraint: Constraint that is violated above the range; empty if no constraint is.
-    """
-
-    key: str
-    low: float
-    high: float
-    low_end: End
-    high_end: End
-    low_constraint: str = ""
-    high_constraint: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Neighbourhood:
-    """The range in which each key can change while the other keys stay fixed.
-
-    Attributes:
-        slack: Largest accepted loss of the objective.
-        ranges: Range of each key.
-    """
-
-    slack: float
-    ranges: tuple[KeyRange, ...]
-
-
-@dataclass(slots=True)
-class _Walk:
-    """A walk from the best value to a bound: the last good fraction and the first bad fraction."""
-
-    place: int
-    bound: float
-    good: float = 0.0
-    bad: float | None = None
-    end: End = "bound"
-    constraint: str = ""
-
-
-def explore_best(
-    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned
-) -> tuple[Tuned, Neighbourhood]:
-    """Return the best candidate and its neighbourhood. A better candidate found there replaces it.
-
-    Args:
-        candidates: Evaluator of candidates.
-        keys: Varied keys.
-        found: Best candidate so far, which satisfies the constraints.
-    """
-    for _ in range(_ROUNDS):
-        around = explore_neighbourhood(candidates, keys, found.best)
-        before, found = found, sum_up(candidates, keys)
-        if found.best is before.best:
-            break
-    return replace(found, best=before.best, at_bounds=before.at_bounds), around
-
-
-def explore_neighbourhood(
-    candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate
-) -> Neighbourhood:
-    """Return the range of each key, found by walks from the best value to both bounds.
-
-    The best candidate satisfies the constraints.
-    """
-    assert best.objective is not None
-    slack, sign = _find_slack(candidates, best.objective), candidates.goal.sign
-    limit = sign * best.objective + slack
-    walks = [_Walk(place, bound) for place, key in enumerate(keys) for bound in (key.low, key.high)]
-
-    def move(walk: _Walk, share: float) -> Point:
-        point = [*best.point]
-        here, key = point[walk.place], keys[walk.place]
-        point[walk.place] = key.round(here + share * (walk.bound - here))
-        return tuple(point)
-
-    def look(asked: Sequence[tuple[_Walk, float]]) -> list[tuple[End, str] | None]:
-        found = candidates.evaluate([move(walk, share) for walk, share in asked])
-        return [_find_fault(one, limit, sign) for one in found]
-
-    shares = [(step / _POINTS) ** 2 for step in range(1, _POINTS + 1)]
-    asked = [(walk, share) for walk in walks for share in shares]
-    for (walk, share), fault in zip(asked, look(asked), strict=True):
-        if walk.bad is None:
-            _enter(walk, share, fault)
-    for _ in range(_HALVINGS):
-        halved = [(one, (one.good + one.bad) / 2.0) for one in walks if one.bad is not None]
-        for (walk, share), fault in zip(halved, look(halved), strict=True):
-            _enter(walk, share, fault)
-    ranges = (
-        KeyRange(
-            key=key.key,
-            low=move(below, below.good)[below.place],
-            high=move(above, above.good)[above.place],
-            low_end=below.end,
-            high_end=above.end,
-            low_constraint=below.constraint,
-            high_constraint=above.constraint,
-        )
-        for key, below, above in zip(keys, walks[::2], walks[1::2], strict=True)
-    )
-    return Neighbourhood(slack=slack, ranges=tuple(ranges))
-
-
-def _enter(walk: _Walk, share: float, fault: tuple[End, str] | None) -> None:
-    if fault is None:
-        walk.good = share
-    else:
-        walk.bad, (walk.end, walk.constraint) = share, fault
-
-
-def _find_slack(candidates: Candidates, best: float) -> float:
-    known = candidates.list_known()
-    values = [one.objective for one in known if one.is_feasible and one.objective is not None]
-    return max(_WORSE * abs(best), _OF_SPREAD * abs(median(values) - best))
-
-
-def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
-    broken = [found for found in one.constraints if not found.holds]
-    if broken:
-        return "constraint", broken[0].expression
-    if one.objective is None:
-        return "no value", ""
-    return ("objective", "") if sign * one.objective > limit else None

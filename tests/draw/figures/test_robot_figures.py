@@ -1,6 +1,7 @@
 """Figures of somebody's robot: poses, and commands and measured rates where there are any."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from tests.compare.trajectories import make_trajectory
 from tests.draw.rerun.rrds import make_foreign_run
 from tests.draw.robots import OUTLIER, OUTLIER_ROW, keep_no_commands, make_robot
 from tests.log.runs import find_shared
+from turtlelog.compare import compare_trajectories
+from turtlelog.compare.trajectory_errors import take_poses
 from turtlelog.draw import Page
+from turtlelog.draw.figures import page, robot_figures
 from turtlelog.draw.figures.time_panels import draw_time_plot
 from turtlelog.draw.figures.writing import list_left_out
 from turtlelog.errors import ShowError
@@ -141,3 +146,28 @@ def test_a_window_fades_the_path_on_both_sides_of_a_gap() -> None:
     x_m = np.asarray(strong.get_xdata(), float)
     time_s = (run.poses.time_ns - run.start_ns) / 1e9
     assert np.isfinite(x_m).sum() == ((time_s >= 2.0) & (time_s <= 9.0)).sum()
+
+
+@pytest.mark.parametrize(
+    ("lost", "gaps"), [(0, []), (20, ["1 s without pairs"]), (100, ["5 s without pairs"])]
+)
+def test_errors_of_a_trajectory_break_where_it_has_no_pairs(
+    lost: int, gaps: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its reference is continuous there, and is drawn with all of its poses."""
+    drawn: list[Figure] = []
+    monkeypatch.setattr(page, "write_figure", lambda figure, *_: drawn.append(figure))
+    truth = make_trajectory(400)
+    rows = np.delete(np.arange(400), np.arange(200, 199 + lost))
+    found = compare_trajectories(truth, replace(take_poses(truth, rows), name="estimate"))
+    robot_figures.write_trajectory_figure(found, tmp_path / "ate.svg")
+    plane, *over_time = drawn[0].axes
+    reference, estimate = (np.asarray(line.get_xydata()) for line in plane.get_lines()[:2])
+    assert len(reference) == 400
+    assert np.isfinite(reference).all()
+    assert np.isnan(estimate).any(axis=1).sum() == len(gaps)
+    for axes, broken in zip(over_time, (0, 0, 1), strict=True):
+        errors = np.asarray(axes.get_lines()[broken].get_xydata())
+        assert np.isnan(errors).any(axis=1).sum() == len(gaps)
+        if not broken:
+            assert [text.get_text() for text in axes.texts] == gaps

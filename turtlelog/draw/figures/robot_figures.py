@@ -15,6 +15,7 @@ from matplotlib.gridspec import GridSpec
 from turtlelog import identify
 from turtlelog.charts.curves import Command, Curve, Values, read_applied, read_command
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
+from turtlelog.charts.plane_scene import find_time_breaks, list_time_gaps
 from turtlelog.charts.plotted_curves import CommandChange, find_command_changes, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, label_error, read_measured
 from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
@@ -23,9 +24,11 @@ from turtlelog.display import describe_count
 from turtlelog.draw.figures import page as pages
 from turtlelog.draw.figures.figure_curves import add_legend, draw_curve, draw_thinned, label_runs
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, fix_style, use_looks
+from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
+from turtlelog.run.columns import Trajectory
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 _ROW_INCH: Final = 1.25
@@ -407,7 +410,8 @@ def write_trajectory_figure(
         grid = figure.add_gridspec(rows + 1, 1, height_ratios=(_PLANE_ROWS, *(1.0,) * rows))
         axes = figure.add_subplot(grid[0])
         for one, looks, label in _list_paths(found):
-            draw_thinned(axes, one[:, 0], one[:, 1], one[:, 1], **looks, label=label)
+            x, y = _break_at_gaps(one, one.xyz_m[:, :2]).T
+            draw_thinned(axes, x, y, y, **looks, label=label)
         worst = int(found.absolute.position_m.argmax())
         both = np.array([found.reference.xyz_m[worst], found.estimate.xyz_m[worst]])
         axes.plot(both[:, 0], both[:, 1], color="0.15", linewidth=1.0)
@@ -419,19 +423,32 @@ def write_trajectory_figure(
     return pages.write_figure(figure, path, page)
 
 
-def _list_paths(found: TrajectoryComparison) -> list[tuple[Values, dict[str, Any], str]]:
+def _break_at_gaps(times: Trajectory, values: Values) -> Values:
+    """Return values at the times of a trajectory, with NaN in the gaps of these times."""
+    if times.clock == "frame":
+        return values
+    return np.insert(values, find_time_breaks(times.time_ns), np.nan, axis=0)
+
+
+def _list_paths(found: TrajectoryComparison) -> list[tuple[Trajectory, dict[str, Any], str]]:
+    """Return both trajectories; the reference has poses without a partner too."""
     how = "" if found.align == "none" else ", aligned"
     theirs, ours = (Path(name).name for name in (found.reference_name, found.name))
     return [
-        (found.reference.xyz_m, {**MODELLED, "linewidth": 1.3}, f"{theirs}, reference"),
-        (found.estimate.xyz_m, {**MEASURED, "linewidth": 1.0}, f"{ours}{how}"),
+        (found.whole_reference, {**MODELLED, "linewidth": 1.3}, f"{theirs}, reference"),
+        (found.estimate, {**MEASURED, "linewidth": 1.0}, f"{ours}{how}"),
     ]
 
 
 def _draw_over_time(figure: Figure, grid: GridSpec, found: TrajectoryComparison) -> None:
     time_ns = found.reference.time_ns
     is_frame = found.reference.clock == "frame"
-    across = (time_ns - (0 if is_frame else time_ns[0])) / 1e9
+    zero_ns = 0 if is_frame else int(time_ns[0])
+    gaps = [] if is_frame else list_time_gaps(time_ns, zero_ns)
+
+    def read_across(times: Trajectory) -> Values:
+        return _break_at_gaps(times, (times.time_ns - zero_ns) / 1e9)
+
     turn = "heading" if found.space == "plane" else "rotation"
     panels: list[tuple[str, Values]] = [
         ("position error [m]", found.absolute.position_m),
@@ -440,7 +457,9 @@ def _draw_over_time(figure: Figure, grid: GridSpec, found: TrajectoryComparison)
     axes: Axes | None = None
     for row, (label, values) in enumerate(panels, start=1):
         axes = figure.add_subplot(grid[row], sharex=axes)
-        draw_thinned(axes, across, values, values, **MEASURED, linewidth=0.9)
+        broken = _break_at_gaps(found.reference, values)
+        draw_thinned(axes, read_across(found.reference), broken, broken, **MEASURED, linewidth=0.9)
+        shade_gaps(axes, gaps)
         rmse = math.sqrt(float((values**2).mean()))
         axes.axhline(rmse, **REFERENCE, linestyle="--", label="RMSE")
         axes.set_ylabel(label)
@@ -448,7 +467,8 @@ def _draw_over_time(figure: Figure, grid: GridSpec, found: TrajectoryComparison)
     if found.space == "space":
         axes = figure.add_subplot(grid[3], sharex=axes)
         for one, looks, _ in _list_paths(found):
-            draw_thinned(axes, across, one[:, 2], one[:, 2], **looks)
+            z_m = _break_at_gaps(one, one.xyz_m[:, 2])
+            draw_thinned(axes, read_across(one), z_m, z_m, **looks)
         axes.set_ylabel("z [m]")
     if axes is not None:
         axes.set_xlabel("pose" if is_frame else "time [s]")

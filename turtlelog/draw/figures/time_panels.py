@@ -211,7 +211,12 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
     if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
         axes.axvspan(*pushed_s, **page.PUSHED)
-    for start_s, end_s, words in list_seen_gaps(run):
+    shade_gaps(axes, list_seen_gaps(run))
+
+
+def shade_gaps(axes: Axes, gaps: Sequence[tuple[float, float, str]]) -> None:
+    """Hatch the given segments of time [s], each with its words."""
+    for start_s, end_s, words in gaps:
         axes.axvspan(start_s, end_s, **_GAP)
         text = axes.text((start_s + end_s) / 2.0, 0.5, words, fontsize=WORDS_POINTS, color="0.3")
         text.set(transform=axes.get_xaxis_transform(), ha="center", va="center", rotation=90)
