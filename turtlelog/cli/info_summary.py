@@ -42,8 +42,16 @@ _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
 
 _TOLD: Final = (
-    *("unused", "crowded", "clock", "plane", "dropped_nan", "held_transforms"),
-    *("dropped_before_transforms", "robots", "heading", "origin", "wheels", "reported_rates"),
+    *("unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
+    *(
+        "held_transforms",
+        "dropped_before_transforms",
+        "robots",
+        "heading",
+        "origin",
+        "wheels",
+        "reported_rates",
+    ),
     *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
     *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate"),
     "other_command_topics",

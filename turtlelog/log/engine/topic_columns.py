@@ -49,6 +49,8 @@ class TopicColumns(Tabular):
             sequences of texts as lists, and sequences of messages as lists of dictionaries by
             dotted name. For JSON messages, an array is a list, and missing values are NaN, an empty
             text or None.
+        stored: Key of the order in which messages are stored, shape (n,); None if that is the order
+            of log time.
     """
 
     topic: str
@@ -57,6 +59,7 @@ class TopicColumns(Tabular):
     publish_time_ns: NDArray[np.int64]
     sequence: NDArray[np.uint32]
     fields: Mapping[str, Column]
+    stored: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.log_time_ns)
@@ -69,6 +72,7 @@ class TopicColumns(Tabular):
             publish_time_ns=self.publish_time_ns[rows],
             sequence=self.sequence[rows],
             fields=decode.pick_rows(self.fields, rows),
+            stored=None if self.stored is None else self.stored[rows],
         )
 
     def describe_missing(self, field: str) -> LogError:
@@ -230,9 +234,10 @@ def build_columns(
         rows = found[0]
         if len(found) > 1:
             rows = {name: np.concatenate([part[name] for part in found]) for name in rows}
-        times = rows[decode.LOG_TIME]
+        times, stored = rows[decode.LOG_TIME], None
         if len(times) > 1 and (times[1:] < times[:-1]).any():
-            rows = decode.pick_rows(rows, np.argsort(times, kind="stable"))
+            stored = np.argsort(times, kind="stable")
+            rows = decode.pick_rows(rows, stored)
         topics[topic] = TopicColumns(
             topic=topic,
             type=types[topic],
@@ -240,6 +245,7 @@ def build_columns(
             publish_time_ns=rows.pop(decode.PUBLISH_TIME),
             sequence=rows.pop(decode.SEQUENCE),
             fields=rows,
+            stored=stored,
         )
     return topics
 

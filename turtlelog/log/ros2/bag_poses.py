@@ -27,6 +27,7 @@ from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wh
 from turtlelog.log.ros2 import bag_topics, bag_transforms
 from turtlelog.log.ros2.bag_rows import Bag
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
+from turtlelog.log.ros2.set_clocks import find_clock_steps, undo_clock_steps
 from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
 from turtlelog.run import Trajectory, build_trajectory, turn_headings
 
@@ -285,6 +286,8 @@ def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> T
         rows, is_spatial = list[tuple[Values, Values]](), True
         files = (of_file.get(source.topic.topic) for of_file in source.found)
         kept = [columns for columns in files if columns is not None and len(columns)]
+        steps = find_clock_steps(kept, [])
+        kept = undo_clock_steps(kept, steps)
         for columns in kept:
             shape = find_pose_shape(columns.fields)
             if shape is None:
@@ -293,7 +296,7 @@ def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> T
             rows.append(_read_spatial_poses(columns.fields, shape))
         if not rows:
             return None
-        time_ns, clock = _choose_times(kept, choice)
+        time_ns, clock = _choose_times(kept, choice, is_set=bool(steps))
         xyz_m, turns = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         turns[(turns**2).sum(axis=1) == 0.0] = np.nan
         never = time_ns <= 0
@@ -311,14 +314,22 @@ def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> T
 
 
 def _choose_times(
-    found: Sequence[TopicColumns], choice: ReadChoice
+    found: Sequence[TopicColumns], choice: ReadChoice, *, is_set: bool
 ) -> tuple[NDArray[np.int64], str]:
-    """Return the times of poses and the name of their clock."""
+    """Return the times of poses and the name of their clock.
+
+    If the clock was set while recording, stamps jump too; mapped to the recorder's clock they do
+    not.
+    """
     log_ns, stamp_ns = join_arrays([columns.log_time_ns for columns in found]), join_stamps(found)
     if choice.time == "log" or stamp_ns is None:
         return log_ns, "the recorder's clock"
     order = np.argsort(log_ns, kind="stable")
     clock = read_stamp_clock(Stamps(log_ns=log_ns[order], stamp_ns=stamp_ns[order]))
+    if not clock.reason and is_set:
+        time_ns = np.empty_like(log_ns)
+        time_ns[order] = clock.time_ns
+        return time_ns, "header stamps, mapped to the recorder's clock"
     if not clock.reason:
         return stamp_ns, "header stamps"
     if choice.time == "stamp":

@@ -55,6 +55,13 @@ from turtlelog.log.ros2.bag_topics import (
     select_robot,
 )
 from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
+from turtlelog.log.ros2.set_clocks import (
+    CLOCK_SET,
+    SILENCE,
+    describe_clock_steps,
+    describe_silence,
+    find_clock_steps,
+)
 from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE, PAUSE, Declaration
@@ -104,7 +111,9 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
         source = replace(source, found=[])
-        run, track = _build_run(bag.path, found, source, commands, choice)
+        bag = _find_steps(bag, found, source.topic.topic)
+        run, track = _build_run(bag.path, bag.undo_steps(found), source, commands, choice)
+        run = _note_steps(run, bag)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         run = bag_inputs.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
@@ -114,6 +123,21 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     asked = None if has_frames else choice.robot
     named = describe_robots(robots, source.topic.topic, asked)
     return _note_rest(run, bag, distinct, named)
+
+
+def _find_steps(bag: Bag, found: Held, topic: str) -> Bag:
+    """Return a bag with the steps of its recorder's clock that the messages of a topic show."""
+    own = [of_file[topic] for of_file in found if topic in of_file]
+    others = [one for of_file in found for name, one in of_file.items() if name != topic]
+    return replace(bag, steps=find_clock_steps(own, others)) if own else bag
+
+
+def _note_steps(run: Run, bag: Bag) -> Run:
+    """Return a run with notes on the steps of the recorder's clock, or on a long silence."""
+    if bag.steps:
+        return replace(run, notes={**run.notes, CLOCK_SET: describe_clock_steps(bag.steps)})
+    silence = describe_silence(run.poses.time_ns, run.commands.time_ns)
+    return replace(run, notes={**run.notes, SILENCE: silence}) if silence else run
 
 
 def _note_rest(run: Run, bag: Bag, topics: Sequence[TopicInfo], robots: str) -> Run:
@@ -320,7 +344,8 @@ def _read_commands_alone(
         if getattr(choice, name) is not None:
             raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
     found: Held = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
-    rows, dropped = bag_inputs.order_commands(found, pick.topic, choice)
+    bag = _find_steps(bag, found, pick.topic.topic)
+    rows, dropped = bag_inputs.order_commands(bag.undo_steps(found), pick.topic, choice)
     if rows is None:
         raise LogError(
             f"topic {pick.topic.topic}: expected numbers, found nan or infinity in all"
@@ -347,7 +372,7 @@ def _read_commands_alone(
             **note_pick("command_topic", pick),
         },
     )
-    return run, pick.topic.topic
+    return _note_steps(run, bag), pick.topic.topic
 
 
 def _name_bag(path: Path) -> tuple[str, str]:

@@ -25,6 +25,7 @@ from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read
 from turtlelog.log.planar_poses import ROWS_AT_ONCE, Fields, Values
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.bag_files import find_bag_files
+from turtlelog.log.ros2.set_clocks import ClockStep, undo_clock_steps
 from turtlelog.log.ros2.stamps import (
     FIRST_WALL_NS,
     StampClock,
@@ -48,10 +49,12 @@ class Bag:
     Attributes:
         path: The folder, or the single file.
         infos: Contents of each file, in order of time.
+        steps: Steps of the recorder's clock, which are taken out of all log times that are read.
     """
 
     path: Path
     infos: Mapping[Path, RecordingInfo]
+    steps: tuple[ClockStep, ...] = ()
 
     @property
     def topics(self) -> Sequence[TopicInfo]:
@@ -72,7 +75,18 @@ class Bag:
             (file, {*names} & {topic.topic for topic in info.topics if topic.count})
             for file, info in self.infos.items()
         )
-        return tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
+        found = tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
+        return tuple(self.undo_steps(found))
+
+    def undo_steps(self, found: Sequence[Mapping[str, TopicColumns]]) -> Held:
+        """Return messages by topic, for each file, with log times as if no clock was set."""
+        undone: Held = [dict(of_file) for of_file in found]
+        for name in {name for of_file in found for name in of_file} if self.steps else ():
+            holding = [of_file for of_file in undone if name in of_file]
+            topic = undo_clock_steps([of_file[name] for of_file in holding], self.steps)
+            for of_file, columns in zip(holding, topic, strict=True):
+                of_file[name] = columns
+        return undone
 
     def read_topic(self, name: str, *, is_flat: bool = True) -> list[TopicColumns]:
         """Return the messages of a topic, for each file that has some."""

@@ -47,10 +47,10 @@ _JUMP_NS: Final = 500_000_000
 """Step between the clocks from which a clock was set forward [ns]; transport delays change by
 less."""
 
-_JUMP_STEPS: Final = 3.0
+JUMP_STEPS: Final = 3.0
 """Smallest step in usual steps. With one pose per second, some poses may be lost."""
 
-_JUMP_ROWS: Final = 5
+JUMP_ROWS: Final = 5
 """Number of messages that show that a clock was set; fewer are late, or wrongly stamped."""
 
 _NEAR_ROWS: Final = 3
@@ -63,7 +63,7 @@ _LEAST_ADVANCES: Final = 0.25
 """Smallest share of messages with a stamp of their own. Some programs publish each pose several
 times; other programs never update the time."""
 
-_STRETCH_ROWS: Final = 20
+STRETCH_ROWS: Final = 20
 """Smallest mean number of messages between two jumps; a clock that is set more often is not
 usable."""
 
@@ -178,7 +178,7 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     distinct = int(np.count_nonzero(np.diff(np.sort(stamp_ns[rows])))) + 1
     if distinct < max(_LEAST_ADVANCES * count, 2):
         return f"{count} messages share {describe_count(distinct, 'stamp')}"
-    if max(jumps, backward) > len(rows) / _STRETCH_ROWS:
+    if max(jumps, backward) > len(rows) / STRETCH_ROWS:
         return "the stamps' clock jumps to and fro"
     return ""
 
@@ -200,17 +200,18 @@ def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
     usual_ns[:_NEAR_ROWS] = usual_ns[_NEAR_ROWS] + (rows - _NEAR_ROWS) * first_ns
     usual_ns[-_NEAR_ROWS:] = usual_ns[-_NEAR_ROWS - 1] + (rows + 1) * last_ns
     apart_ns = np.abs(np.subtract(late_ns, usual_ns, out=usual_ns), out=usual_ns)
-    return np.asarray(apart_ns > _LATE_NS + _find_least_jump(stamp_ns))
+    return np.asarray(apart_ns > _LATE_NS + find_least_jump(stamp_ns))
 
 
-def _find_least_jump(stamp_ns: TimesNs) -> float:
-    return max(_JUMP_NS, _JUMP_STEPS * float(np.median(np.abs(np.diff(stamp_ns)))))
+def find_least_jump(stamp_ns: TimesNs) -> float:
+    """Return the smallest step between two messages that shows that a clock was set [ns]."""
+    return max(_JUMP_NS, JUMP_STEPS * float(np.median(np.abs(np.diff(stamp_ns)))))
 
 
 def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
     """Return the rows where the stamps' clock jumps, in order."""
     starts = [0]
-    while len(starts) - 1 <= len(log_ns) / _STRETCH_ROWS:
+    while len(starts) - 1 <= len(log_ns) / STRETCH_ROWS:
         jump = _find_jump(log_ns[starts[-1] :], stamp_ns[starts[-1] :])
         if jump is None:
             break
@@ -220,16 +221,16 @@ def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
 
 def _find_jump(log_ns: TimesNs, stamp_ns: TimesNs) -> int | None:
     """Return the first row after a jump of the stamps' clock; None without a jump."""
-    if len(stamp_ns) < 2 * _JUMP_ROWS:
+    if len(stamp_ns) < 2 * JUMP_ROWS:
         return None
     # Set back: later messages have stamps before that of an earlier message.
-    highest = np.maximum.accumulate(stamp_ns)[:-_JUMP_ROWS]
-    is_jump = sliding_window_view(stamp_ns[1:], _JUMP_ROWS).max(axis=1) < highest
+    highest = np.maximum.accumulate(stamp_ns)[:-JUMP_ROWS]
+    is_jump = sliding_window_view(stamp_ns[1:], JUMP_ROWS).max(axis=1) < highest
     # Set forward: later messages seem to be transported faster than the fastest before.
     late_ns = log_ns - stamp_ns
-    fastest = np.minimum.accumulate(late_ns)[:-_JUMP_ROWS]
-    least_ns = _find_least_jump(stamp_ns)
-    is_faster = sliding_window_view(late_ns[1:], _JUMP_ROWS).max(axis=1) < fastest - least_ns
+    fastest = np.minimum.accumulate(late_ns)[:-JUMP_ROWS]
+    least_ns = find_least_jump(stamp_ns)
+    is_faster = sliding_window_view(late_ns[1:], JUMP_ROWS).max(axis=1) < fastest - least_ns
     is_jump |= is_faster & (np.diff(late_ns)[: len(fastest)] < -least_ns)
     return int(is_jump.argmax()) + 1 if is_jump.any() else None
 
@@ -362,4 +363,4 @@ def _count_backward(stamp_ns: TimesNs) -> int:
     if len(stamp_ns) < 2:
         return 0
     back_ns = np.maximum.accumulate(stamp_ns) - stamp_ns
-    return int((back_ns > _LATE_NS + _find_least_jump(np.sort(stamp_ns))).sum())
+    return int((back_ns > _LATE_NS + find_least_jump(np.sort(stamp_ns))).sum())
