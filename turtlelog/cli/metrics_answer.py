@@ -189,7 +189,8 @@ def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[st
         rows = ((words[name], _show(metric)) for name, metric in found.items())
         table = console.build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
     jumps = _list_jumps([summary], summary.metrics)
-    notes = [*said, *jumps, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
+    since = _list_since(summary)
+    notes = [*said, *since, *jumps, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
     return "\n".join(
         [
             console.fill_lines([*head, *remarks, *_list_why(summary)]),
@@ -307,6 +308,15 @@ def _list_next(summary: "tl.compare.RunSummary", count: int) -> list[str]:
     if "commands" not in summary.lacks:
         return [f"Dead time and time constants: turtlelog identify {file}", more]
     return [more]
+
+
+def _list_since(summary: "tl.compare.RunSummary") -> Iterator[str]:
+    """Yield from when on the goal and the path of a bag count."""
+    if "counts_since" in summary.notes:
+        yield (
+            "The time to the goal and the cross-track errors count from then on:"
+            f" {summary.notes['counts_since']}."
+        )
 
 
 def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:

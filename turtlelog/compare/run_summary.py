@@ -222,7 +222,12 @@ def summarise_measured(
         parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
         file=file,
-        notes={**run.notes, **_describe_poses(run, metrics), **({"wall": wall} if wall else {})},
+        notes={
+            **run.notes,
+            **_describe_poses(run, metrics),
+            **_describe_since(run),
+            **({"wall": wall} if wall else {}),
+        },
         declaration=run.declaration,
         lacks=list_lacks(run),
         conditions=find_conditions(run, known) if len(run.poses) else None,
@@ -235,6 +240,18 @@ _SHOWN: Final = 5e-4
 
 _LARGE: Final = 0.05
 """Share of a path length from which jumps are told beside it. Wheel odometry is as wrong itself."""
+
+
+def _describe_since(run: Run) -> dict[str, str]:
+    """Return a note on when the goal and the path were given, if that was during the run."""
+    if not run.is_lawless:
+        return {}
+    rows = {"goal": run.goal_row if run.goal_xy_m is not None else 0, "path": run.path_row}
+    if run.path is None:
+        rows["path"] = 0
+    times_s = {name: (run.poses.time_ns[row] - run.start_ns) / 1e9 for name, row in rows.items()}
+    said = [f"the {name} given at {at_s:.1f} s" for name, at_s in times_s.items() if rows[name]]
+    return {"counts_since": join_words(said)} if said else {}
 
 
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:

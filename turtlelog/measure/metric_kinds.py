@@ -136,6 +136,18 @@ class RunContext:
         return min(first, len(self.run.poses) - 1)
 
     @property
+    def goal_row(self) -> int:
+        """Row of the pose from which the goal counts: when it was given, or else `first_row`."""
+        return max(self.first_row, self.run.goal_row)
+
+    @property
+    def path_row(self) -> int:
+        """Row from which the path or the line to the goal counts, as `goal_row`."""
+        if self.settings.reference_path_xy_m is not None:
+            return self.first_row
+        return max(self.first_row, self.run.path_row)
+
+    @property
     def last_pose_s(self) -> float:
         """Time of the last pose, from the first sample [s]."""
         return float(self.pose_time_s[-1])

@@ -155,7 +155,18 @@ def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
     """Return the arc length of the nearest point to every pose and the distance to it [m]."""
     due_m = None if path.speed_m_s is None else _trace_reference(run, path)
     first_m = _find_first_arc(run, path)
-    return _recall(run, "poses", lambda: trace_path(path, run.poses.xy_m, first_m, due_m))
+    given = run.path_row if due_m is None and first_m is None else 0
+
+    def trace() -> tuple[Values, Values]:
+        """Trace the poses from when the path was given, and those before it, by themselves."""
+        after = trace_path(path, run.poses.xy_m[given:], first_m, due_m)
+        if not given:
+            return after
+        before = trace_path(path, run.poses.xy_m[:given], None, None)
+        along_m, offset_m = (np.concatenate(pair) for pair in zip(before, after, strict=True))
+        return along_m, offset_m
+
+    return _recall(run, "poses", trace)
 
 
 def _find_first_arc(run: Run, path: Path) -> float | None:

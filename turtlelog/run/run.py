@@ -67,6 +67,15 @@ class PhaseSpan:
     end_ns: int
 
 
+GOAL_SET: Final = "goal_set_ns"
+"""Name of the note on when the goal was given [ns]; only in bags with a topic of goals."""
+
+PATH_SET: Final = "path_set_ns"
+"""Name of the note on when the path to follow was given [ns]; only in bags with paths."""
+
+_MOST_DIGITS: Final = 18  # of a 64-bit number
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GoalLine:
     """The line from start to goal, which defines along-track and cross-track coordinates.
@@ -186,17 +195,35 @@ class Run:
         return self.declaration.phase_names
 
     @property
+    def goal_row(self) -> int:
+        """Row of the pose at which the goal was given; 0 if this is unknown."""
+        return self._find_row(GOAL_SET)
+
+    @property
+    def path_row(self) -> int:
+        """Row of the pose at which the path, or else the goal, was given; 0 if unknown."""
+        return self._find_row(GOAL_SET if self.path is None else PATH_SET)
+
+    def _find_row(self, note: str) -> int:
+        text = self.notes.get(note, "")
+        if not text.isdecimal() or len(text) > _MOST_DIGITS:
+            return 0
+        return min(int(np.searchsorted(self.poses.time_ns, int(text))), len(self.poses) - 1)
+
+    @property
     def goal_line(self) -> GoalLine | None:
         """The line from the first pose that was read to the goal; None if the line is unknown.
 
         If the first sample is lost or the goal is unknown, the first recorded bearing gives the
-        direction. Without samples and loops, the line starts at the first recorded pose.
+        direction. Without samples and loops, the line starts where the goal was given, or else at
+        the first recorded pose.
         """
         samples = self.samples
         is_unknown = not len(samples) and (self.declaration.loops or self.goal_xy_m is None)
         if is_unknown or not len(self.poses):
             return None
-        x_m, y_m = map(float, self.poses.xy_m[[*samples.pose_sequence[:1], 0][0]])
+        first = self.goal_row if self.is_lawless else 0
+        x_m, y_m = map(float, self.poses.xy_m[[*samples.pose_sequence[:1], first][0]])
         length_m = bearing_rad = None
         if self.goal_xy_m is not None:
             ahead_m, left_m = self.goal_xy_m[0] - x_m, self.goal_xy_m[1] - y_m

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import Call, call as call
 from tests.log.ros2.bags import START_NS
 from tests.log.ros2.robots import say_goal, say_odometry, say_path, say_transform, turn, write_robot
 from turtlelog import measure_run
@@ -87,7 +88,48 @@ def test_the_first_plan_with_a_length_after_the_goal_counts(tmp_path: Path) -> N
     run = read(tmp_path, say_odometry(), say_goal(8.0, 0.0, at_s=1.0), paths)
     assert run.path is not None
     assert run.path.points == ((1.0, 0.0), (8.0, 0.0))
-    assert run.notes["path"] == "the first plan of 3 from /plan"
+    assert run.notes["path"] == "plan 2 of 3 from /plan"
+
+
+def test_each_goal_is_measured_against_its_own_plan(tmp_path: Path, call: Call) -> None:
+    # East until 10 s, with a plan and its goal; then the same for the way back.
+    paths = [
+        say_path((0.0, 0.0), (1.0, 0.0), at_s=0.6),
+        say_path((1.0, 1.0), (0.0, 1.0), at_s=11.0),
+        say_path((0.9, 1.0), (0.0, 1.0), at_s=12.0),
+    ]
+    goals = [say_goal(1.0, 0.0, at_s=0.5), say_goal(0.0, 1.0, at_s=11.0)]
+    again = say_goal(0.0, 1.0, at_s=13.0)
+    there = say_odometry(count=11, step_m=0.1)
+    back = [replace(one, time_ns=one.time_ns + 11 * 10**9) for one in say_odometry(count=31)]
+    for row, one in enumerate(back):
+        one.values["pose"]["pose"]["position"] |= {"x": max(1.0 - 0.1 * row, 0.0), "y": 1.0}
+    file = write_robot(tmp_path, there, back, paths, [*goals, again])
+    run = read_run(file)
+    assert (run.goal_xy_m, run.goal_row, run.path_row) == ((0.0, 1.0), 11, 11)
+    assert run.notes["path"] == "plan 2 of 3 from /plan"
+    metrics = measure_run(run)
+    assert metrics["run.cross_track_max"].value == pytest.approx(0.0)
+    assert metrics["run.cross_track_rms"].value == pytest.approx(0.0)
+    assert metrics["run.time_to_goal"].value == pytest.approx(9.8)
+    assert metrics["run.time_to_goal"].at_s == pytest.approx(20.8)
+    said = "the goal given at 11.0 s and the path given at 11.0 s."
+    assert said in call("metrics", file).flat
+    # Without a topic of goals, the last plans that end at one place are those to the last goal.
+    alone = read_run(write_robot(tmp_path, there, back, paths))
+    assert alone.path_row == 11
+    assert measure_run(alone)["run.cross_track_max"].value == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(("apart_m", "row"), [(0.45, 1), (0.55, 3)])
+def test_plans_that_end_within_nav2s_tolerance_lead_to_one_goal(
+    apart_m: float, row: int, tmp_path: Path
+) -> None:
+    paths = [
+        say_path((0.0, 0.0), (9.0, 0.0), at_s=1.0),
+        say_path((0.0, 0.0), (9.0 + apart_m, 0.0), at_s=3.0),
+    ]
+    assert read(tmp_path, say_odometry(count=9), paths).path_row == row
 
 
 def test_the_robots_own_trace_is_no_reference(tmp_path: Path) -> None:

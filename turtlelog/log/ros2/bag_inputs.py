@@ -23,6 +23,7 @@ from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, ro
 from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
+from turtlelog.run.run import GOAL_SET, PATH_SET
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
 """Topics of a turtlelog recording that have the type of commands but contain none."""
@@ -52,6 +53,10 @@ A plan, in contrast, ends at the goal, which is farther away."""
 
 _AT_ROBOT_SHARE: Final = 0.1
 """The same distance as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
+
+_ONE_GOAL_M: Final = 0.5
+"""Largest distance between the ends of successive paths to one goal [m]: Nav2 lets a plan end up to
+this tolerance away from the goal."""
 
 _MOST_PATHS: Final = 1000
 """Largest number of path messages that are read without request. A trace that grows point by point
@@ -180,15 +185,22 @@ class RobotTrack:
 
     Attributes:
         time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
+        received_ns: The same time of each pose of the run, shape (m,), nearly in order.
         xy_m: Position [m], shape (n, 2).
         frame: Frame of the poses; empty if unknown.
         tree: Transforms between frames; empty without transforms.
     """
 
     time_ns: TimesNs
+    received_ns: TimesNs
     xy_m: Values
     frame: str
     tree: Tree
+
+    def locate_time(self, run: Run, time_ns: int) -> int:
+        """Return a time on the recorder's clock on the run's clock, as of the next pose [ns]."""
+        row = min(int((self.received_ns < time_ns).sum()), len(run.poses) - 1)
+        return int(run.poses.time_ns[row])
 
 
 def add_references(
@@ -210,8 +222,10 @@ def add_references(
         changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
     if goal_topic is not None:
         changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
+        notes |= {GOAL_SET: str(track.locate_time(run, since_ns))} if changes else {}
     if paths:
-        points, notes["path"] = find_path(paths, plans[0].topic, track, since_ns=since_ns)
+        points, notes["path"], given_ns = find_path(paths, plans[0].topic, track, since_ns=since_ns)
+        notes |= {PATH_SET: str(track.locate_time(run, given_ns))} if points else {}
         others = bag_topics.list_first_names([topic.topic for topic in plans[1:]])
         notes |= {"other_path_topics": others} if others else {}
         if points is not None:
@@ -274,21 +288,25 @@ _Goal = tuple[dict[str, Any], str, int]
 
 
 def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
-    """Return the last goal that was set while the robot was recorded.
+    """Return the last goal that was set while the robot was recorded, and when it was first given.
 
     A goal in another frame is converted to the frame of the poses by the transforms at the time of
     the goal. Without such transforms, there is no goal, and the note gives the reason.
     """
     rows = _sort_rows(messages)
     known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
-    time_ns, number, row = known[-1]
+    _, number, row = known[-1]
     fields = {name: column[row] for name, column in messages[number].fields.items()}
     place_m = np.array([[float(fields[f"pose.position.{axis}"]) for axis in "xyz"]])
     turn = np.array([[float(fields[f"pose.orientation.{axis}"]) for axis in "xyzw"]])
     names = [name for name in fields if "stamp" not in name]
-    others = {
+    texts = [
         tuple(str(messages[file].fields[name][one]) for name in names) for _, file, one in known
-    }
+    ]
+    others = {*texts}
+    # A goal may be published again and again: it was given first after the last other goal.
+    last_other = max((at for at, text in enumerate(texts) if text != texts[-1]), default=-1)
+    time_ns = known[last_other + 1][0]
     said = f"from {topic}"
     if len(others) > 1:
         said = f"the last of {len(others)} from {topic}: --goal chooses another"
@@ -335,11 +353,13 @@ def _bring_over(
 
 def find_path(
     messages: Sequence[TopicColumns], topic: str, track: RobotTrack, *, since_ns: int = 0
-) -> tuple[list[list[float]] | None, str]:
-    """Return the points of the first path with a length [m], in the frame of the poses, and a note.
+) -> tuple[list[list[float]] | None, str, int]:
+    """Return the points of the path that counts [m], in the frame of the poses, a note and a time.
 
-    A path after the goal was set (`since_ns`, on the recorder's clock) is preferred. If there is no
-    reference, for example as the topic has the robot's own trace, the points are None.
+    It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock).
+    If later paths end elsewhere, they lead to another goal, and the first path to the last goal
+    counts. The time is when it was published [ns]. If there is no reference, for example as the
+    topic has the robot's own trace, the points are None.
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))
@@ -349,7 +369,7 @@ def find_path(
     known = [(time_ns, xy_m) for time_ns, xy_m, _ in paths if _measure(xy_m) >= LEAST_M]
     if not known:
         why = reasons.pop() if reasons else "no message of it has a length"
-        return None, f"{topic}: left out: {why}"
+        return None, f"{topic}: left out: {why}", 0
     # A trace ends at the robot's position at its time of publication.
     shares = []
     for time_ns, xy_m in known[:: -(-len(known) // _MOST_LOOKED_AT)]:
@@ -357,18 +377,31 @@ def find_path(
         distance_m = float(np.hypot(*(xy_m[-1] - track.xy_m[row])))
         shares.append(distance_m / max(_AT_ROBOT_M, _AT_ROBOT_SHARE * _measure(xy_m)))
     if float(np.median(shares)) <= 1.0:
-        return None, f"{topic}: left out: it ends where the robot is, and is its trace"
-    _, xy_m = next((one for one in known if one[0] >= since_ns), known[0])
+        return None, f"{topic}: left out: it ends where the robot is, and is its trace", 0
+    present = [one for one in known if one[0] <= track.time_ns[-1]] or known
+    later = [one for one in present if one[0] >= since_ns] or present
+    first = max(
+        (at for at in range(1, len(later)) if _lead_apart(*later[at - 1 : at + 1])), default=0
+    )
+    given_ns, xy_m = later[first]
     points = _thin(xy_m)
     try:
         Path(kind="waypoints", points=tuple((x, y) for x, y in points))
     except PathError as err:
-        return None, f"{topic}: left out: {err}"
-    differing = len({one.tobytes() for _, one in known})
-    said = f"from {topic}" if differing == 1 else f"the first plan of {differing} from {topic}"
+        return None, f"{topic}: left out: {err}", 0
+    plans = [*dict.fromkeys(one.tobytes() for _, one in known)]
+    place = plans.index(xy_m.tobytes()) + 1
+    which = "the first plan" if place == 1 else f"plan {place}"
+    said = f"from {topic}" if len(plans) == 1 else f"{which} of {len(plans)} from {topic}"
     if len(points) < len(xy_m):
         said += f", {len(points)} of its {len(xy_m)} points"
-    return points, said
+    return points, said, given_ns
+
+
+def _lead_apart(one: tuple[int, Values], other: tuple[int, Values]) -> bool:
+    """Return whether two paths end at different places, as paths to two goals."""
+    apart_m = float(np.hypot(*(one[1][-1] - other[1][-1])))
+    return apart_m > _ONE_GOAL_M
 
 
 def _read_points(

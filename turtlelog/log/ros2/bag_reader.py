@@ -201,6 +201,7 @@ def _build_run(
         commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
     track = bag_inputs.RobotTrack(
         time_ns=poses.time_ns,
+        received_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
         frame=source.frame,
         tree=source.tree,
@@ -208,6 +209,7 @@ def _build_run(
     # Views: a second copy of x and y would take 16 bytes per pose.
     poses = replace(poses, columns={**poses.columns, **dict(zip("xy", track.xy_m.T, strict=True))})
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
+    track = replace(track, received_ns=track.time_ns[times.poses.rows])
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:

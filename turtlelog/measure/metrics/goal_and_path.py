@@ -175,7 +175,7 @@ def _on_distance(
         signal = context.get_signal("distance")
         if signal is None:
             return NO_GOAL
-        first = context.first_row
+        first = context.goal_row
         return compute(context, context.pose_time_s[first:], signal.values[first:])
 
     return compute_on_distance
@@ -185,7 +185,7 @@ def _on_distance(
     "run.time_to_goal",
     "s",
     "Time after which the distance stays within 2 % (or `band`) of its initial value, or within"
-    " `goal_tolerance_m`.",
+    " `goal_tolerance_m`; counted from when the goal was given, if a bag shows this.",
     is_awaited=True,
 )
 @_on_distance
@@ -203,7 +203,8 @@ def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Value
         held_s = float(time_s[-1]) - arrived_s
         if held_s < needed_s:
             return read_outcome((held_s, needed_s, LEFT_SOON))
-    return Found(arrived_s, arrived_s)
+    given_s = float(time_s[0]) if context.goal_row > context.first_row else 0.0
+    return Found(arrived_s - given_s, arrived_s)
 
 
 @course_metric("run.path_length", "m", "Length of the line through all poses.", grows=True)
@@ -258,6 +259,15 @@ def _tell_pose(course: RunContext, row: int) -> float:
     return float(course.pose_time_s[row])
 
 
+def _get_first_row(course: Any) -> int:
+    return course.first_row  # type: ignore[no-any-return]
+
+
+@compiled_as(_get_first_row)
+def _find_path_row(course: RunContext) -> int:
+    return course.path_row
+
+
 _LARGEST: Final = "Largest distance from the line from start to goal, or from the path given."
 _RMS: Final = "RMS distance from the line from start to goal, or from the path given."
 
@@ -265,7 +275,7 @@ _RMS: Final = "RMS distance from the line from start to goal, or from the path g
 @course_metric("run.cross_track_max", "m", _LARGEST, grows=True)
 def _measure_largest_cross_track(course: RunContext) -> Outcome:
     """Return the largest magnitude from the first sample (time zero of the run) on."""
-    offset_m, first = _get_cross_track(course), course.first_row
+    offset_m, first = _get_cross_track(course), _find_path_row(course)
     if len(offset_m) == 0:
         return math.nan, math.nan, _LINE_UNKNOWN
     largest_m, row = find_largest(offset_m[first:])
@@ -274,7 +284,7 @@ def _measure_largest_cross_track(course: RunContext) -> Outcome:
 
 @run_metric("run.cross_track_rms", "m", _RMS)
 def _compute_rms_of_run(context: RunContext) -> Result:
-    return _compute_rms_cross_track(context, slice(context.first_row, None))
+    return _compute_rms_cross_track(context, slice(context.path_row, None))
 
 
 @run_metric("run.iae", "m s", "Integral of the distance to the goal.", grows=True)
