@@ -312,7 +312,7 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
         name: run.notes[name] for name in ("goal", "path") if _LEFT_OUT in run.notes.get(name, "")
     }
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
-    notes |= tl.measure.describe_outliers(run)
+    notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
     kind = _describe_kind(run)
     return Summary(
         text=_describe_run(run, kind),

@@ -190,7 +190,8 @@ def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[st
         table = console.build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
     jumps = _list_jumps([summary], summary.metrics)
     since = _list_since(summary)
-    notes = [*said, *since, *jumps, *_list_rates([summary]), *tl.compare.list_unlocks([summary])]
+    rates = [*_list_rates([summary]), *_list_travel(summary)]
+    notes = [*said, *since, *jumps, *rates, *tl.compare.list_unlocks([summary])]
     return "\n".join(
         [
             console.fill_lines([*head, *remarks, *_list_why(summary)]),
@@ -335,6 +336,14 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
 
 _RATE_DOUBTS: Final = frozenset({"path_by_speed", "turning_by_rate"})
 """Notes on reported rates that the poses contradict."""
+
+
+def _list_travel(summary: "tl.compare.RunSummary") -> Iterator[str]:
+    """Yield the sentence on a robot whose speeds are measured at an angle to its way."""
+    if "travel" in summary.notes:
+        told = summary.notes["travel"]
+        own = "" if "rates" in summary.lacks else " (the reported speed is the robot's own)"
+        yield f"{told[0].upper()}{told[1:]}{own}."
 
 
 def _has_scatter(summary: "tl.compare.RunSummary") -> bool:

@@ -261,7 +261,7 @@ def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
         return {}
     from turtlelog.measure import breaks, rates  # only bags need these
 
-    notes = {}
+    notes = measure.describe_travel(run)
     scatter = rates.find_scatter(run)
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")

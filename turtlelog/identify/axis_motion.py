@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
+from turtlelog.measure.travel_direction import find_travel_direction
 from turtlelog.run import PoseColumns, Run
-from turtlelog.run.angles import subtract_headings
+from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 if TYPE_CHECKING:
@@ -155,8 +156,8 @@ def _is_idle(
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     """Return the steps of an axis in which commands act, all of which are known."""
-    command = get_commands(run, axis)
-    time_s, moved, is_sound = measure_axis_steps(run.poses, axis)
+    command, poses = get_commands(run, axis), turn_to_travel(run)
+    time_s, moved, is_sound = measure_axis_steps(poses, axis)
     command_s = run.commands.time_ns / 1e9
     first = np.arange(len(moved))
     if not len(command):
@@ -181,10 +182,22 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     other = get_commands(run, OTHER[axis])
     direction_rad = 0.0 * moved
     if axis == "speed":
-        heading_rad = np.unwrap(run.poses.heading_rad)
+        heading_rad = np.unwrap(poses.heading_rad)
         direction_rad = np.interp(0.5 * (begins_s + ends_s), run.poses.time_ns / 1e9, heading_rad)
     motion = _select(time_s, first[used], moved[used], direction_rad[used], commands, tuple(stops))
     return replace(motion, beside=hold_commands(command_s, other, 0.0))
+
+
+def turn_to_travel(run: Run) -> PoseColumns:
+    """Return poses with headings in the direction of travel, if that is at an angle to the heading.
+
+    A robot of which no sideways speed is commanded does not drive sideways: its heading is measured
+    at an angle, as by a marker that is mounted turned.
+    """
+    found = find_travel_direction(run) if len(run.commands) else None
+    if found is None:
+        return run.poses
+    return replace(run.poses, heading_rad=wrap_angle(run.poses.heading_rad + found.angle_rad))
 
 
 def get_commands(run: Run, axis: Axis) -> Values:

@@ -25,6 +25,7 @@ from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiti
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
 from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure, find_rests
+from turtlelog.measure.travel_direction import find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
@@ -100,6 +101,7 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         for model in models
         if model.steps < model.steps_in_all
     ]
+    notes += _note_travel(runs, models[0])
     pairs = zip(models, (speed_events, turn_events), strict=True)
     return RobotModel(
         files=files,
@@ -109,6 +111,17 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         events=tuple(event for model, events in pairs if model.is_known for event in events),
         notes=tuple(notes),
     )
+
+
+def _note_travel(runs: Sequence[Run], speed: AxisModel) -> Iterator[str]:
+    """Yield notes on runs whose speed is measured at an angle to the heading."""
+    for run in runs if speed.is_known else ():
+        if (found := find_travel_direction(run)) is not None:
+            yield (
+                f"In {run.name}, {found.describe()}. No sideways speed is commanded, so the heading"
+                " is taken as measured at this angle, and the speed is that in the direction of"
+                " travel."
+            )
 
 
 def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:

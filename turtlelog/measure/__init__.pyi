@@ -60,3 +60,8 @@ from .step_response import (
     find_overshoot as find_overshoot,
     find_settling_time as find_settling_time,
 )
+from .travel_direction import (
+    TravelDirection as TravelDirection,
+    describe_travel as describe_travel,
+    find_travel_direction as find_travel_direction,
+)
