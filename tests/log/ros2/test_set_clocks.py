@@ -67,12 +67,17 @@ def read(folder: Path, messages: Iterable[Said]) -> Run:
     return read_bag(write_mcap(folder / "bag.mcap", messages))
 
 
-def require_whole(run: Run) -> None:
-    """Require that the run is the drive by a clock that was never set."""
+def require_whole_poses(run: Run) -> None:
+    """Require the poses of the drive by a clock that was never set."""
     assert len(run.poses) == 501
     assert np.diff(run.poses.time_ns) / 1e9 == pytest.approx(STEP_S, abs=1e-6)
     steps_m = np.hypot(*np.diff(run.poses.xy_m, axis=0).T)
     assert steps_m == pytest.approx(SPEED_M_S * STEP_S, rel=1e-3)
+
+
+def require_whole(run: Run) -> None:
+    """Require that the run is the drive by a clock that was never set."""
+    require_whole_poses(run)
     # The numbers of commands, and that each is within a pose's step of its true time.
     true_s = np.rint(1e3 * run.commands.turn_rate_rad_s) * 0.1
     assert (np.diff(true_s) > 0.0).all()
@@ -86,8 +91,8 @@ def require_whole(run: Run) -> None:
     [
         (-3.7, "back by 3.70 s at 4.0 s, as messages are stored in order of arrival; "),
         (-3600.0, "back by 3600 s at 4.0 s, as messages are stored in order of arrival; "),
-        (3.7, "forward by 3.70 s at 4.0 s, as the robot drives on without a break ("),
-        (259200.0, "forward by 259200 s at 4.0 s, as the robot drives on without a break ("),
+        (3.7, "forward by 3.70 s at 4.0 s, as motion or stamps go on without a break ("),
+        (259200.0, "forward by 259200 s at 4.0 s, as motion or stamps go on without a break ("),
     ],
 )
 @pytest.mark.parametrize("has_stamps", [True, False])
@@ -185,8 +190,31 @@ def test_a_robot_at_rest_shows_that_a_clock_was_set_back(tmp_path: Path) -> None
     assert run.poses.time_ns[-1] / 1e9 == pytest.approx(10.0, abs=1e-3)
 
 
-def test_a_paused_simulation_sets_no_clock(tmp_path: Path) -> None:
-    assert CLOCK_SET not in read(tmp_path, drive(3.7, jumps_stamps=False)).notes
+@pytest.mark.parametrize(("begin_s", "is_set"), [(0, True), (1_600_000_000, False)])
+def test_only_stamps_of_a_wall_clock_show_that_the_recorders_alone_was_set(
+    tmp_path: Path, begin_s: int, *, is_set: bool
+) -> None:
+    messages = drive(3.7, speed_m_s=0.0, jumps_stamps=False)
+    for one in messages:
+        if one.topic == "/pose":  # of a simulation that began 10^8 s ago and paused
+            one.values["header"]["stamp"]["sec"] -= begin_s
+    run = read(tmp_path, messages)
+    assert (CLOCK_SET in run.notes) == is_set
+    assert run.poses.time_ns[-1] / 1e9 == pytest.approx(10.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("has_stamps", [True, False])
+def test_a_network_that_stalls_sets_no_clock(tmp_path: Path, *, has_stamps: bool) -> None:
+    stall_ns = START_NS + np.array([4, 7]) * 10**9
+    messages = [
+        replace(one, time_ns=max(one.time_ns, int(stall_ns[1]) + number))
+        if stall_ns[0] < one.time_ns < stall_ns[1]
+        else one
+        for number, one in enumerate(drive(0.0, has_stamps=has_stamps))
+    ]
+    run = read(tmp_path, sorted(messages, key=lambda one: one.time_ns))
+    assert CLOCK_SET not in run.notes
+    assert run.poses.time_ns[-1] / 1e9 == pytest.approx(10.0, abs=1e-3)
 
 
 def test_two_recordings_in_one_file_are_sorted(tmp_path: Path) -> None:

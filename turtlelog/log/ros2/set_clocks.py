@@ -18,6 +18,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import Values, extract_poses
 from turtlelog.log.ros2.stamps import (
+    FIRST_WALL_NS,
     JUMP_ROWS,
     JUMP_STEPS,
     STRETCH_ROWS,
@@ -86,7 +87,8 @@ def find_clock_steps(
 
     The clock was set back if messages follow in storage with earlier times, unless the path is
     shorter in order of time, as in two recordings in one file. It was set forward if no message has
-    a time in a long silence, and the robot was moving before and after, and did not move meanwhile.
+    a time in a long silence, and the robot was moving before and after, and did not move meanwhile,
+    or if the stamps of a wall clock go on without a silence.
 
     Args:
         files: The poses, by file. Of commands, only steps back are found.
@@ -103,18 +105,24 @@ def find_clock_steps(
     back = back[[log_ns[row + 1 :][:JUMP_ROWS].max() < highest[row] for row in back.tolist()]]
     silent = np.flatnonzero(step_ns > max(least_ns, _SILENT_STEPS * usual_ns))
     silent = silent[(silent >= JUMP_ROWS) & (silent < len(log_ns) - 1 - JUMP_ROWS)]
-    silent = silent[[not _is_paused(files, row) for row in silent.tolist()]]
+    late_ns = _measure_delays(files, log_ns)
+    is_steady = [_is_steady(log_ns, row, usual_ns) for row in silent.tolist()]
+    silent = silent[np.array(is_steady, dtype=bool)]
+    is_behind = np.array([_falls_behind(late_ns, log_ns, row) for row in silent.tolist()], bool)
+    behind = silent[is_behind & _has_wall_clock(files)]
+    silent = silent[~is_behind]
     heard_ns = join_arrays([columns.log_time_ns for columns in others] or [log_ns[:0]])
     for row in silent.tolist():
         inside = (heard_ns > highest[row] + usual_ns) & (heard_ns < log_ns[row + 1] - usual_ns)
         silent = silent[silent != row] if inside.any() else silent
-    if not len(back) + len(silent) or len(back) + len(silent) > len(log_ns) / STRETCH_ROWS:
+    count = len(back) + len(silent) + len(behind)
+    if not count or count > len(log_ns) / STRETCH_ROWS:
         return ()
     way = _read_rim(files)
     silent = silent[[way is not None and _goes_on(way, row) for row in silent.tolist()]]
     if len(back) and way is not None and not _is_stored_in_order(way, log_ns, back):
         back = back[:0]
-    rows = np.sort(np.concatenate([back, silent]))
+    rows = np.sort(np.concatenate([back, silent, behind]))
     firsts = [0, *(rows + 1).tolist()]
     longest = int(np.argmax(np.diff([*firsts, len(log_ns)])))
     shifts_ns = np.rint(step_ns[rows] - usual_ns).astype(np.int64)
@@ -186,7 +194,7 @@ def describe_clock_steps(steps: Sequence[ClockStep]) -> str:
         said.append(f"{len(steps) - _MOST_TOLD} more times")
     shown = {
         "messages are stored in order of arrival": any(step.shift_ns < 0 for step in steps),
-        "the robot drives on without a break (unless all was suspended)": any(
+        "motion or stamps go on without a break (unless all was suspended)": any(
             step.shift_ns > 0 for step in steps
         ),
     }
@@ -228,18 +236,35 @@ def _read_rim(files: Sequence[TopicColumns]) -> Values | None:
     return np.concatenate(parts)
 
 
-def _is_paused(files: Sequence[TopicColumns], row: int) -> bool:
-    """Return whether stamps go on after a row without a silence, as in a paused simulation.
-
-    Such stamps are the time of the motion. The row is one in the order of storage.
-    """
-    log_ns = join_arrays([_restore(columns) for columns in files])
+def _measure_delays(files: Sequence[TopicColumns], log_ns: TimesNs) -> TimesNs | None:
+    """Return log times minus stamps in the order of storage [ns]; None without usable stamps."""
     stored = (columns.select(_list_stored(columns)) for columns in files)
     stamp_ns = join_stamps([*stored])
-    if stamp_ns is None:
+    return None if stamp_ns is None or (stamp_ns <= 0).any() else log_ns - stamp_ns
+
+
+def _has_wall_clock(files: Sequence[TopicColumns]) -> bool:
+    """Return whether the first stamp is of a wall clock, which no pause of a simulation stops."""
+    stamp_ns = join_stamps(files)
+    return stamp_ns is not None and int(stamp_ns[0]) >= FIRST_WALL_NS
+
+
+def _is_steady(log_ns: TimesNs, row: int, usual_ns: float) -> bool:
+    """Return whether messages come at their usual rate after a row, not in a burst.
+
+    After a network or a recorder that stalled, messages that waited come at once.
+    """
+    return bool(log_ns[row + 1 + JUMP_ROWS] - log_ns[row + 1] > JUMP_ROWS * usual_ns / 2.0)
+
+
+def _falls_behind(late_ns: TimesNs | None, log_ns: TimesNs, row: int) -> bool:
+    """Return whether stamps go on after a row without the silence of the log times.
+
+    This happens in a paused simulation, or if only the recorder's clock was set.
+    """
+    if late_ns is None:
         return False
-    before_ns, after_ns = stamp_ns[row : row + 2].tolist()
-    return bool(before_ns > 0 and after_ns - before_ns < (log_ns[row + 1] - log_ns[row]) / 2)
+    return bool(late_ns[row + 1] - late_ns[row] > (log_ns[row + 1] - log_ns[row]) / 2)
 
 
 def _measure_steps(way: Values, first: NDArray[np.int64], second: NDArray[np.int64]) -> Values:
