@@ -128,7 +128,8 @@ def test_a_robot_that_slips_has_no_angle(slip: Callable[[Values, Values], Values
 
 
 def test_a_robot_that_is_sent_sideways_travels_as_it_should() -> None:
-    speed, rate = draw_commands()
+    """Takes 2 to 5 s, because a robot is identified."""
+    speed, rate = (column[:1500] for column in draw_commands())
     sent = drive(speed, rate, aside=0.5 * speed, commanded_aside=0.5 * speed)
     assert find_angle_deg(sent) is None
     model = identify_robot(sent)
@@ -146,7 +147,9 @@ def test_too_little_motion_shows_nothing() -> None:
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.002])
 def test_identify_measures_the_speed_in_the_direction_of_travel(noise_m: float) -> None:
-    model = identify_robot(drive(*draw_commands(), mounted_deg=40.0, noise_m=noise_m))
+    """Takes 2 to 4 s, because a robot is identified."""
+    speed, rate = (column[:1500] for column in draw_commands())
+    model = identify_robot(drive(speed, rate, mounted_deg=40.0, noise_m=noise_m))
     assert model.speed.gain is not None
     assert model.speed.gain.value == pytest.approx(1.0, abs=0.01)
     (note,) = (note for note in model.notes if "travels" in note)
