@@ -71,19 +71,52 @@ def test_jumps_that_a_path_length_contains_are_told_beside_it(
     assert "jump" not in call("metrics", leap, "--metric", "run.duration").flat
 
 
-def test_a_jump_that_is_the_largest_measured_speed_is_told(call: Call, tmp_path: Path) -> None:
+def test_a_jump_is_no_measured_speed(call: Call, tmp_path: Path) -> None:
     table = tmp_path / "poses.csv"
-    for leap_m, told, share in (
-        (3.0, True, " long, 45 % of it jumps,"),
-        (0.2, True, " long, 5 % of it jumps,"),
-        (0.18, True, " long"),
-        (0.0, False, " long"),
+    for leap_m, share in (
+        (3.0, " long, 45 % of it jumps,"),
+        (0.2, " long, 5 % of it jumps,"),
+        (0.18, " long"),
+        (0.0, " long"),
     ):
         rows = [f"{i / 50},{0.3 * i / 50 + leap_m * (i >= 500)},0,0" for i in range(600)]
         table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
         answer = call("metrics", table).flat
-        assert ("The largest measured speed is the jump at 10.0 s." in answer) is told
+        assert "largest measured speed 0.3 m/s" in answer
         assert f"m{share} and takes 12 s." in answer
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "first", "told"),
+    [
+        (20.0, " and takes 40 s, 20 s of it without poses.", "20 s"),
+        (0.5, " and takes 40 s.", "0.5 s"),
+        (0.15, " and takes 40 s.", None),
+    ],
+)
+def test_time_without_poses_is_told_and_left_out(
+    gap_s: float, first: str, told: str | None, call: Call, tmp_path: Path
+) -> None:
+    times = [i / 50 for i in range(2001) if not 10.0 < i / 50 < 10.0 + gap_s]
+    rows = [f"{t},{0.3 * t - 0.3 * gap_s * (t > 10.0)},0,0" for t in times]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    answer = call("metrics", table).flat
+    assert first in answer
+    assert "share of the time at rest 0 %" in answer
+    said = f"Rates and rest leave out {told} without poses; the path length counts a straight line"
+    assert (said in answer) is (told is not None)
+
+
+def test_repeated_poses_are_told(call: Call, tmp_path: Path) -> None:
+    table = tmp_path / "poses.csv"
+    for each, told in ((5, "repeat the one before"), (1, None)):
+        rows = [f"{i / 50},{0.3 * (i // each * each) / 50:.6f},0,0" for i in range(600)]
+        table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+        for command in ("info", "metrics"):
+            answer = call(command, table).flat
+            assert ("repeat the one before" in answer) is (told is not None)
+            assert ("change at 10 Hz" in answer) is (told is not None)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +155,7 @@ def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
     assert "steps back and forth between poses" in answer
     five = call("metrics", *[table] * 5).flat
     assert five.count("counts steps back and forth between poses") == 3
-    assert "Jumps or steps like these are in 2 more runs." in five
+    assert "Gaps, jumps or steps are in 2 more runs, too." in five
 
 
 def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(

@@ -16,7 +16,6 @@ _MOST_SAID: Final = 3
 """Largest number of metrics with values in the first line, and of runs whose jumps are listed."""
 
 _PATH: Final = "run.path_length"
-_FASTEST: Final = "run.measured_speed_max"
 _TURNING: Final = "run.total_turning"
 
 _SILENT: Final = 1.5
@@ -332,7 +331,7 @@ def _has_scatter(summary: "tl.compare.RunSummary") -> bool:
 
 
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
-    """Return sentences on path lengths that contain jumps or scatter of the poses."""
+    """Return sentences on gaps, and on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
         return []
     told: list[list[str]] = []
@@ -340,14 +339,21 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         which, said = "" if len(summaries) == 1 else f" of {one.name}", []
         if "jumps" in one.notes:
             said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
-        if len(summaries) == 1 and _FASTEST in shown and (at := one.notes.get("fastest_is_jump")):
-            said.append(f"The largest measured speed is the jump at {at}.")
+        if "changes" in one.notes:
+            said.append(
+                f"Most poses{which} repeat the one before: they change at {one.notes['changes']}."
+            )
+        if "gaps" in one.notes:
+            said.append(
+                f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path length"
+                " counts a straight line there."
+            )
         said.extend(list_scatter(one, which, shown))
         told.extend([said] if said else [])
     first = [sentence for said in told[:_MOST_SAID] for sentence in said]
     more = describe_count(len(told) - _MOST_SAID, "more run")
     return (
-        first if len(told) <= _MOST_SAID else [*first, f"Jumps or steps like these are in {more}."]
+        first if len(told) <= _MOST_SAID else [*first, f"Gaps, jumps or steps are in {more}, too."]
     )
 
 

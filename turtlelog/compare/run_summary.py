@@ -233,12 +233,16 @@ def summarise_measured(
 _SHOWN: Final = 5e-4
 """Share of a path length below which jumps do not change its three printed digits."""
 
+_COUNTED: Final = 5e-3
+"""Share of the time below which gaps do not change the share at rest, in whole per cent."""
+
 _LARGE: Final = 0.05
-"""Share of a path length from which jumps are told beside it. Wheel odometry is as wrong itself."""
+"""Share of a path length from which jumps are told beside it, and of a duration from which gaps are.
+Wheel odometry is as wrong itself."""
 
 
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """Return notes on jumps and scatter of a robot's poses, if its path length contains them."""
+    """Return notes on gaps, repetition, jumps and scatter of poses, if metrics contain them."""
     path = metrics.get("run.path_length")
     if path is None or path.value is None or run.poses.speed_m_s is not None:
         return {}
@@ -250,6 +254,13 @@ def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
+    if changes := rates.describe_repetition(run.poses):
+        notes["changes"] = changes
+    gaps_s = sum(gap.end_ns - gap.start_ns for gap in breaks.find_gaps(run)) / 1e9
+    if gaps_s > _COUNTED * run.duration_s:
+        notes["gaps"] = format_short(gaps_s, "s")
+    if gaps_s >= _LARGE * run.duration_s:
+        notes["large_gaps"] = notes["gaps"]
     jumps = breaks.find_jumps(run)
     share = sum(jump.excess_m for jump in jumps) / (path.value or math.inf)
     if share <= _SHOWN:
@@ -257,12 +268,6 @@ def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     notes["jumps"] = breaks.describe_breaks(run)["jumps"]
     if share >= _LARGE:
         notes["jumped_share"] = f"{100.0 * share:.0f} %"
-    fastest = metrics.get("run.measured_speed_max")
-    if fastest is not None and fastest.at_s is not None and "rates" in list_lacks(run):
-        # A rate from differences spreads a jump over the poses beside it.
-        first = run.poses.time_ns.searchsorted(run.start_ns + round(fastest.at_s * 1e9))
-        if any(abs(jump.row - first) <= 1 for jump in jumps):
-            notes["fastest_is_jump"] = f"{fastest.at_s:.1f} s"
     return notes
 
 
@@ -447,7 +452,9 @@ def _describe_end(summary: RunSummary) -> str:
         )
         if name in summary.notes
     ]
-    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}"
+    gaps = summary.notes.get("large_gaps")
+    without = f", {gaps} of it without poses" if gaps else ""
+    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}{without}"
 
 
 _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"

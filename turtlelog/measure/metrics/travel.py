@@ -75,14 +75,21 @@ def _on_rates(axis: Axis, compute: Callable[[Rates], Result]) -> Callable[[RunCo
     return compute_on_rates
 
 
+_NOT_SEEN: Final = Missing(Status.UNDETERMINED, "every pose is after a gap or a jump")
+
+
 def _find_largest(rates: Rates) -> Result:
+    if not len(rates.values):
+        return _NOT_SEEN
     row = int(np.abs(rates.values).argmax())
     return Found(abs(float(rates.values[row])), float(rates.time_s[row]))
 
 
 def _compute_mean(rates: Rates) -> Result:
-    step_s = subtract_neighbours(rates.edges_s)
-    return Found(sum_products(np.abs(rates.means), step_s) / float(step_s.sum()))
+    step_s = subtract_neighbours(rates.edges_s)[rates.is_seen]
+    if not len(step_s):
+        return _NOT_SEEN
+    return Found(sum_products(np.abs(rates.means[rates.is_seen]), step_s) / float(step_s.sum()))
 
 
 for _axis, _unit in AXES.items():
@@ -91,13 +98,13 @@ for _axis, _unit in AXES.items():
         f"run.measured_{_axis}_max",
         _unit,
         f"Largest magnitude of the {_words} that the robot reports, or else of differences of"
-        " poses; outliers left out.",
+        " poses; outliers, gaps and jumps left out.",
         better=None,
     )(_on_rates(_axis, _find_largest))
     run_metric(
         f"run.measured_{_axis}_mean",
         _unit,
-        f"Mean magnitude of the measured {_words} over time.",
+        f"Mean magnitude of the measured {_words} over the time with poses.",
         better=None,
     )(_on_rates(_axis, _compute_mean))
 
@@ -133,7 +140,8 @@ def _find_rest(context: RunContext) -> tuple[float, float] | None:
         starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
         is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
     steps_s = time_s[1:] - time_s[:-1]
-    return float(steps_s[is_at_rest].sum()), float(time_s[-1] - time_s[0])
+    seen_s = float(time_s[-1] - time_s[0]) - float(steps_s[~spaced.is_seen].sum())
+    return float(steps_s[is_at_rest & spaced.is_seen].sum()), seen_s
 
 
 def _find_slow(
@@ -165,10 +173,12 @@ def _compute_rest_time(context: RunContext) -> Result:
     return ONE_POSE if found is None else Found(found[0])
 
 
-@run_metric("run.rest_share", "1", "Share of the time at standstill.", better=None)
+@run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
 def _compute_rest_share(context: RunContext) -> Result:
     found = context.recall("rest", lambda: _find_rest(context))
-    return ONE_POSE if found is None else Found(found[0] / found[1])
+    if found is None:
+        return ONE_POSE
+    return Found(found[0] / found[1]) if found[1] > 0.0 else _NOT_SEEN
 
 
 _HIGHEST_HZ: Final = 10.0
@@ -186,7 +196,8 @@ _MOST_ROWS: Final = 20_000
 @run_metric(
     "run.spectral_arc_length",
     "1",
-    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, lower is jerkier.",
+    "Smoothness of the measured speed (SPARC) in the longest time without gaps and jumps: -1.4 is a"
+    " single smooth movement, lower is jerkier.",
     better="higher",
 )
 def _compute_arc_length(context: RunContext) -> Result:
@@ -197,7 +208,10 @@ def _compute_arc_length(context: RunContext) -> Result:
     if period_s > 1.0 / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
         return Missing(Status.TOO_SHORT, reason)
-    time_s, values = rates.time_s[:_MOST_ROWS], rates.values[:_MOST_ROWS]
+    time_s, values = _take_longest(rates)
+    if not len(values):
+        return _NOT_SEEN
+    time_s, values = time_s[:_MOST_ROWS], values[:_MOST_ROWS]
     if float(np.abs(values).max()) <= _AT_REST_M_S:
         return Missing(Status.NO_MOTION, "the robot does not drive forward or back")
     even_s = np.arange(time_s[0], time_s[-1], period_s)
@@ -205,6 +219,17 @@ def _compute_arc_length(context: RunContext) -> Result:
         return Missing(Status.TOO_SHORT, f"{len(values)} measured speeds")
     found = compute_spectral_arc_length(np.interp(even_s, time_s, values), 1.0 / period_s)
     return _NOISY if found is None else Found(found)
+
+
+def _take_longest(rates: Rates) -> tuple[Values, Values]:
+    """Return the times and values of the longest part without gaps and jumps."""
+    edges_s, unseen = rates.edges_s, np.flatnonzero(~rates.is_seen)
+    begins_s = np.concatenate([edges_s[:1], edges_s[unseen + 1]])
+    ends_s = np.concatenate([edges_s[unseen], edges_s[-1:]])
+    longest = int((ends_s - begins_s).argmax())
+    first = int(np.searchsorted(rates.time_s, begins_s[longest]))
+    last = int(np.searchsorted(rates.time_s, ends_s[longest], side="right"))
+    return rates.time_s[first:last], rates.values[first:last]
 
 
 _FLOOR: Final = 3.0
