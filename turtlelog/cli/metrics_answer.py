@@ -345,8 +345,8 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
             )
         if "gaps" in one.notes:
             said.append(
-                f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path length"
-                " counts a straight line there."
+                f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path"
+                " length counts a straight line there."
             )
         said.extend(list_scatter(one, which, shown))
         told.extend([said] if said else [])

@@ -237,8 +237,8 @@ _COUNTED: Final = 5e-3
 """Share of the time below which gaps do not change the share at rest, in whole per cent."""
 
 _LARGE: Final = 0.05
-"""Share of a path length from which jumps are told beside it, and of a duration from which gaps are.
-Wheel odometry is as wrong itself."""
+"""Share of a path length from which jumps are told beside it, and of a duration from which gaps
+are. Wheel odometry is as wrong itself."""
 
 
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
@@ -248,19 +248,12 @@ def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
         return {}
     from turtlelog.measure import breaks, rates  # only bags need these
 
-    notes = {}
+    notes = _describe_times(run)
     scatter = rates.find_scatter(run)
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    if changes := rates.describe_repetition(run.poses):
-        notes["changes"] = changes
-    gaps_s = sum(gap.end_ns - gap.start_ns for gap in breaks.find_gaps(run)) / 1e9
-    if gaps_s > _COUNTED * run.duration_s:
-        notes["gaps"] = format_short(gaps_s, "s")
-    if gaps_s >= _LARGE * run.duration_s:
-        notes["large_gaps"] = notes["gaps"]
     jumps = breaks.find_jumps(run)
     share = sum(jump.excess_m for jump in jumps) / (path.value or math.inf)
     if share <= _SHOWN:
@@ -268,6 +261,21 @@ def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     notes["jumps"] = breaks.describe_breaks(run)["jumps"]
     if share >= _LARGE:
         notes["jumped_share"] = f"{100.0 * share:.0f} %"
+    return notes
+
+
+def _describe_times(run: Run) -> dict[str, str]:
+    """Return notes on the repetition of poses and on time without poses."""
+    from turtlelog.measure import breaks, rates
+
+    notes = {}
+    if changes := rates.describe_repetition(run.poses):
+        notes["changes"] = changes
+    gaps_s = sum(gap.end_ns - gap.start_ns for gap in breaks.find_gaps(run)) / 1e9
+    if gaps_s > _COUNTED * run.duration_s:
+        notes["gaps"] = format_short(gaps_s, "s")
+    if gaps_s > _LARGE * run.duration_s:
+        notes["large_gaps"] = notes["gaps"]
     return notes
 
 

@@ -423,8 +423,8 @@ def describe_repetition(poses: PoseColumns) -> str:
 
 
 _LEAPS: Final = 3.0
-"""Size of a change after a long repetition, in usual changes, above which poses were lost meanwhile.
-A robot that starts again moves less than usual."""
+"""Size of a change after a long repetition, in usual changes, above which poses were lost in it. A
+robot that starts again moves less than usual."""
 
 
 def _find_leaps(poses: PoseColumns, rows: NDArray[np.int64]) -> NDArray[np.bool_]:

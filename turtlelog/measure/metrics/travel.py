@@ -196,8 +196,7 @@ _MOST_ROWS: Final = 20_000
 @run_metric(
     "run.spectral_arc_length",
     "1",
-    "Smoothness of the measured speed (SPARC) in the longest time without gaps and jumps: -1.4 is a"
-    " single smooth movement, lower is jerkier.",
+    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, lower is jerkier.",
     better="higher",
 )
 def _compute_arc_length(context: RunContext) -> Result:
