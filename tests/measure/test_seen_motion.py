@@ -91,3 +91,21 @@ def test_a_jump_is_no_speed(leap_m: float) -> None:
     assert read(moved, "run.measured_speed_max") == pytest.approx(0.4, abs=1e-3)
     for name in ("run.spectral_arc_length", "run.speed_tracking_rms"):
         assert read(moved, name) == pytest.approx(read(run, name), abs=0.3)
+
+
+@pytest.mark.parametrize(("spread", "is_steady"), [(0, True), (1, False)])
+def test_positions_at_a_rate_of_their_own_are_no_jumps(spread: int, *, is_steady: bool) -> None:
+    """A receiver at 1 Hz beside a compass at 20 Hz; a robot that moves on now and then jumps."""
+    every = np.arange(400)
+    late = (spread * 9 * np.sin(every // 20)).astype(int)
+    is_new = (every - late) % 20 == 0
+    run = make_driven_run(
+        AT_20_HZ,
+        speed=(np.full(400, 0.8), 0.8 * AT_20_HZ),
+        turn=(np.zeros(400), 0.01 * np.sin(every)),
+    )
+    rows = np.maximum.accumulate(np.where(is_new, every, 0))
+    held = replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m[rows]))
+    assert (not tl.measure.find_jumps(held)) is is_steady
+    fastest = read(held, "run.measured_speed_max")
+    assert (fastest == pytest.approx(0.8, rel=0.01)) is is_steady

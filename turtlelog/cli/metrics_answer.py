@@ -341,7 +341,7 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
             said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
         if "changes" in one.notes:
             said.append(
-                f"Most poses{which} repeat the one before: they change at {one.notes['changes']}."
+                f"Most positions{which} repeat the one before: they change at {one.notes['changes']}."
             )
         if "gaps" in one.notes:
             said.append(

@@ -192,7 +192,7 @@ def describe_breaks(run: Run) -> dict[str, str]:
     """Return a sentence on `repeated`, `jumps` and `gaps`, for each that is not empty."""
     found = {}
     if changes := describe_repetition(run.poses):
-        found["repeated"] = f"most poses repeat the one before; they change at {changes}"
+        found["repeated"] = f"most positions repeat the one before; they change at {changes}"
     if jumps := find_jumps(run):
         found["jumps"] = _describe_jumps(jumps, run.start_ns, is_north=_has_courses(run))
     if gaps := find_gaps(run):

@@ -403,15 +403,30 @@ def find_usual_step(time_ns: NDArray[np.int64]) -> float:
     return float(np.quantile(np.diff(time_ns), _USUAL))
 
 
+_STEADY: Final = 1.5
+_FEWEST_STEADY: Final = 10
+"""Largest ratio of long to short times between changes of the position, and their least number,
+that show a source with its own rate: a receiver at 1 Hz beside a compass at 20 Hz. A robot that
+turns on the spot now and then has no such rate."""
+
+
 def find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
-    """Return the rows of poses that differ from the previous pose, if most poses repeat it."""
+    """Return the rows of poses that differ from the previous pose, if most poses repeat it.
+
+    If only positions repeat, at a steady rate, they decide.
+    """
     # Some programs publish each pose several times. In other recordings, a repeated pose shows that
     # the robot is at rest, and it counts.
-    moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
-    changing = np.flatnonzero(moved) + 1
-    if len(changing) < 2 or compute_median(np.diff(changing)) < 2:
-        return np.arange(len(poses))
-    return np.concatenate([[0], changing])
+    moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1)
+    changing = np.flatnonzero(moved | (np.diff(poses.heading_rad) != 0.0)) + 1
+    if len(changing) >= 2 and compute_median(np.diff(changing)) >= 2:
+        return np.concatenate([[0], changing])
+    moving = np.flatnonzero(moved) + 1
+    if len(moving) >= _FEWEST_STEADY:
+        few, usual, many = np.quantile(np.diff(moving), [0.1, 0.5, 0.9])
+        if usual >= 2 and many <= _STEADY * few:
+            return np.concatenate([[0], moving])
+    return np.arange(len(poses))
 
 
 def describe_repetition(poses: PoseColumns) -> str:
