@@ -4,18 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import turtlelog as tl
 from tests.measure.driven import make_driven_run
-from tests.measure.driven_robots import AT_20_HZ, Values, drive, read, tell
+from tests.measure.driven_robots import AT_20_HZ, drive, read, tell
 from turtlelog.run import take_rows
 
 
-def keep(run: tl.Run, is_kept: Values) -> tl.Run:
+def keep(run: tl.Run, is_kept: NDArray[np.bool_]) -> tl.Run:
     return replace(run, poses=take_rows(run.poses, np.flatnonzero(is_kept)))
 
 
-def hold(run: tl.Run, is_new: Values) -> tl.Run:
+def hold(run: tl.Run, is_new: NDArray[np.bool_]) -> tl.Run:
     """Return a run whose poses repeat the last new one, as a log of another program's topic."""
     rows = np.maximum.accumulate(np.where(is_new, np.arange(len(is_new)), 0))
     poses = run.poses

@@ -318,16 +318,14 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
         yield f"Measured rates are those that the robot reports{doubt}."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
-        noise = ", and contain their noise" if any(map(_has_scatter, lawless)) else ""
-        yield f"Measured rates are differences of poses{which}{noise}."
+        sizes = [one.notes["speed_noise"] for one in lawless if "speed_noise" in one.notes]
+        noise = ", and contain their noise" if sizes else ""
+        size = f": about {sizes[0]}" if sizes and len(lawless) == 1 else ""
+        yield f"Measured rates are differences of poses{which}{noise}{size}."
 
 
 _RATE_DOUBTS: Final = frozenset({"path_by_speed", "turning_by_rate"})
 """Notes on reported rates that the poses contradict."""
-
-
-def _has_scatter(summary: "tl.compare.RunSummary") -> bool:
-    return "rates" in summary.lacks and "path_without_scatter" in summary.notes
 
 
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
@@ -340,9 +338,8 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         if "jumps" in one.notes:
             said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
         if "changes" in one.notes:
-            said.append(
-                f"Most positions{which} repeat the one before: they change at {one.notes['changes']}."
-            )
+            changes = one.notes["changes"]
+            said.append(f"Most positions{which} repeat the one before: they change at {changes}.")
         if "gaps" in one.notes:
             said.append(
                 f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path"

@@ -236,6 +236,10 @@ _SHOWN: Final = 5e-4
 _COUNTED: Final = 5e-3
 """Share of the time below which gaps do not change the share at rest, in whole per cent."""
 
+_NOISY: Final = 0.03
+"""Share of the largest measured speed from which noise is told: three standard deviations of it are
+a tenth."""
+
 _LARGE: Final = 0.05
 """Share of a path length from which jumps are told beside it, and of a duration from which gaps
 are. Wheel odometry is as wrong itself."""
@@ -246,10 +250,15 @@ def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     path = metrics.get("run.path_length")
     if path is None or path.value is None or run.poses.speed_m_s is not None:
         return {}
-    from turtlelog.measure import breaks, rates  # only bags need these
+    from turtlelog.measure import breaks, pose_noise  # only bags need these
 
     notes = _describe_times(run)
-    scatter = rates.find_scatter(run)
+    scatter = pose_noise.find_scatter(run)
+    fastest = metrics.get("run.measured_speed_max")
+    if fastest is not None and fastest.value is not None and "rates" in list_lacks(run):
+        noise_m_s = pose_noise.measure_rate_noise(run)
+        if noise_m_s > _NOISY * fastest.value:
+            notes["speed_noise"] = f"{noise_m_s:.1g} m/s"
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:

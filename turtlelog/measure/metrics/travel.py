@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, Axis, Rates, Values
+from turtlelog.measure.rates import AXES, Axis, Rates, SpacedPoses, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
 from turtlelog.run.angles import unwrap_headings
 
@@ -118,30 +118,91 @@ _REST_S: Final = 0.5
 """Time over which rest is judged [s]. In this time the rates above give 5 mm and 0.6 deg, so that
 noise of poses does not count as motion."""
 
+_LONGEST_REST_S: Final = 5.0
+"""Longest time over which rest of noisy poses is judged [s]; shorter rests are not seen then.
+Beyond it, as for a receiver that scatters by 4 cm at 10 Hz, noise hides rest."""
+
+_NOISES: Final = 3.0
+"""Noise of a mean rate that must be below the threshold of rest, in standard deviations."""
+
 _STEPS_AT_ONCE: Final = 65_536
 
 
-def _find_rest(context: RunContext) -> tuple[float, float] | None:
-    """Return how long the robot is at rest, and the observed time [s]; None for a single pose."""
+def _find_rest(context: RunContext) -> tuple[float, float] | Missing:
+    """Return how long the robot is at rest, and the observed time [s], or why this is unknown."""
     # The time between two poses counts as rest if the robot moves by less than the threshold in the
     # half second before or after it. A rest therefore includes its beginning and end.
     spaced = context.spaced_poses
     if spaced is None:
-        return None
+        return ONE_POSE
+    window_s = _choose_window(context, spaced)
+    if window_s > _LONGEST_REST_S:
+        return Missing(Status.UNDETERMINED, "noise of the poses hides whether the robot rests")
     xy_m = context.run.poses.xy_m[spaced.rows]
-    time_s, heading_rad = spaced.time_s, spaced.heading_rad
+    columns = *xy_m.T, spaced.heading_rad
+    if window_s > 0.0:
+        is_at_rest = _find_slow_means(spaced.time_s, columns, max(window_s, _REST_S))
+    else:
+        is_at_rest = _find_slow_steps(spaced.time_s, columns)
+    steps_s = subtract_neighbours(spaced.time_s)
+    seen_s = float(spaced.time_s[-1] - spaced.time_s[0]) - float(steps_s[~spaced.is_seen].sum())
+    return float(steps_s[is_at_rest & spaced.is_seen].sum()), seen_s
+
+
+def _choose_window(context: RunContext, spaced: SpacedPoses) -> float:
+    """Return the time over which means of noisy poses show rest [s]; 0 if single poses do."""
+    noise = context.noise
+    if noise is None:
+        return 0.0
+    period_s = compute_median(subtract_neighbours(spaced.time_s))
+    windows_s = [0.0]
+    for size, rate in ((noise.position_m, _AT_REST_M_S), (noise.heading_rad, _AT_REST_RAD_S)):
+        if _NOISES * np.sqrt(2.0) * size > rate * _REST_S:
+            # Between the means of the first and the last third of a window of n poses is a time of
+            # two thirds of it, and the noise of their difference is sqrt(6 / n) times that of one.
+            least = _NOISES * np.sqrt(6.0 * period_s) * size / (rate * 2.0 / 3.0)
+            windows_s.append(float(least ** (2.0 / 3.0)))
+    return max(windows_s)
+
+
+def _find_slow_means(
+    time_s: Values, columns: Sequence[Values], window_s: float
+) -> NDArray[np.bool_]:
+    """Return in which steps means of the poses move by less than the threshold of rest.
+
+    The means are those of the first and the last third of a window before or after each step.
+    """
+    sums = [np.append(0.0, np.cumsum(at - at[0])) for at in (time_s, *columns)]
+
+    def average(begin_s: Values, end_s: Values) -> list[Values]:
+        first, last = np.searchsorted(time_s, begin_s), np.searchsorted(time_s, end_s, side="right")
+        count = np.maximum(last - first, 1)
+        return [(total[last] - total[first]) / count for total in sums]
+
+    found = np.zeros(len(time_s) - 1, dtype=bool)
+    for first_s in (time_s[1:] - window_s, time_s[:-1]):
+        begin_s = np.clip(first_s, time_s[0], max(time_s[-1] - window_s, time_s[0]))
+        third_s = window_s / 3.0
+        early = average(begin_s, begin_s + third_s)
+        late = average(begin_s + 2.0 * third_s, begin_s + window_s)
+        lasted_s, *moved = (after - before for before, after in zip(early, late, strict=True))
+        is_slow = np.hypot(moved[0], moved[1]) <= _AT_REST_M_S * lasted_s
+        found |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * lasted_s)
+    return found
+
+
+def _find_slow_steps(time_s: Values, every: Sequence[Values]) -> NDArray[np.bool_]:
+    """Return in which steps the robot moves by less than the threshold of rest."""
     is_at_rest = np.zeros(len(time_s) - 1, dtype=bool)
     for first in range(0, len(is_at_rest), _STEPS_AT_ONCE):
         steps = slice(first, min(first + _STEPS_AT_ONCE, len(is_at_rest)))
         begin, end = time_s[steps.start] - _REST_S, time_s[steps.stop] + _REST_S
         low, high = np.searchsorted(time_s, (begin, end)).tolist()
         near = slice(max(low - 1, 0), high + 1)
-        columns = *xy_m[near].T, heading_rad[near]
+        columns = [at[near] for at in every]
         starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
         is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
-    steps_s = time_s[1:] - time_s[:-1]
-    seen_s = float(time_s[-1] - time_s[0]) - float(steps_s[~spaced.is_seen].sum())
-    return float(steps_s[is_at_rest & spaced.is_seen].sum()), seen_s
+    return is_at_rest
 
 
 def _find_slow(
@@ -170,14 +231,14 @@ def _find_slow(
 def _compute_rest_time(context: RunContext) -> Result:
     """Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second."""
     found = context.recall("rest", lambda: _find_rest(context))
-    return ONE_POSE if found is None else Found(found[0])
+    return found if isinstance(found, Missing) else Found(found[0])
 
 
 @run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
 def _compute_rest_share(context: RunContext) -> Result:
     found = context.recall("rest", lambda: _find_rest(context))
-    if found is None:
-        return ONE_POSE
+    if isinstance(found, Missing):
+        return found
     return Found(found[0] / found[1]) if found[1] > 0.0 else _NOT_SEEN
 
 
