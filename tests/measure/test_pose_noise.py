@@ -8,9 +8,11 @@ import pytest
 import turtlelog as tl
 from tests.measure.driven import Values, make_driven_run
 from tests.measure.driven_robots import read, tell
+from turtlelog.compare.pose_notes import describe_poses
 from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_rate_noise
 from turtlelog.run.angles import wrap_angle
 
+SMOOTH = "run.spectral_arc_length"
 AT_10_HZ = np.arange(0.0, 100.0, 0.1)
 
 
@@ -80,3 +82,15 @@ def test_a_robot_that_swings_at_slow_poses_turns_as_it_is_told(swing_rad: float,
     heading_rad = swing_rad * np.sin(2.0 * np.pi * hz * time_s)
     run = make_driven_run(time_s, speed=(np.zeros(300), 0.2 * time_s), turn=(time_s, heading_rad))
     assert find_scatter(run).turning_rad is None
+
+
+@pytest.mark.parametrize(("speed", "told"), [(0.001, True), (0.02, False), (0.0, False)])
+@pytest.mark.parametrize("noise_m", [0.0, 0.0002])
+def test_creeping_that_counts_as_rest_is_told(speed: float, noise_m: float, *, told: bool) -> None:
+    run = make_driven_run(AT_10_HZ, speed=(np.zeros(1000), speed * AT_10_HZ))
+    run = scatter(run, noise_m)
+    metrics = tl.measure_run(run)
+    crept = describe_poses(run, metrics).get("crept")
+    assert (crept is not None) is told
+    reason = tell(make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.001 * AT_10_HZ)), SMOOTH)[1]
+    assert reason == "it drives no faster than 0.001 m/s, which counts as rest"

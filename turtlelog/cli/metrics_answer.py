@@ -340,6 +340,9 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         if "changes" in one.notes:
             changes = one.notes["changes"]
             said.append(f"Most positions{which} repeat the one before: they change at {changes}.")
+        if "crept" in one.notes:
+            crept = one.notes["crept"]
+            said.append(f"Rest{which} includes {crept} of creeping, slower than 0.01 m/s.")
         if "gaps" in one.notes:
             said.append(
                 f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path"

@@ -1,6 +1,5 @@
 """Short summaries of runs: conditions, results and ends, of runs or file by file."""
 
-import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -230,62 +229,12 @@ def summarise_measured(
     )
 
 
-_SHOWN: Final = 5e-4
-"""Share of a path length below which jumps do not change its three printed digits."""
-
-_COUNTED: Final = 5e-3
-"""Share of the time below which gaps do not change the share at rest, in whole per cent."""
-
-_NOISY: Final = 0.03
-"""Share of the largest measured speed from which noise is told: three standard deviations of it are
-a tenth."""
-
-_LARGE: Final = 0.05
-"""Share of a path length from which jumps are told beside it, and of a duration from which gaps
-are. Wheel odometry is as wrong itself."""
-
-
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """Return notes on gaps, repetition, jumps and scatter of poses, if metrics contain them."""
-    path = metrics.get("run.path_length")
-    if path is None or path.value is None or run.poses.speed_m_s is not None:
+    if run.poses.speed_m_s is not None:
         return {}
-    from turtlelog.measure import breaks, pose_noise  # only bags need these
+    from turtlelog.compare.pose_notes import describe_poses  # only bags need it
 
-    notes = _describe_times(run)
-    scatter = pose_noise.find_scatter(run)
-    fastest = metrics.get("run.measured_speed_max")
-    if fastest is not None and fastest.value is not None and "rates" in list_lacks(run):
-        noise_m_s = pose_noise.measure_rate_noise(run)
-        if noise_m_s > _NOISY * fastest.value:
-            notes["speed_noise"] = f"{noise_m_s:.1g} m/s"
-    if scatter.path_m is not None:
-        notes["path_without_scatter"] = format_short(scatter.path_m, "m")
-    if scatter.turning_rad is not None:
-        notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    jumps = breaks.find_jumps(run)
-    share = sum(jump.excess_m for jump in jumps) / (path.value or math.inf)
-    if share <= _SHOWN:
-        return notes
-    notes["jumps"] = breaks.describe_breaks(run)["jumps"]
-    if share >= _LARGE:
-        notes["jumped_share"] = f"{100.0 * share:.0f} %"
-    return notes
-
-
-def _describe_times(run: Run) -> dict[str, str]:
-    """Return notes on the repetition of poses and on time without poses."""
-    from turtlelog.measure import breaks, rates
-
-    notes = {}
-    if changes := rates.describe_repetition(run.poses):
-        notes["changes"] = changes
-    gaps_s = sum(gap.end_ns - gap.start_ns for gap in breaks.find_gaps(run)) / 1e9
-    if gaps_s > _COUNTED * run.duration_s:
-        notes["gaps"] = format_short(gaps_s, "s")
-    if gaps_s > _LARGE * run.duration_s:
-        notes["large_gaps"] = notes["gaps"]
-    return notes
+    return describe_poses(run, metrics)
 
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None

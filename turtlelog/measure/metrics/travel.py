@@ -1,6 +1,7 @@
 """Metrics of a robot's motion from poses alone: distance, speed, smoothness, and time at rest."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import degrees
 from typing import Final
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, Axis, Rates, SpacedPoses, Values
+from turtlelog.measure.rates import AXES, SAME, Axis, Rates, SpacedPoses, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
 from turtlelog.run.angles import unwrap_headings
 
@@ -128,8 +129,27 @@ _NOISES: Final = 3.0
 _STEPS_AT_ONCE: Final = 65_536
 
 
-def _find_rest(context: RunContext) -> tuple[float, float] | Missing:
-    """Return how long the robot is at rest, and the observed time [s], or why this is unknown."""
+_ENDS: Final = 5.0
+"""Distance between two noisy poses that is motion, in standard deviations of their coordinates."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rest:
+    """Rest of a robot.
+
+    Attributes:
+        time_s: Time at rest [s].
+        seen_s: Time with poses [s].
+        way_m: Distance that the robot creeps while it counts as at rest [m].
+    """
+
+    time_s: float
+    seen_s: float
+    way_m: float
+
+
+def _find_rest(context: RunContext) -> Rest | Missing:
+    """Return the rest of a run, or why it is unknown."""
     # The time between two poses counts as rest if the robot moves by less than the threshold in the
     # half second before or after it. A rest therefore includes its beginning and end.
     spaced = context.spaced_poses
@@ -146,7 +166,19 @@ def _find_rest(context: RunContext) -> tuple[float, float] | Missing:
         is_at_rest = _find_slow_steps(spaced.time_s, columns)
     steps_s = subtract_neighbours(spaced.time_s)
     seen_s = float(spaced.time_s[-1] - spaced.time_s[0]) - float(steps_s[~spaced.is_seen].sum())
-    return float(steps_s[is_at_rest & spaced.is_seen].sum()), seen_s
+    is_at_rest &= spaced.is_seen
+    # From where to where it moves meanwhile, without the noise of each end.
+    ends = np.flatnonzero(np.diff(is_at_rest, prepend=False, append=False))
+    crept_m = np.hypot(*(xy_m[ends[1::2]] - xy_m[ends[::2]]).T)
+    noise_m = 0.0 if context.noise is None else context.noise.position_m
+    crept_m = crept_m[crept_m > _ENDS * noise_m]
+    return Rest(time_s=float(steps_s[is_at_rest].sum()), seen_s=seen_s, way_m=float(crept_m.sum()))
+
+
+def measure_way_at_rest(context: RunContext) -> float:
+    """Return the distance that a robot creeps while it counts as at rest [m]; 0 if unknown."""
+    found = context.recall("rest", lambda: _find_rest(context))
+    return 0.0 if isinstance(found, Missing) else found.way_m
 
 
 def _choose_window(context: RunContext, spaced: SpacedPoses) -> float:
@@ -231,7 +263,7 @@ def _find_slow(
 def _compute_rest_time(context: RunContext) -> Result:
     """Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second."""
     found = context.recall("rest", lambda: _find_rest(context))
-    return found if isinstance(found, Missing) else Found(found[0])
+    return found if isinstance(found, Missing) else Found(found.time_s)
 
 
 @run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
@@ -239,7 +271,7 @@ def _compute_rest_share(context: RunContext) -> Result:
     found = context.recall("rest", lambda: _find_rest(context))
     if isinstance(found, Missing):
         return found
-    return Found(found[0] / found[1]) if found[1] > 0.0 else _NOT_SEEN
+    return Found(found.time_s / found.seen_s) if found.seen_s > 0.0 else _NOT_SEEN
 
 
 _HIGHEST_HZ: Final = 10.0
@@ -272,8 +304,13 @@ def _compute_arc_length(context: RunContext) -> Result:
     if not len(values):
         return _NOT_SEEN
     time_s, values = time_s[:_MOST_ROWS], values[:_MOST_ROWS]
-    if float(np.abs(values).max()) <= _AT_REST_M_S:
-        return Missing(Status.NO_MOTION, "the robot does not drive forward or back")
+    fastest_m_s = float(np.abs(values).max())
+    if fastest_m_s <= _AT_REST_M_S:
+        slow = f"it drives no faster than {fastest_m_s:.1g} m/s, which counts as rest"
+        is_still = fastest_m_s <= SAME
+        return Missing(
+            Status.NO_MOTION, "the robot does not drive forward or back" if is_still else slow
+        )
     even_s = np.arange(time_s[0], time_s[-1], period_s)
     if len(even_s) < _LEAST_HZ:
         return Missing(Status.TOO_SHORT, f"{len(values)} measured speeds")
