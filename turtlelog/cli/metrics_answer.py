@@ -225,7 +225,9 @@ def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
 def _list_remarks(
     summary: "tl.compare.RunSummary", loops: Sequence[str], shown: Sequence[str]
 ) -> Iterator[str]:
-    """Yield which loops oscillate, do not settle, or have no values at all."""
+    """Yield which loops oscillate, do not settle, or have no values, and motion to the side."""
+    if "sideways" in summary.notes:
+        yield f"The robot is {summary.notes['sideways']}. Speeds are those ahead or back."
     restless = [loop for loop in shown if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
@@ -337,6 +339,8 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         which, said = "" if len(summaries) == 1 else f" of {one.name}", []
         if "jumps" in one.notes:
             said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
+        if "sideways" in one.notes and len(summaries) > 1:
+            said.append(f"Speeds{which} leave out motion to the side: {one.notes['sideways']}.")
         if "changes" in one.notes:
             changes = one.notes["changes"]
             said.append(f"Most positions{which} repeat the one before: they change at {changes}.")

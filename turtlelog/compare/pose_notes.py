@@ -11,6 +11,7 @@ from turtlelog.measure.metric_kinds import RunContext
 from turtlelog.measure.metrics.travel import measure_way_at_rest
 from turtlelog.measure.pose_noise import find_scatter, measure_rate_noise
 from turtlelog.measure.rates import describe_repetition
+from turtlelog.measure.sideways import describe_sideways
 from turtlelog.run import Run
 
 _SHOWN: Final = 5e-4
@@ -32,14 +33,16 @@ are. Wheel odometry is as wrong itself."""
 
 
 def describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """Return notes on gaps, repetition, jumps and noise of poses, if metrics contain them.
+    """Return notes on motion to the side, and on what metrics contain besides motion.
 
     Of a simulation, and without a path length among the metrics, there are none.
     """
     path_m = _get(metrics, "run.path_length")
     if path_m is None or run.poses.speed_m_s is not None:
         return {}
+    sideways = describe_sideways(run)
     return {
+        **({"sideways": sideways} if sideways else {}),
         **_describe_times(run),
         **_describe_noise(run, metrics),
         **_describe_rest(run, metrics, path_m),

@@ -44,6 +44,7 @@ from .rates import (
 )
 from .references import read_reference as read_reference, read_reference_path as read_reference_path
 from .response import find_first_stretch as find_first_stretch
+from .sideways import describe_sideways as describe_sideways
 from .signals import (
     COMMANDED as COMMANDED,
     SIGNALS as SIGNALS,
