@@ -161,6 +161,27 @@ def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
     assert "Gaps, jumps or steps are in 2 more runs, too." in five
 
 
+@pytest.mark.parametrize(("align", "largest"), [(None, 0.0), ("first_sample", 0.2)])
+def test_two_topics_of_one_bag_share_its_clock(
+    align: str | None, largest: float, call: Call, tmp_path: Path
+) -> None:
+    """Their first poses are 2 ms apart, so that from them on, equal commands differ at steps."""
+    time_s = np.arange(0.0, 5.0, 0.05)
+    rates, ways = respond(time_s, STEPS, 0.1)
+    said = [_tell_odometry(*row) for row in zip(time_s, rates, ways, strict=True)]
+    said += [replace(one, topic="/mocap", time_ns=one.time_ns + 2_000_000) for one in said]
+    at_s, values = publish([(0.5, 0.0), *STEPS], 4.5)
+    said += [_tell_command(*row) for row in zip(at_s, values, strict=True)]
+    bag = tmp_path / "two.mcap"
+    write_mcap(bag, sorted(said, key=lambda one: one.time_ns))
+    asked = [] if align is None else ["--align", align]
+    topics = [f"{bag}:/mocap", "--reference", f"{bag}:/odom", *asked]
+    answer = call("compare", *topics, "--json").json
+    assert answer["alignment"] == (align or "recorded")
+    signals = {one["signal"]: one["largest"] for one in answer["runs"][0]["signals"]}
+    assert signals["speed"] == pytest.approx(largest, abs=1e-9)
+
+
 def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(
     call: Call, robot: Path
 ) -> None:
