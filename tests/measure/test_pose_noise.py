@@ -94,3 +94,17 @@ def test_creeping_that_counts_as_rest_is_told(speed: float, noise_m: float, *, t
     assert (crept is not None) is told
     reason = tell(make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.001 * AT_10_HZ)), SMOOTH)[1]
     assert reason == "it drives no faster than 0.001 m/s, which counts as rest"
+
+
+def test_noise_hides_no_rest_of_a_robot_that_drives_on() -> None:
+    run = make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.5 * AT_10_HZ))
+    assert read(scatter(run, 0.05), "run.rest_share") == 0.0
+
+
+def test_a_robot_that_turns_to_and_fro_hides_no_rest() -> None:
+    """At 5 Hz turning to and fro looks like noise of the heading."""
+    time_s = np.arange(0.0, 60.0, 0.2)
+    swing_rad = np.where(time_s < 50.0, 0.2 * np.sin(2.0 * np.pi * 1.5 * time_s), 0.0)
+    way = 0.2 * np.minimum(time_s, 50.0)
+    run = make_driven_run(time_s, speed=(time_s, way), turn=(time_s, swing_rad))
+    assert read(run, "run.rest_time") == pytest.approx(10.0, abs=0.3)

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from typing import Final
 
 from turtlelog.display import format_short
-from turtlelog.measure import MeasureSettings, Metric
+from turtlelog.measure import MeasureSettings, Metric, Missing
 from turtlelog.measure.breaks import describe_breaks, find_gaps, find_jumps
 from turtlelog.measure.metric_kinds import RunContext
-from turtlelog.measure.metrics.travel import measure_way_at_rest
+from turtlelog.measure.metrics.travel import find_rest_of
 from turtlelog.measure.pose_noise import find_scatter, measure_rate_noise
 from turtlelog.measure.rates import describe_repetition
 from turtlelog.measure.sideways import describe_sideways
@@ -84,10 +84,10 @@ def _describe_noise(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
 def _describe_rest(run: Run, metrics: Mapping[str, Metric], path_m: float) -> dict[str, str]:
     if not _get(metrics, "run.rest_share"):
         return {}
-    crept_m = measure_way_at_rest(RunContext(run, MeasureSettings()))
-    if crept_m <= max(_CREPT_M, _LARGE * path_m):
+    rest = find_rest_of(RunContext(run, MeasureSettings()))
+    if isinstance(rest, Missing) or rest.way_m <= max(_CREPT_M, _LARGE * path_m):
         return {}
-    return {"crept": format_short(crept_m, "m")}
+    return {"crept": format_short(rest.way_m, "m")}
 
 
 def _describe_jumps(run: Run, path_m: float) -> dict[str, str]:

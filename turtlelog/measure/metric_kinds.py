@@ -35,7 +35,7 @@ from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.references import compute_path_distances, read_heading_reference
 from turtlelog.measure.response import Response, find_response
 from turtlelog.measure.signals import Signal, find_signal
-from turtlelog.run import Run, take_rows
+from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 if TYPE_CHECKING:
@@ -115,9 +115,9 @@ class RunContext:
         """Noise of the poses that are used for differences; None of a simulation."""
         if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
             return None
-        from turtlelog.measure.pose_noise import measure_noise
+        from turtlelog.measure.pose_noise import find_noise
 
-        return measure_noise(take_rows(self.run.poses, self.spaced_poses.rows))
+        return find_noise(self.run, self.spaced_poses.rows)
 
     @cached_property
     def heading_reference_rad(self) -> float | Values | None:

@@ -6,7 +6,7 @@ times its variance. In the quietest part of a run a robot drives evenly or rests
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -46,6 +46,18 @@ def measure_noise(poses: PoseColumns) -> Noise:
         return Noise(position_m=0.0, heading_rad=0.0)
     _, aside_m, turned_rad = measure_steps(poses)
     return Noise(position_m=_estimate(aside_m), heading_rad=_estimate(turned_rad))
+
+
+def find_noise(run: Run, rows: NDArray[np.int64]) -> Noise:
+    """Return the noise of some rows of the poses.
+
+    The noise of headings counts only if turns to and fro are noise: slow poses do not tell noise
+    from a robot that turns round.
+    """
+    noise = measure_noise(take_rows(run.poses, rows))
+    if noise.heading_rad and find_scatter(run).turning_rad is None:
+        return replace(noise, heading_rad=0.0)
+    return noise
 
 
 def measure_rate_noise(run: Run) -> float:

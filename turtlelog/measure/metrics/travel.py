@@ -1,18 +1,17 @@
 """Metrics of a robot's motion from poses alone: distance, speed, smoothness, and time at rest."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from math import degrees
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, SAME, Axis, Rates, SpacedPoses, Values
+from turtlelog.measure.rates import AXES, SAME, Axis, Rates, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
 from turtlelog.run.angles import unwrap_headings
+from turtlelog.measure.rest import AT_REST_M_S, Rest, find_rest
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -110,165 +109,28 @@ for _axis, _unit in AXES.items():
     )(_on_rates(_axis, _compute_mean))
 
 
-_AT_REST_M_S: Final = 0.01
-_AT_REST_RAD_S: Final = 0.02
-"""Rates below which a robot is at rest [m/s, rad/s]: a tenth of the 0.1 m/s and 0.2 rad/s of slow
-small robots. Noise of poses of 1 mm and 2 mrad gives a third of these rates."""
-
-_REST_S: Final = 0.5
-"""Time over which rest is judged [s]. In this time the rates above give 5 mm and 0.6 deg, so that
-noise of poses does not count as motion."""
-
-_LONGEST_REST_S: Final = 5.0
-"""Longest time over which rest of noisy poses is judged [s]; shorter rests are not seen then.
-Beyond it, as for a receiver that scatters by 4 cm at 10 Hz, noise hides rest."""
-
-_NOISES: Final = 3.0
-"""Noise of a mean rate that must be below the threshold of rest, in standard deviations."""
-
-_STEPS_AT_ONCE: Final = 65_536
-
-
-_ENDS: Final = 5.0
-"""Distance between two noisy poses that is motion, in standard deviations of their coordinates."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rest:
-    """Rest of a robot.
-
-    Attributes:
-        time_s: Time at rest [s].
-        seen_s: Time with poses [s].
-        way_m: Distance that the robot creeps while it counts as at rest [m].
-    """
-
-    time_s: float
-    seen_s: float
-    way_m: float
-
-
-def _find_rest(context: RunContext) -> Rest | Missing:
+def find_rest_of(context: RunContext) -> Rest | Missing:
     """Return the rest of a run, or why it is unknown."""
-    # The time between two poses counts as rest if the robot moves by less than the threshold in the
-    # half second before or after it. A rest therefore includes its beginning and end.
-    spaced = context.spaced_poses
-    if spaced is None:
-        return ONE_POSE
-    window_s = _choose_window(context, spaced)
-    if window_s > _LONGEST_REST_S:
-        return Missing(Status.UNDETERMINED, "noise of the poses hides whether the robot rests")
-    xy_m = context.run.poses.xy_m[spaced.rows]
-    columns = *xy_m.T, spaced.heading_rad
-    if window_s > 0.0:
-        is_at_rest = _find_slow_means(spaced.time_s, columns, max(window_s, _REST_S))
-    else:
-        is_at_rest = _find_slow_steps(spaced.time_s, columns)
-    steps_s = subtract_neighbours(spaced.time_s)
-    seen_s = float(spaced.time_s[-1] - spaced.time_s[0]) - float(steps_s[~spaced.is_seen].sum())
-    is_at_rest &= spaced.is_seen
-    # From where to where it moves meanwhile, without the noise of each end.
-    ends = np.flatnonzero(np.diff(is_at_rest, prepend=False, append=False))
-    crept_m = np.hypot(*(xy_m[ends[1::2]] - xy_m[ends[::2]]).T)
-    noise_m = 0.0 if context.noise is None else context.noise.position_m
-    crept_m = crept_m[crept_m > _ENDS * noise_m]
-    return Rest(time_s=float(steps_s[is_at_rest].sum()), seen_s=seen_s, way_m=float(crept_m.sum()))
 
+    def find() -> Rest | Missing:
+        spaced = context.spaced_poses
+        if spaced is None:
+            return ONE_POSE
+        return find_rest(context.run.poses.xy_m[spaced.rows], spaced, context.noise)
 
-def measure_way_at_rest(context: RunContext) -> float:
-    """Return the distance that a robot creeps while it counts as at rest [m]; 0 if unknown."""
-    found = context.recall("rest", lambda: _find_rest(context))
-    return 0.0 if isinstance(found, Missing) else found.way_m
-
-
-def _choose_window(context: RunContext, spaced: SpacedPoses) -> float:
-    """Return the time over which means of noisy poses show rest [s]; 0 if single poses do."""
-    noise = context.noise
-    if noise is None:
-        return 0.0
-    period_s = compute_median(subtract_neighbours(spaced.time_s))
-    windows_s = [0.0]
-    for size, rate in ((noise.position_m, _AT_REST_M_S), (noise.heading_rad, _AT_REST_RAD_S)):
-        if _NOISES * np.sqrt(2.0) * size > rate * _REST_S:
-            # Between the means of the first and the last third of a window of n poses is a time of
-            # two thirds of it, and the noise of their difference is sqrt(6 / n) times that of one.
-            least = _NOISES * np.sqrt(6.0 * period_s) * size / (rate * 2.0 / 3.0)
-            windows_s.append(float(least ** (2.0 / 3.0)))
-    return max(windows_s)
-
-
-def _find_slow_means(
-    time_s: Values, columns: Sequence[Values], window_s: float
-) -> NDArray[np.bool_]:
-    """Return in which steps means of the poses move by less than the threshold of rest.
-
-    The means are those of the first and the last third of a window before or after each step.
-    """
-    sums = [np.append(0.0, np.cumsum(at - at[0])) for at in (time_s, *columns)]
-
-    def average(begin_s: Values, end_s: Values) -> list[Values]:
-        first, last = np.searchsorted(time_s, begin_s), np.searchsorted(time_s, end_s, side="right")
-        count = np.maximum(last - first, 1)
-        return [(total[last] - total[first]) / count for total in sums]
-
-    found = np.zeros(len(time_s) - 1, dtype=bool)
-    for first_s in (time_s[1:] - window_s, time_s[:-1]):
-        begin_s = np.clip(first_s, time_s[0], max(time_s[-1] - window_s, time_s[0]))
-        third_s = window_s / 3.0
-        early = average(begin_s, begin_s + third_s)
-        late = average(begin_s + 2.0 * third_s, begin_s + window_s)
-        lasted_s, *moved = (after - before for before, after in zip(early, late, strict=True))
-        is_slow = np.hypot(moved[0], moved[1]) <= _AT_REST_M_S * lasted_s
-        found |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * lasted_s)
-    return found
-
-
-def _find_slow_steps(time_s: Values, every: Sequence[Values]) -> NDArray[np.bool_]:
-    """Return in which steps the robot moves by less than the threshold of rest."""
-    is_at_rest = np.zeros(len(time_s) - 1, dtype=bool)
-    for first in range(0, len(is_at_rest), _STEPS_AT_ONCE):
-        steps = slice(first, min(first + _STEPS_AT_ONCE, len(is_at_rest)))
-        begin, end = time_s[steps.start] - _REST_S, time_s[steps.stop] + _REST_S
-        low, high = np.searchsorted(time_s, (begin, end)).tolist()
-        near = slice(max(low - 1, 0), high + 1)
-        columns = [at[near] for at in every]
-        starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
-        is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
-    return is_at_rest
-
-
-def _find_slow(
-    starts_s: Values, ends_s: Values, time_s: Values, near: slice, columns: Sequence[Values]
-) -> NDArray[np.bool_]:
-    """Return in which steps from start to end the robot moves by less than the threshold of rest.
-
-    `near` are the rows of the poses within half a second of the steps, plus one row on either side;
-    `columns` are x, y [m] and heading [rad] of these rows.
-    """
-    found = np.zeros(len(starts_s), dtype=bool)
-    for first_s, last_s in (
-        (np.minimum(starts_s, ends_s - _REST_S), ends_s),
-        (starts_s, np.maximum(ends_s, starts_s + _REST_S)),
-    ):
-        first_s, last_s = np.maximum(first_s, time_s[0]), np.minimum(last_s, time_s[-1])
-        near_s = time_s[near]
-        moved = [np.interp(last_s, near_s, at) - np.interp(first_s, near_s, at) for at in columns]
-        length_s = last_s - first_s
-        is_slow = np.hypot(moved[0], moved[1]) <= _AT_REST_M_S * length_s
-        found |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * length_s)
-    return found
+    return context.recall("rest", find)
 
 
 @run_metric("run.rest_time", "s", better=None)
 def _compute_rest_time(context: RunContext) -> Result:
     """Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second."""
-    found = context.recall("rest", lambda: _find_rest(context))
+    found = find_rest_of(context)
     return found if isinstance(found, Missing) else Found(found.time_s)
 
 
 @run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
 def _compute_rest_share(context: RunContext) -> Result:
-    found = context.recall("rest", lambda: _find_rest(context))
+    found = find_rest_of(context)
     if isinstance(found, Missing):
         return found
     return Found(found.time_s / found.seen_s) if found.seen_s > 0.0 else _NOT_SEEN
@@ -307,7 +169,7 @@ def _compute_arc_length(context: RunContext) -> Result:
         return _NOT_SEEN
     time_s, values = time_s[:_MOST_ROWS], values[:_MOST_ROWS]
     fastest_m_s = float(np.abs(values).max())
-    if fastest_m_s <= _AT_REST_M_S:
+    if fastest_m_s <= AT_REST_M_S:
         slow = f"it drives no faster than {fastest_m_s:.1g} m/s, which counts as rest"
         is_still = fastest_m_s <= SAME
         return Missing(
