@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import turtlelog as tl
 from tests.measure.driven import make_driven_run
 from tests.measure.driven_robots import AT_20_HZ, drive, read, tell
+from turtlelog.compare.pose_notes import describe_poses
 from turtlelog.run import take_rows
 
 
@@ -110,3 +111,19 @@ def test_positions_at_a_rate_of_their_own_are_no_jumps(spread: int, *, is_steady
     assert (not tl.measure.find_jumps(held)) is is_steady
     fastest = read(held, "run.measured_speed_max")
     assert (fastest == pytest.approx(0.8, rel=0.01)) is is_steady
+
+
+@pytest.mark.parametrize("hz", [10.0, 20.0, 25.0, 50.0, 100.0])
+@pytest.mark.parametrize("reports", [False, True])
+def test_lags_and_rise_times_are_known_to_the_resolution_that_is_told(
+    hz: float, *, reports: bool
+) -> None:
+    """A robot without a time constant, whose commands are in step with its poses."""
+    run = drive(np.arange(0.0, 20.0, 1.0 / hz), lag_s=0.0, dead_s=0.15, reports=reports)
+    metrics = tl.measure_run(run)
+    step_s = float(describe_poses(run, metrics)["rate_step"].removesuffix(" ms")) / 1e3
+    assert step_s == pytest.approx(1.0 / hz if reports or hz <= 20.0 else 0.05, abs=0.011)
+    lag_s, rise_s = metrics["run.speed_lag"].value, metrics["run.speed_rise_time"].value
+    assert lag_s == pytest.approx(0.15, abs=0.51 * step_s)
+    assert rise_s is not None
+    assert 0.0 <= rise_s <= 2.0 * step_s + 1e-9

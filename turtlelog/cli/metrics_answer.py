@@ -111,7 +111,8 @@ def print_chosen(
             for summary in summaries
         ]
         table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
-    table = replace(table, notes=(*table.notes, *notes, *_list_jumps(summaries, chosen)))
+    notes += [*_list_jumps(summaries, chosen), *_list_resolutions(summaries)]
+    table = replace(table, notes=(*table.notes, *notes))
     if kind != "txt":
         console.print_tables([table], kind)
         return
@@ -311,7 +312,7 @@ def _list_next(summary: "tl.compare.RunSummary", count: int) -> list[str]:
 
 
 def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
-    """Yield the sources of measured rates in bags."""
+    """Yield the sources of measured rates in bags, and their resolution."""
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in found.lacks for found in lawless)
     if reporting and reporting == len(lawless):
@@ -324,6 +325,18 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
         noise = ", and contain their noise" if sizes else ""
         size = f": about {sizes[0]}" if sizes and len(lawless) == 1 else ""
         yield f"Measured rates are differences of poses{which}{noise}{size}."
+    yield from _list_resolutions(summaries)
+
+
+def _list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
+    """Return the sentence on the resolution of lags and rise times."""
+    steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
+    if not steps:
+        return []
+    return [
+        f"Measured rates are {join_words([*steps])} apart: lags are known to half of it, rise times"
+        " to twice it."
+    ]
 
 
 _RATE_DOUBTS: Final = frozenset({"path_by_speed", "turning_by_rate"})

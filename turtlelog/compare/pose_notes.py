@@ -10,7 +10,8 @@ from turtlelog.measure.breaks import describe_breaks, find_gaps, find_jumps
 from turtlelog.measure.metric_kinds import RunContext
 from turtlelog.measure.metrics.travel import find_rest_of
 from turtlelog.measure.pose_noise import find_scatter, measure_rate_noise
-from turtlelog.measure.rates import describe_repetition
+from turtlelog.measure.rates import AXES, describe_repetition, space_poses
+from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.sideways import describe_sideways
 from turtlelog.run import Run
 
@@ -35,13 +36,18 @@ are. Wheel odometry is as wrong itself."""
 def describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     """Return notes on motion to the side, and on what metrics contain besides motion.
 
-    Of a simulation, and without a path length among the metrics, there are none.
+    Of a simulation there are none; without a path length among the metrics, only the resolution of
+    lags and rise times.
     """
-    path_m = _get(metrics, "run.path_length")
-    if path_m is None or run.poses.speed_m_s is not None:
+    if run.poses.speed_m_s is not None:
         return {}
+    resolution = _describe_resolution(run, metrics)
+    path_m = _get(metrics, "run.path_length")
+    if path_m is None:
+        return resolution
     sideways = describe_sideways(run)
     return {
+        **resolution,
         **({"sideways": sideways} if sideways else {}),
         **_describe_times(run),
         **_describe_noise(run, metrics),
@@ -53,6 +59,16 @@ def describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
 def _get(metrics: Mapping[str, Metric], name: str) -> float | None:
     metric = metrics.get(name)
     return None if metric is None else metric.value
+
+
+def _describe_resolution(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
+    known = [_get(metrics, f"run.{axis}_{name}") for axis in AXES for name in ("lag", "rise_time")]
+    if all(value is None for value in known) or len(run.poses) < 2:
+        return {}
+    time_s = run.poses.time_ns / 1e9
+    if run.poses.measured_speed_m_s is None:
+        time_s = space_poses(run).time_s
+    return {"rate_step": f"{1e3 * compute_median(subtract_neighbours(time_s)):.3g} ms"}
 
 
 def _describe_times(run: Run) -> dict[str, str]:
