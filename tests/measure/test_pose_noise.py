@@ -9,7 +9,7 @@ import turtlelog as tl
 from tests.measure.driven import Values, make_driven_run
 from tests.measure.driven_robots import read, tell
 from turtlelog.compare.pose_notes import describe_poses
-from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_rate_noise
+from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_speed_noise
 from turtlelog.run.angles import wrap_angle
 
 SMOOTH = "run.spectral_arc_length"
@@ -57,7 +57,7 @@ def test_the_size_of_noise_is_found_while_the_robot_turns() -> None:
     found = measure_noise(noisy.poses)
     assert found.position_m == pytest.approx(0.01, rel=0.25)
     assert found.heading_rad == pytest.approx(0.005, rel=0.25)
-    assert measure_rate_noise(noisy) == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
+    assert measure_speed_noise(noisy) == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.2])

@@ -8,8 +8,8 @@ from turtlelog.display import format_short
 from turtlelog.measure import MeasureSettings, Metric, Missing
 from turtlelog.measure.breaks import describe_breaks, find_gaps, find_jumps
 from turtlelog.measure.metric_kinds import RunContext
-from turtlelog.measure.metrics.travel import find_rest_of
-from turtlelog.measure.pose_noise import find_scatter, measure_rate_noise
+from turtlelog.measure.metrics.travel import judge_rest_of
+from turtlelog.measure.pose_noise import find_scatter, measure_speed_noise
 from turtlelog.measure.rates import AXES, describe_repetition, space_poses
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.sideways import describe_sideways
@@ -91,7 +91,7 @@ def _describe_noise(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
     fastest_m_s = _get(metrics, "run.measured_speed_max")
     if fastest_m_s is not None and run.poses.measured_speed_m_s is None:
-        noise_m_s = measure_rate_noise(run)
+        noise_m_s = measure_speed_noise(run)
         if noise_m_s > _NOISY * fastest_m_s:
             notes["speed_noise"] = f"{noise_m_s:.1g} m/s"
     return notes
@@ -100,7 +100,7 @@ def _describe_noise(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
 def _describe_rest(run: Run, metrics: Mapping[str, Metric], path_m: float) -> dict[str, str]:
     if not _get(metrics, "run.rest_share"):
         return {}
-    rest = find_rest_of(RunContext(run, MeasureSettings()))
+    rest = judge_rest_of(RunContext(run, MeasureSettings()))
     if isinstance(rest, Missing) or rest.way_m <= max(_CREPT_M, _LARGE * path_m):
         return {}
     return {"crept": format_short(rest.way_m, "m")}

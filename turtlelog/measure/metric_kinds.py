@@ -41,7 +41,7 @@ from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, Co
 if TYPE_CHECKING:
     from turtlelog.measure.breaks import PoseJump
     from turtlelog.measure.metric_list import MeasureSettings
-    from turtlelog.measure.pose_noise import Noise
+    from turtlelog.measure.pose_noise import WhiteNoise
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
@@ -111,7 +111,7 @@ class RunContext:
         return find_jumps(self.run)
 
     @cached_property
-    def noise(self) -> "Noise | None":
+    def noise(self) -> "WhiteNoise | None":
         """Noise of the poses that are used for differences; None of a simulation."""
         if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
             return None

@@ -28,7 +28,7 @@ wheels slip, shows more elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class WhiteNoise:
     """Standard deviations of the noise of poses.
 
     Attributes:
@@ -40,15 +40,15 @@ class Noise:
     heading_rad: float
 
 
-def measure_noise(poses: PoseColumns) -> Noise:
+def measure_noise(poses: PoseColumns) -> WhiteNoise:
     """Return the noise of poses, none of which repeats the one before."""
     if len(poses) < _BLOCK + 2:
-        return Noise(position_m=0.0, heading_rad=0.0)
+        return WhiteNoise(position_m=0.0, heading_rad=0.0)
     _, aside_m, turned_rad = measure_steps(poses)
-    return Noise(position_m=_estimate(aside_m), heading_rad=_estimate(turned_rad))
+    return WhiteNoise(position_m=_estimate(aside_m), heading_rad=_estimate(turned_rad))
 
 
-def find_noise(run: Run, rows: NDArray[np.int64]) -> Noise:
+def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
     """Return the noise of some rows of the poses.
 
     The noise of headings counts only if turns to and fro are noise: slow poses do not tell noise
@@ -60,7 +60,7 @@ def find_noise(run: Run, rows: NDArray[np.int64]) -> Noise:
     return noise
 
 
-def measure_rate_noise(run: Run) -> float:
+def measure_speed_noise(run: Run) -> float:
     """Return the noise of speeds that are differences of poses [m/s]."""
     if len(run.poses) < 2:
         return 0.0

@@ -17,7 +17,7 @@ from turtlelog.measure.rates import SpacedPoses
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
 
 if TYPE_CHECKING:
-    from turtlelog.measure.pose_noise import Noise
+    from turtlelog.measure.pose_noise import WhiteNoise
 
 Values = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Rest:
     way_m: float
 
 
-def find_rest(xy_m: Values, spaced: SpacedPoses, noise: "Noise | None") -> Rest | Missing:
+def judge_rest(xy_m: Values, spaced: SpacedPoses, noise: "WhiteNoise | None") -> Rest | Missing:
     """Return the rest of a robot, or why it is unknown.
 
     `xy_m` are the positions of the spaced poses [m], shape (n, 2).
@@ -95,7 +95,7 @@ def _estimate_rate_noise(time_s: Values, size: float, window_s: float) -> float:
     return float(_NOISES * np.sqrt(6.0 / count) * size / (window_s * 2.0 / 3.0))
 
 
-def _choose_window(time_s: Values, noise: "Noise") -> float:
+def _choose_window(time_s: Values, noise: "WhiteNoise") -> float:
     """Return the time over which means of noisy poses show rest [s]; 0 if single poses do."""
     windows_s = [0.0]
     for size, rate in ((noise.position_m, AT_REST_M_S), (noise.heading_rad, AT_REST_RAD_S)):
@@ -106,7 +106,7 @@ def _choose_window(time_s: Values, noise: "Noise") -> float:
 
 
 def _find_slow_means(
-    time_s: Values, columns: Sequence[Values], window_s: float, noise: "Noise | None" = None
+    time_s: Values, columns: Sequence[Values], window_s: float, noise: "WhiteNoise | None" = None
 ) -> NDArray[np.bool_]:
     """Return in which steps means of the poses move by less than the threshold of rest.
 

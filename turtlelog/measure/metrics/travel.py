@@ -10,8 +10,8 @@ from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
 from turtlelog.measure.rates import AXES, SAME, Axis, Rates, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
+from turtlelog.measure.rest import AT_REST_M_S, Rest, judge_rest
 from turtlelog.run.angles import unwrap_headings
-from turtlelog.measure.rest import AT_REST_M_S, Rest, find_rest
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -109,14 +109,14 @@ for _axis, _unit in AXES.items():
     )(_on_rates(_axis, _compute_mean))
 
 
-def find_rest_of(context: RunContext) -> Rest | Missing:
+def judge_rest_of(context: RunContext) -> Rest | Missing:
     """Return the rest of a run, or why it is unknown."""
 
     def find() -> Rest | Missing:
         spaced = context.spaced_poses
         if spaced is None:
             return ONE_POSE
-        return find_rest(context.run.poses.xy_m[spaced.rows], spaced, context.noise)
+        return judge_rest(context.run.poses.xy_m[spaced.rows], spaced, context.noise)
 
     return context.recall("rest", find)
 
@@ -124,13 +124,13 @@ def find_rest_of(context: RunContext) -> Rest | Missing:
 @run_metric("run.rest_time", "s", better=None)
 def _compute_rest_time(context: RunContext) -> Result:
     """Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second."""
-    found = find_rest_of(context)
+    found = judge_rest_of(context)
     return found if isinstance(found, Missing) else Found(found.time_s)
 
 
 @run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
 def _compute_rest_share(context: RunContext) -> Result:
-    found = find_rest_of(context)
+    found = judge_rest_of(context)
     if isinstance(found, Missing):
         return found
     return Found(found.time_s / found.seen_s) if found.seen_s > 0.0 else _NOT_SEEN
