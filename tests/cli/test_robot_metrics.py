@@ -71,35 +71,70 @@ def test_jumps_that_a_path_length_contains_are_told_beside_it(
     assert "jump" not in call("metrics", leap, "--metric", "run.duration").flat
 
 
-def test_a_jump_that_is_the_largest_measured_speed_is_told(call: Call, tmp_path: Path) -> None:
+def test_a_jump_is_no_measured_speed(call: Call, tmp_path: Path) -> None:
     table = tmp_path / "poses.csv"
-    for leap_m, told, share in (
-        (3.0, True, " long, 45 % of it jumps,"),
-        (0.2, True, " long, 5 % of it jumps,"),
-        (0.18, True, " long"),
-        (0.0, False, " long"),
+    for leap_m, share in (
+        (3.0, " long, 45 % of it jumps,"),
+        (0.2, " long, 5 % of it jumps,"),
+        (0.18, " long"),
+        (0.0, " long"),
     ):
         rows = [f"{i / 50},{0.3 * i / 50 + leap_m * (i >= 500)},0,0" for i in range(600)]
         table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
         answer = call("metrics", table).flat
-        assert ("The largest measured speed is the jump at 10.0 s." in answer) is told
+        assert "largest measured speed 0.3 m/s" in answer
         assert f"m{share} and takes 12 s." in answer
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "first", "told"),
+    [
+        (20.0, " and takes 40 s, 20 s of it without poses.", "20 s"),
+        (0.5, " and takes 40 s.", "0.5 s"),
+        (0.15, " and takes 40 s.", None),
+    ],
+)
+def test_time_without_poses_is_told_and_left_out(
+    gap_s: float, first: str, told: str | None, call: Call, tmp_path: Path
+) -> None:
+    times = [i / 50 for i in range(2001) if not 10.0 < i / 50 < 10.0 + gap_s]
+    rows = [f"{t},{0.3 * t - 0.3 * gap_s * (t > 10.0)},0,0" for t in times]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    answer = call("metrics", table).flat
+    assert first in answer
+    assert "share of the time at rest 0 %" in answer
+    said = f"Rates and rest leave out {told} without poses; the path length counts a straight line"
+    assert (said in answer) is (told is not None)
+
+
+def test_repeated_poses_are_told(call: Call, tmp_path: Path) -> None:
+    table = tmp_path / "poses.csv"
+    for each, told in ((5, "repeat the one before"), (1, None)):
+        rows = [f"{i / 50},{0.3 * (i // each * each) / 50:.6f},0,0" for i in range(600)]
+        table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+        for command in ("info", "metrics"):
+            answer = call(command, table).flat
+            assert ("repeat the one before" in answer) is (told is not None)
+            assert ("change at 10 Hz" in answer) is (told is not None)
 
 
 @pytest.mark.parametrize(
     ("noise_m", "period_s", "told"),
     [
-        (0.02, 0.02, "17.3 m long, 3 m through the median of each second, and takes"),
-        (0.001, 0.02, "3.07 m long and takes"),  # driven are 2.99 m
-        (0.1, 0.2, "8.33 m long and takes"),  # a robot itself may turn round within 0.4 s
+        ((0.02, 0.02), 0.02, "17.3 m long, 3 m through the median of each second, and takes"),
+        ((0.001, 0.001), 0.02, "3.07 m long and takes"),  # driven are 2.99 m
+        ((0.1, 0.1), 0.2, "8.33 m long, 3.2 m through the median of each second, and takes"),
+        ((0.1, 0.0), 0.2, "4.84 m long and takes"),  # a robot itself may turn round within 0.4 s
     ],
 )
 def test_a_path_that_noise_lengthens_is_told_without_it(
-    noise_m: float, period_s: float, told: str, call: Call, tmp_path: Path
+    noise_m: tuple[float, float], period_s: float, told: str, call: Call, tmp_path: Path
 ) -> None:
     time_s = np.arange(0.0, 10.0, period_s)
     random = np.random.default_rng(0)
-    x_m, y_m = np.array([[0.3], [0.0]]) * time_s + random.normal(0.0, noise_m, (2, len(time_s)))
+    noise = random.normal(0.0, 1.0, (2, len(time_s))) * np.array(noise_m)[:, None]
+    x_m, y_m = np.array([[0.3], [0.0]]) * time_s + noise
     rows = [f"{t:.3f},{x:.6f},{y:.6f},0" for t, x, y in zip(time_s, x_m, y_m, strict=True)]
     table = tmp_path / "poses.csv"
     table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
@@ -107,7 +142,8 @@ def test_a_path_that_noise_lengthens_is_told_without_it(
     assert f"the path is {told}" in answer
     said = "The path length counts steps back and forth between poses, as from noise; through the"
     assert (said in answer) is ("median" in told)
-    assert ("differences of poses, and contain their noise." in answer) is ("median" in told)
+    rates = "differences of poses, and contain their noise: about"
+    assert (rates in answer) is (noise_m[1] > 0.0)
     assert (call("metrics", table, "--json").json[0]["scatter"] is None) is ("median" not in told)
 
 
@@ -122,7 +158,28 @@ def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
     assert "steps back and forth between poses" in answer
     five = call("metrics", *[table] * 5).flat
     assert five.count("counts steps back and forth between poses") == 3
-    assert "Jumps or steps like these are in 2 more runs." in five
+    assert "Gaps, jumps or steps are in 2 more runs, too." in five
+
+
+@pytest.mark.parametrize(("align", "largest"), [(None, 0.0), ("first_sample", 0.2)])
+def test_two_topics_of_one_bag_share_its_clock(
+    align: str | None, largest: float, call: Call, tmp_path: Path
+) -> None:
+    """Their first poses are 2 ms apart, so that from them on, equal commands differ at steps."""
+    time_s = np.arange(0.0, 5.0, 0.05)
+    rates, ways = respond(time_s, STEPS, 0.1)
+    said = [_tell_odometry(*row) for row in zip(time_s, rates, ways, strict=True)]
+    said += [replace(one, topic="/mocap", time_ns=one.time_ns + 2_000_000) for one in said]
+    at_s, values = publish([(0.5, 0.0), *STEPS], 4.5)
+    said += [_tell_command(*row) for row in zip(at_s, values, strict=True)]
+    bag = tmp_path / "two.mcap"
+    write_mcap(bag, sorted(said, key=lambda one: one.time_ns))
+    asked = [] if align is None else ["--align", align]
+    topics = [f"{bag}:/mocap", "--reference", f"{bag}:/odom", *asked]
+    answer = call("compare", *topics, "--json").json
+    assert answer["alignment"] == (align or "recorded")
+    signals = {one["signal"]: one["largest"] for one in answer["runs"][0]["signals"]}
+    assert signals["speed"] == pytest.approx(largest, abs=1e-9)
 
 
 def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(

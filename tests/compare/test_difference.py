@@ -176,3 +176,22 @@ def test_recorded_times_that_do_not_overlap_are_refused() -> None:
 def test_samples_that_numbers_leave_out_are_noted() -> None:
     notes = tl.compare_runs(KP4, KP1, alignment="sample").notes
     assert notes == ("681 samples are compared by number: paper-kp4 has 681, paper-kp1 1265.",)
+
+
+@pytest.mark.parametrize(
+    ("source", "begin", "lost_s"),
+    [
+        ("rosbag2: a", "2024-01-01T00:00:00.000000000Z", 0.16),
+        ("rosbag2: a", "2024-01-02T00:00:00.000000000Z", 0.0),
+        ("rosbag2: b", "2024-01-01T00:00:00.000000000Z", 0.0),
+    ],
+)
+def test_runs_of_one_bag_have_one_clock(source: str, begin: str, lost_s: float) -> None:
+    later = "2024-01-01T00:00:00.160000000Z"
+    notes = [{"original_timestamp": one} for one in (begin, later)]
+    first = dataclasses.replace(KP4, source="rosbag2: a", notes=notes[0])
+    other = dataclasses.replace(KP4, source=source, notes=notes[1])
+    alone, found = (
+        tl.compare_runs(*runs, alignment="recorded") for runs in ((KP4, KP4), (first, other))
+    )
+    assert alone.overlap_s - found.overlap_s == pytest.approx(lost_s, abs=1e-9)

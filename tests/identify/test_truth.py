@@ -280,6 +280,18 @@ def test_jumps_are_outliers_and_told() -> None:
     assert known(model.turn_rate.dead_time_s).value == pytest.approx(0.1, abs=2e-3)
 
 
+@pytest.mark.parametrize(("share", "is_told"), [(5e-4, False), (2e-3, True)])
+def test_outliers_of_rounding_are_not_told(share: float, *, is_told: bool) -> None:
+    run = make_run(Log(duration_s=30.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0), 4)
+    heading_rad = run.poses.heading_rad.copy()
+    largest_rad = np.abs(np.diff(np.unwrap(heading_rad))).max()
+    heading_rad[400:] += share * largest_rad
+    moved = replace(run, poses=replace(run.poses, heading_rad=heading_rad))
+    model = tl.identify_robot(moved)
+    assert model.turn_rate.outliers > 0
+    assert any(event.axis == "turn_rate" for event in model.events) is is_told
+
+
 def test_what_the_correlation_says_lies_near_dead_time_and_lag() -> None:
     found = tl.identify_robot(make_run(Log(duration_s=40.0), 5)).turn_rate
     delay_s = known(found.correlation_delay_s)

@@ -76,7 +76,7 @@ def test_one_pose_moves_nowhere() -> None:
     assert metrics["run.net_displacement"].value == 0.0
 
 
-@pytest.mark.parametrize(("hz", "is_seen"), [(5.1, True), (4.9, False)])
+@pytest.mark.parametrize(("hz", "is_seen"), [(5.1, True), (5.0, True), (4.97, True), (4.9, False)])
 def test_smoothness_takes_five_poses_a_second(hz: float, *, is_seen: bool) -> None:
     found = measure(drive(np.arange(0.0, 20.0, 1.0 / hz)), "run.spectral_arc_length")
     assert (found.status is Status.TOO_SHORT) != is_seen

@@ -161,3 +161,14 @@ def test_a_goal_with_a_heading_is_reached_in_this_heading(
     assert (end.verdict == "reached") is is_reached
     told = "ended 0.1 mm from the goal and 0.0579 deg off its heading after 20.5 s"
     assert (end.describe() == told) is not is_reached
+
+
+@pytest.mark.parametrize(
+    ("error_m", "told"),
+    [(8e-10, "ended at the goal after"), (2e-9, "ended 2e-06 mm from the goal")],
+)
+def test_a_distance_that_is_rounding_is_at_the_goal(error_m: float, told: str) -> None:
+    parameters = {key: value for key, value in RUN.parameters.items() if "tolerance" not in key}
+    end = find_goal_end(end_at(error_m, stop_reason=None, parameters=parameters))
+    assert end is not None
+    assert end.describe().startswith(told)

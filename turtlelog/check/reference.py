@@ -285,7 +285,9 @@ def _judge_run(
     run: Run, reference: Run, tolerances: Tolerances, alignment: str
 ) -> Iterator[CheckResult]:
     differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
-    start_ns = run.start_ns - find_zero_ns(run, alignment)  # zero of the times in results
+    start_ns = run.start_ns - find_zero_ns(
+        run, alignment, reference
+    )  # zero of the times in results
 
     def describe(difference: Difference) -> str:
         sides = (difference.replayed, difference.recorded)

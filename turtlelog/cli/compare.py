@@ -40,8 +40,9 @@ class ReferenceOptions:
         trust_law: With --why: run the code of the laws that the recordings name.
         reference: Run with which the others are compared.
         align: Common time zero: first_sample, phase:NAME (the start of a phase), recorded (times as
-            they are), sample (samples by their number). Default: first_sample. With --ate or --rpe
-            the transformation that is fitted: se3, se2, sim3, sim2 (with scale), origin, none.
+            they are), sample (samples by their number). Default: first_sample; recorded for runs of
+            one bag. With --ate or --rpe the transformation that is fitted: se3, se2, sim3, sim2
+            (with scale), origin, none.
         jobs: Number of processes. Default: one per core if that is faster; 1 with --rrd or with a
             robot's scenario.
         details: With --reference: show the signals also if several runs are compared.

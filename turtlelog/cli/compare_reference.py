@@ -90,7 +90,9 @@ def compare_with_reference(
 
     Runs in `held` are read already, and are compared in this process.
     """
-    alignment = against.align or "first_sample"
+    # Runs of one file have one clock; their first poses are not at one time.
+    files = {tl.log.split_topic(path)[0] for path in paths}
+    alignment = against.align or ("recorded" if len(files) == 1 else "first_sample")
     if alignment == "first-sample":
         alignment = "first_sample"
     choice = (topics or ReadingOptions()).build_choice()

@@ -313,6 +313,8 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     }
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
+    if sideways := tl.measure.describe_sideways(run):
+        notes["sideways"] = f"{sideways}; speeds are those ahead or back"
     kind = _describe_kind(run)
     return Summary(
         text=_describe_run(run, kind),

@@ -16,7 +16,6 @@ _MOST_SAID: Final = 3
 """Largest number of metrics with values in the first line, and of runs whose jumps are listed."""
 
 _PATH: Final = "run.path_length"
-_FASTEST: Final = "run.measured_speed_max"
 _TURNING: Final = "run.total_turning"
 
 _SILENT: Final = 1.5
@@ -112,7 +111,8 @@ def print_chosen(
             for summary in summaries
         ]
         table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
-    table = replace(table, notes=(*table.notes, *notes, *_list_jumps(summaries, chosen)))
+    notes += [*_list_jumps(summaries, chosen), *_list_resolutions(summaries)]
+    table = replace(table, notes=(*table.notes, *notes))
     if kind != "txt":
         console.print_tables([table], kind)
         return
@@ -228,7 +228,9 @@ def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
 def _list_remarks(
     summary: "tl.compare.RunSummary", loops: Sequence[str], shown: Sequence[str]
 ) -> Iterator[str]:
-    """Yield which loops oscillate, do not settle, or have no values at all."""
+    """Yield which loops oscillate, do not settle, or have no values, and motion to the side."""
+    if "sideways" in summary.notes:
+        yield f"The robot is {summary.notes['sideways']}. Speeds are those ahead or back."
     restless = [loop for loop in shown if _find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
@@ -321,7 +323,7 @@ def _list_since(summary: "tl.compare.RunSummary") -> Iterator[str]:
 
 
 def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
-    """Yield the sources of measured rates in bags."""
+    """Yield the sources of measured rates in bags, and their resolution."""
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in found.lacks for found in lawless)
     if reporting and reporting == len(lawless):
@@ -330,8 +332,22 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
         yield f"Measured rates are those that the robot reports{doubt}."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
-        noise = ", and contain their noise" if any(map(_has_scatter, lawless)) else ""
-        yield f"Measured rates are differences of poses{which}{noise}."
+        sizes = [one.notes["speed_noise"] for one in lawless if "speed_noise" in one.notes]
+        noise = ", and contain their noise" if sizes else ""
+        size = f": about {sizes[0]}" if sizes and len(lawless) == 1 else ""
+        yield f"Measured rates are differences of poses{which}{noise}{size}."
+    yield from _list_resolutions(summaries)
+
+
+def _list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
+    """Return the sentence on the resolution of lags and rise times."""
+    steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
+    if not steps:
+        return []
+    return [
+        f"Measured rates are {join_words([*steps])} apart: lags are known to half of it, rise times"
+        " to twice it."
+    ]
 
 
 _RATE_DOUBTS: Final = frozenset({"path_by_speed", "turning_by_rate"})
@@ -346,12 +362,8 @@ def _list_travel(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield f"{told[0].upper()}{told[1:]}{own}."
 
 
-def _has_scatter(summary: "tl.compare.RunSummary") -> bool:
-    return "rates" in summary.lacks and "path_without_scatter" in summary.notes
-
-
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
-    """Return sentences on path lengths that contain jumps or scatter of the poses."""
+    """Return sentences on gaps, and on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
         return []
     told: list[list[str]] = []
@@ -359,14 +371,25 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         which, said = "" if len(summaries) == 1 else f" of {one.name}", []
         if "jumps" in one.notes:
             said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
-        if len(summaries) == 1 and _FASTEST in shown and (at := one.notes.get("fastest_is_jump")):
-            said.append(f"The largest measured speed is the jump at {at}.")
+        if "sideways" in one.notes and len(summaries) > 1:
+            said.append(f"Speeds{which} leave out motion to the side: {one.notes['sideways']}.")
+        if "changes" in one.notes:
+            changes = one.notes["changes"]
+            said.append(f"Most positions{which} repeat the one before: they change at {changes}.")
+        if "crept" in one.notes:
+            crept = one.notes["crept"]
+            said.append(f"Rest{which} includes {crept} of creeping, slower than 0.01 m/s.")
+        if "gaps" in one.notes:
+            said.append(
+                f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path"
+                " length counts a straight line there."
+            )
         said.extend(list_scatter(one, which, shown))
         told.extend([said] if said else [])
     first = [sentence for said in told[:_MOST_SAID] for sentence in said]
     more = describe_count(len(told) - _MOST_SAID, "more run")
     return (
-        first if len(told) <= _MOST_SAID else [*first, f"Jumps or steps like these are in {more}."]
+        first if len(told) <= _MOST_SAID else [*first, f"Gaps, jumps or steps are in {more}, too."]
     )
 
 

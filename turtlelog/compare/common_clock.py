@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import parse_utc
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
 from turtlelog.run import Run
@@ -103,9 +104,10 @@ def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
                 raise CompareError(f"{one.name}: no samples to align by number")
         count = min(len(reference.samples), len(run.samples))
         return _SampleClock(time_ns=reference.samples.time_ns[:count] - reference.start_ns)
-    zeros_ns = find_zero_ns(reference, alignment), find_zero_ns(run, alignment)
+    zeros_ns = find_zero_ns(reference, alignment), find_zero_ns(run, alignment, reference)
     # What stands before is not compared: before the first sample nothing was controlled yet.
-    earliest_ns = max(reference.start_ns, run.start_ns) if alignment == "recorded" else 0
+    starts_ns = (reference.start_ns - zeros_ns[0], run.start_ns - zeros_ns[1])
+    earliest_ns = max(starts_ns) if alignment == "recorded" else 0
     spans = [
         (int(one.poses.time_ns[0]) - zero_ns, one.end_ns - zero_ns)
         for one, zero_ns in zip((reference, run), zeros_ns, strict=True)
@@ -130,10 +132,20 @@ def _smooth(signal: Signal) -> Signal:
     return replace(signal, values=np.unwrap(signal.values))
 
 
-def find_zero_ns(run: Run, alignment: str) -> int:
-    """Return time zero of an alignment in a run [ns]; by sample number, the first sample."""
+def find_zero_ns(run: Run, alignment: str, reference: Run | None = None) -> int:
+    """Return time zero of an alignment in a run [ns]; by sample number, the first sample.
+
+    Recorded times count from the first row of a run. For two runs of one bag, they count from the
+    first row of the reference.
+    """
     if alignment == "recorded":
-        return 0
+        if reference is None or reference.source != run.source:
+            return 0
+        begins = [parse_utc(one.notes.get("original_timestamp", "")) for one in (reference, run)]
+        if begins[0] is None or begins[1] is None:
+            return 0
+        zero_ns = begins[0] - begins[1]
+        return zero_ns if abs(zero_ns) < max(reference.end_ns, run.end_ns) else 0  # other bags
     if alignment in {"first_sample", "sample"}:
         return run.start_ns
     phase = alignment.removeprefix("phase:")

@@ -333,7 +333,7 @@ def trace_tube(
             )
             for beyond in (-_BEYOND, _BEYOND)
         )
-    to_run_ns = common_clock.find_zero_ns(run, alignment)
+    to_run_ns = common_clock.find_zero_ns(run, alignment, reference)
     return SignalTube(
         time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,
         values=rows.values,

@@ -1,6 +1,5 @@
 """Short summaries of runs: conditions, results and ends, of runs or file by file."""
 
-import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -235,13 +234,6 @@ def summarise_measured(
     )
 
 
-_SHOWN: Final = 5e-4
-"""Share of a path length below which jumps do not change its three printed digits."""
-
-_LARGE: Final = 0.05
-"""Share of a path length from which jumps are told beside it. Wheel odometry is as wrong itself."""
-
-
 def _describe_since(run: Run) -> dict[str, str]:
     """Return a note on when the goal and the path were given, if that was during the run."""
     if not run.is_lawless:
@@ -255,32 +247,11 @@ def _describe_since(run: Run) -> dict[str, str]:
 
 
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """Return notes on jumps and scatter of a robot's poses, if its path length contains them."""
-    path = metrics.get("run.path_length")
-    if path is None or path.value is None or run.poses.speed_m_s is not None:
+    if run.poses.speed_m_s is not None:
         return {}
-    from turtlelog.measure import breaks, rates  # only bags need these
+    from turtlelog.compare.pose_notes import describe_poses  # only bags need it
 
-    notes = measure.describe_travel(run)
-    scatter = rates.find_scatter(run)
-    if scatter.path_m is not None:
-        notes["path_without_scatter"] = format_short(scatter.path_m, "m")
-    if scatter.turning_rad is not None:
-        notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    jumps = breaks.find_jumps(run)
-    share = sum(jump.excess_m for jump in jumps) / (path.value or math.inf)
-    if share <= _SHOWN:
-        return notes
-    notes["jumps"] = breaks.describe_breaks(run)["jumps"]
-    if share >= _LARGE:
-        notes["jumped_share"] = f"{100.0 * share:.0f} %"
-    fastest = metrics.get("run.measured_speed_max")
-    if fastest is not None and fastest.at_s is not None and "rates" in list_lacks(run):
-        # A rate from differences spreads a jump over the poses beside it.
-        first = run.poses.time_ns.searchsorted(run.start_ns + round(fastest.at_s * 1e9))
-        if any(abs(jump.row - first) <= 1 for jump in jumps):
-            notes["fastest_is_jump"] = f"{fastest.at_s:.1f} s"
-    return notes
+    return describe_poses(run, metrics)
 
 
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None
@@ -464,7 +435,9 @@ def _describe_end(summary: RunSummary) -> str:
         )
         if name in summary.notes
     ]
-    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}"
+    gaps = summary.notes.get("large_gaps")
+    without = f", {gaps} of it without poses" if gaps else ""
+    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}{without}"
 
 
 _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"

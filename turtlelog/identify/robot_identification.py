@@ -25,7 +25,7 @@ from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiti
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
 from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure, find_rests
-from turtlelog.measure.travel_direction import find_travel_direction
+from turtlelog.measure.travel_direction import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
@@ -83,6 +83,11 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     (speed, speed_events), (turn_rate, turn_events) = (_identify_axis(runs, axis) for axis in AXES)
     models = _doubt_waiting(runs, speed, turn_rate), _doubt_waiting(runs, turn_rate, speed)
     notes = [doubt for model in models for doubt in model.doubts]
+    notes += [
+        f"{run.name} is {sideways}. Only the motion ahead or back is identified."
+        for run in runs
+        if (sideways := describe_sideways(run))
+    ]
     for list_notes in (
         *(_compare_runs, _note_one_size, _note_one_beside, _note_backward),
         _note_drift,
@@ -284,13 +289,21 @@ def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> A
     return refused_axes.refuse_wide(covered, f"while the {NAMES[other.axis]} rests") or covered
 
 
+_TOLD: Final = 1e-3
+"""Smallest outlier that is told, as a share of the largest step. Without noise, rounding and the
+time of a command make outliers far below it."""
+
+
 def _list_events(names: Sequence[str], axis: Axis, fit: AxisFit) -> list[RobotEvent]:
     events, begin = [], 0
     for name, motion in zip(names, fit.model.motions, strict=True):
         end = begin + len(motion.moved)
+        least = _TOLD * float(np.abs(motion.moved).max(initial=0.0))
         for step in np.flatnonzero(fit.is_outlier[begin:end]).tolist():
             time_s = float(motion.time_s[motion.first[step] + 1])
             size = float(fit.residual[begin + step])
+            if abs(size) < least:
+                continue
             events.append(RobotEvent(file=name, axis=axis, time_s=time_s, size=size))
         begin = end
     return events

@@ -62,6 +62,7 @@ from .step_response import (
 )
 from .travel_direction import (
     TravelDirection as TravelDirection,
+    describe_sideways as describe_sideways,
     describe_travel as describe_travel,
     find_travel_direction as find_travel_direction,
 )

@@ -26,17 +26,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, join_words
-from turtlelog.measure.motion import GAP_STEPS
-from turtlelog.measure.rates import NEIGHBOURS, find_changing_rows
+from turtlelog.measure.rates import (
+    GAP_STEPS,
+    NEIGHBOURS,
+    describe_repetition,
+    find_changing_rows,
+    find_usual_step,
+)
 from turtlelog.measure.reductions import compute_median
 from turtlelog.run import PoseColumns, Run, take_rows
 from turtlelog.run.angles import subtract_headings
 
 Values = NDArray[np.float64]
-
-_USUAL: Final = 0.95
-"""Share of time steps that count as usual: some robots publish at two rates, or only while they
-move."""
 
 _FAST: Final = 3.0
 """Ratio to the greatest lasting rate from which a step is a jump. A robot near that rate, and a
@@ -125,8 +126,7 @@ def find_gap_rows(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     step_ns = np.diff(time_ns)
     if not len(step_ns):
         return np.zeros(0, dtype=np.int64)
-    usual_ns = float(np.quantile(step_ns, _USUAL))
-    return np.flatnonzero(step_ns > GAP_STEPS * usual_ns) + 1
+    return np.flatnonzero(step_ns > GAP_STEPS * find_usual_step(time_ns)) + 1
 
 
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
@@ -189,8 +189,10 @@ def _has_courses(run: Run) -> bool:
 
 
 def describe_breaks(run: Run) -> dict[str, str]:
-    """Return a sentence on `jumps` and one on `gaps`, for each that is not empty."""
+    """Return a sentence on `repeated`, `jumps` and `gaps`, for each that is not empty."""
     found = {}
+    if changes := describe_repetition(run.poses):
+        found["repeated"] = f"most positions repeat the one before; they change at {changes}"
     if jumps := find_jumps(run):
         found["jumps"] = _describe_jumps(jumps, run.start_ns, is_north=_has_courses(run))
     if gaps := find_gaps(run):

@@ -39,7 +39,9 @@ from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 if TYPE_CHECKING:
+    from turtlelog.measure.breaks import PoseJump
     from turtlelog.measure.metric_list import MeasureSettings
+    from turtlelog.measure.pose_noise import WhiteNoise
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
@@ -95,7 +97,27 @@ class RunContext:
     @cached_property
     def spaced_poses(self) -> rates.SpacedPoses | None:
         """Poses far enough apart in time for differences; None for a single pose."""
-        return rates.space_poses(self.run) if len(self.run.poses) > 1 else None
+        if len(self.run.poses) < 2:
+            return None
+        return rates.space_poses(self.run, [jump.row for jump in self.jumps])
+
+    @cached_property
+    def jumps(self) -> "tuple[PoseJump, ...]":
+        """Jumps of the poses; none if the plant's speed is recorded, as of a simulation."""
+        if self.run.poses.speed_m_s is not None:
+            return ()
+        from turtlelog.measure.breaks import find_jumps  # only poses of other robots jump
+
+        return find_jumps(self.run)
+
+    @cached_property
+    def noise(self) -> "WhiteNoise | None":
+        """Noise of the poses that are used for differences; None of a simulation."""
+        if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
+            return None
+        from turtlelog.measure.pose_noise import find_noise
+
+        return find_noise(self.run, self.spaced_poses.rows)
 
     @cached_property
     def heading_reference_rad(self) -> float | Values | None:

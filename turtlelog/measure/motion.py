@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.measure.rates import GAP_STEPS
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
@@ -26,10 +27,6 @@ _NEAR_TICKS: Final = 0.02
 """The same for several ticks, if a controller answers and logs every n-th pose."""
 
 _MOST_STEP_TICKS: Final = 60
-
-GAP_STEPS: Final = 4.0
-"""Silence, in usual steps, from which poses may be lost. A wall clock under load makes steps of
-three."""
 
 _LOST_ROWS: Final = 1000
 """Number of rows for a gap of unknown length: more than any dead time."""

@@ -6,7 +6,7 @@ displacement along the mean heading divided by the time. Differences of poses cl
 mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th pose is used if poses are fast.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal
@@ -49,6 +49,8 @@ class Rates:
         values: Rate [m/s or rad/s], shape (n,); backward and clockwise negative.
         edges_s: Boundaries of the intervals of `means` [s], shape (m + 1,).
         means: Mean rate of each interval, shape (m,); reported rates are linearly interpolated.
+        is_seen: Whether the poses show the motion in each interval, shape (m,): no pose is missing
+            and none jumps.
         outliers: Number of values that were left out.
     """
 
@@ -56,6 +58,7 @@ class Rates:
     values: Values
     edges_s: Values
     means: Values
+    is_seen: NDArray[np.bool_]
     outliers: int
 
 
@@ -66,19 +69,36 @@ class SpacedPoses:
     Attributes:
         time_s: Times of these rows of the poses, from time zero of the run [s], shape (n,).
         heading_rad: Their headings without jumps at full turns [rad], shape (n,).
+        is_seen: Whether the poses show the motion from each row to the next, shape (n - 1,).
     """
 
     rows: NDArray[np.int64]
     time_s: Values
     heading_rad: Values
+    is_seen: NDArray[np.bool_]
 
 
-def space_poses(run: Run) -> SpacedPoses:
-    """Return the poses of a run that are used for differences; at least two are given."""
+def space_poses(run: Run, jumps: Sequence[int] = ()) -> SpacedPoses:
+    """Return the poses of a run that are used for differences; at least two are given.
+
+    `jumps` are the rows of the first poses after jumps, in order.
+    """
     poses = run.poses
-    rows = thin_poses(poses.time_ns)
+    rows = np.arange(len(poses))
+    if poses.speed_m_s is None:
+        rows = _find_shown_rows(poses)
+    rows = rows[thin_poses(poses.time_ns[rows])]
+    is_seen = find_seen(poses.time_ns, rows) & ~_find_leaps(poses, rows)
+    is_seen[np.searchsorted(rows, [row for row in jumps if row <= rows[-1]]) - 1] = False
     time_s = (poses.time_ns[rows] - run.start_ns) / 1e9
-    return SpacedPoses(rows=rows, time_s=time_s, heading_rad=unwrap_headings(poses)[rows])
+    heading_rad = unwrap_headings(poses)[rows]
+    return SpacedPoses(rows=rows, time_s=time_s, heading_rad=heading_rad, is_seen=is_seen)
+
+
+def find_seen(time_ns: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return between which of two or more rows no poses are missing, shape (len(rows) - 1,)."""
+    longest_ns = np.maximum.reduceat(subtract_neighbours(time_ns[: rows[-1] + 1]), rows[:-1])
+    return np.asarray(longest_ns <= GAP_STEPS * find_usual_step(time_ns[rows]))
 
 
 def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates | None:
@@ -104,6 +124,7 @@ def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates
         values=values,
         edges_s=time_s,
         means=(values[:-1] + values[1:]) / 2.0,
+        is_seen=find_seen(poses.time_ns, kept),
         outliers=len(poses) - len(kept),
     )
 
@@ -137,7 +158,7 @@ def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _difference_poses(run: Run, axis: Axis, spaced: SpacedPoses) -> Rates:
-    edges_s, heading_rad = spaced.time_s, spaced.heading_rad
+    edges_s, heading_rad, is_seen = spaced.time_s, spaced.heading_rad, spaced.is_seen
     if axis == "turn_rate":
         moved = subtract_neighbours(heading_rad)
     else:
@@ -151,11 +172,14 @@ def _difference_poses(run: Run, axis: Axis, spaced: SpacedPoses) -> Rates:
         # The intervals stay in order: an outlier's interval gets the values of its neighbours.
         means = means.copy()
         means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
+    is_value = is_seen.copy()
+    is_value[wrong] = False
     return Rates(
-        time_s=np.delete(middle_s, wrong) if len(wrong) else middle_s,
-        values=np.delete(means, wrong) if len(wrong) else means,
+        time_s=middle_s[is_value],
+        values=means[is_value],
         edges_s=edges_s,
         means=means,
+        is_seen=is_seen,
         outliers=len(wrong),
     )
 
@@ -365,73 +389,76 @@ def find_quantisation_step(values: Values) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
+GAP_STEPS: Final = 4.0
+"""Silence, in usual steps, from which poses may be lost. A wall clock under load makes steps of
+three."""
+
+_USUAL: Final = 0.95
+"""Share of time steps that count as usual: some robots publish at two rates, or only while they
+move."""
+
+
+def find_usual_step(time_ns: NDArray[np.int64]) -> float:
+    """Return the longest usual step between two or more times [ns]."""
+    return float(np.quantile(np.diff(time_ns), _USUAL))
+
+
+_STEADY: Final = 1.5
+_FEWEST_STEADY: Final = 10
+"""Largest ratio of long to short times between changes of the position, and their least number,
+that show a source with its own rate: a receiver at 1 Hz beside a compass at 20 Hz. A robot that
+turns on the spot now and then has no such rate."""
+
+
 def find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
-    """Return the rows of poses that differ from the previous pose, if most poses repeat it."""
+    """Return the rows of poses that differ from the previous pose, if most poses repeat it.
+
+    If only positions repeat, at a steady rate, they decide.
+    """
     # Some programs publish each pose several times. In other recordings, a repeated pose shows that
     # the robot is at rest, and it counts.
-    moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1) | (np.diff(poses.heading_rad) != 0.0)
-    changing = np.flatnonzero(moved) + 1
-    if len(changing) < 2 or compute_median(np.diff(changing)) < 2:
-        return np.arange(len(poses))
-    return np.concatenate([[0], changing])
+    moved = (np.diff(poses.xy_m, axis=0) != 0.0).any(axis=1)
+    changing = np.flatnonzero(moved | (np.diff(poses.heading_rad) != 0.0)) + 1
+    if len(changing) >= 2 and compute_median(np.diff(changing)) >= 2:
+        return np.concatenate([[0], changing])
+    moving = np.flatnonzero(moved) + 1
+    if len(moving) >= _FEWEST_STEADY:
+        few, usual, many = np.quantile(np.diff(moving), [0.1, 0.5, 0.9])
+        if usual >= 2 and many <= _STEADY * few:
+            return np.concatenate([[0], moving])
+    return np.arange(len(poses))
 
 
-_BACK: Final = 0.1
-"""Share of a path in steps that lead back from which scatter is told. The white noise of a robot
-at rest has four fifths."""
-
-_MOST_TURNS_HZ: Final = 4.0
-"""How often a robot may turn round itself. Such steps lead back at slow poses without any noise."""
-
-_SHORTER: Final = 0.9
-"""Largest length through medians, as a share of the path, that is told. A curve of 1 rad/s loses a
-twentieth between the medians of each second."""
-
-_MEDIAN_NS: Final = 1_000_000_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter:
-    """What is left of a path and of its turns through the median pose of each second.
-
-    Attributes:
-        path_m: Length of the path from the first pose through these medians to the last [m]; None
-            if the path hardly scatters.
-        turning_rad: Sum of the magnitudes of all turns, likewise [rad].
-    """
-
-    path_m: float | None
-    turning_rad: float | None
-
-
-def find_scatter(run: Run) -> Scatter:
-    """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    poses = run.poses
+def describe_repetition(poses: PoseColumns) -> str:
+    """Return the rate at which poses change, if most repeat the previous one; otherwise empty."""
     rows = find_changing_rows(poses)
-    heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
-    time_ns = poses.time_ns[rows]
-    return Scatter(
-        path_m=_measure_through_medians(time_ns, poses.xy_m[rows]),
-        turning_rad=_measure_through_medians(time_ns, heading_rad),
-    )
+    if len(rows) == len(poses):
+        return ""
+    return f"{1e9 / compute_median(np.diff(poses.time_ns[rows])):.3g} Hz"
 
 
-def _measure_through_medians(time_ns: NDArray[np.int64], values: Values) -> float | None:
-    """Return the length through medians of each second; None if the steps hardly lead back."""
-    steps = np.diff(values, axis=0)
-    ways = np.linalg.norm(steps, axis=1)
-    whole = float(ways.sum())
-    if not whole:
-        return None
-    is_back = (steps[1:] * steps[:-1]).sum(axis=1) < 0.0
-    driven = max(_BACK, _MOST_TURNS_HZ * compute_median(np.diff(time_ns)) / 1e9)
-    if float(ways[1:][is_back].sum()) < driven * whole:
-        return None
-    seconds = (time_ns - time_ns[0]) // _MEDIAN_NS
-    starts = np.flatnonzero(np.diff(seconds, prepend=-1))
-    middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
-    medians = [axis[np.lexsort((axis, seconds))][middles] for axis in values.T]
-    corners = np.column_stack(medians)
-    left = np.diff(corners, axis=0, prepend=values[:1], append=values[-1:])
-    length = float(np.linalg.norm(left, axis=1).sum())
-    return length if length <= _SHORTER * whole else None
+_LEAPS: Final = 3.0
+"""Size of a change after a long repetition, in usual changes, above which poses were lost in it. A
+robot that starts again moves less than usual."""
+
+
+def _find_leaps(poses: PoseColumns, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return after which rows a pose is repeated for long, and then moves on at once."""
+    time_ns, xy_m = poses.time_ns[rows], poses.xy_m[rows]
+    is_long = subtract_neighbours(time_ns) > GAP_STEPS * find_usual_step(time_ns)
+    return np.asarray(is_long & (np.diff(xy_m, axis=0) != 0.0).any(axis=1))
+
+
+def _find_shown_rows(poses: PoseColumns) -> NDArray[np.int64]:
+    """Return the rows of poses that are no repetitions, and the last row of each rest."""
+    rows = find_changing_rows(poses)
+    if len(rows) == len(poses):
+        return rows
+    time_ns = poses.time_ns
+    held_ns = np.diff(time_ns[rows], append=time_ns[-1])
+    usual_ns = compute_median(held_ns)
+    ways_m = np.hypot(*np.diff(poses.xy_m[rows], axis=0, append=poses.xy_m[-1:]).T)
+    is_rest = (held_ns > GAP_STEPS * usual_ns) & (ways_m <= _LEAPS * compute_median(ways_m))
+    ends_ns = np.append(time_ns[rows[1:]] - round(usual_ns), time_ns[-1])[is_rest]
+    ends = np.searchsorted(time_ns, ends_ns, side="right") - 1
+    return np.sort(np.concatenate([rows, ends]))

@@ -74,6 +74,9 @@ _STAYS_S: Final = 1.0
 """Time for which a robot that a time limit stops must stay within the tolerances at its last speed
 [s]. A faster robot passes its goal."""
 
+_ROUNDING_M: Final = 1e-9
+"""Distance below which an error is rounding of numbers of 64 bits [m]."""
+
 _SMALL: Final = 0.01
 """Share of the error below which a part of it, across or along the line to the goal, is left out:
 squares add, so it changes the error by less than 0.01 %."""
@@ -113,7 +116,8 @@ class GoalEnd:
         if self.verdict == "ended":
             turned = self.turned_rad
             off = "" if turned is None else f" and {format_short(turned, 'rad')} off its heading"
-            return f"ended {size} from the goal{off} {after}"
+            where = "at the goal" if self.error_m < _ROUNDING_M else f"{size} from the goal"
+            return f"ended {where}{off} {after}"
         # In the same unit as the error, so that both compare at a glance.
         unit = size.rpartition(" ")[2]
         allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"

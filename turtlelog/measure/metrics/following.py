@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
@@ -80,9 +81,12 @@ def _compute_rms(rates: Rates, commands: HeldCommands) -> Result:
     rows = _select(rates, commands)
     if rows is None:
         return _APART
-    edges_s = rates.edges_s[rows.start : rows.stop + 1]
+    edges_s, is_seen = rates.edges_s[rows.start : rows.stop + 1], rates.is_seen[rows]
+    if not is_seen.any():
+        return _APART
     step_s = subtract_neighbours(edges_s)
     off = rates.means[rows] - subtract_neighbours(commands.integrate(edges_s)) / step_s
+    off, step_s = off[is_seen], step_s[is_seen]
     return Found(float(np.sqrt(sum_products(off, off, step_s) / step_s.sum())))
 
 
@@ -90,7 +94,7 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
     rows = _select(rates, commands)
     if rows is None:
         return _APART
-    if rows.stop - rows.start < _FEWEST:
+    if np.count_nonzero(rates.is_seen[rows]) < _FEWEST:
         return Missing(Status.TOO_SHORT, f"fewer than {_FEWEST} poses while it is commanded")
     first_s = float(rates.edges_s[rows.start])
     if commands.before != commands.values[0]:
@@ -102,7 +106,7 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
     if not _has_change(commands, float(edges_s[0]), float(edges_s[-1])):
         reason = "the commands do not change: nothing shows how late the robot follows"
         return Missing(Status.UNDETERMINED, reason)
-    return find_lag(edges_s, rates.means[rows], commands)
+    return find_lag(edges_s, rates.means[rows], commands, rates.is_seen[rows])
 
 
 def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
@@ -112,7 +116,9 @@ def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
     return len(held) > 0 and float(np.ptp(held)) > SAME
 
 
-def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
+def find_lag(
+    edges_s: Values, means: Values, commands: HeldCommands, is_seen: NDArray[np.bool_]
+) -> Result:
     """Return the shift of the commands that fits the measured rates best [s], or why it is unknown.
 
     The best fit has the largest correlation, which is the least-squares fit of scaled and offset
@@ -120,7 +126,8 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
     the time after which half of a step is done.
     """
     step_s = subtract_neighbours(edges_s)
-    weights = step_s / step_s.sum()
+    weights = np.where(is_seen, step_s, 0.0)
+    weights /= weights.sum()
     done = means - np.dot(weights, means)
     weighted, size = weights * done, np.dot(weights, done * done)
 
@@ -169,7 +176,7 @@ for _axis, _unit in AXES.items():
     run_metric(
         f"run.{_axis}_tracking_rms",
         _unit,
-        f"Root of the mean square over time of measured minus published {_words}.",
+        f"Root of the mean square of measured minus published {_words} over the time with poses.",
     )(_on_axis(_axis, _compute_rms))
     run_metric(
         f"run.{_axis}_lag",

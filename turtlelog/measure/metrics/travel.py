@@ -1,16 +1,16 @@
 """Metrics of a robot's motion from poses alone: distance, speed, smoothness, and time at rest."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import degrees
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, Axis, Rates, Values
+from turtlelog.measure.rates import AXES, SAME, Axis, Rates, Values
 from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
+from turtlelog.measure.rest import AT_REST_M_S, Rest, judge_rest
 from turtlelog.run.angles import unwrap_headings
 
 
@@ -75,14 +75,21 @@ def _on_rates(axis: Axis, compute: Callable[[Rates], Result]) -> Callable[[RunCo
     return compute_on_rates
 
 
+_NOT_SEEN: Final = Missing(Status.UNDETERMINED, "every pose is after a gap or a jump")
+
+
 def _find_largest(rates: Rates) -> Result:
+    if not len(rates.values):
+        return _NOT_SEEN
     row = int(np.abs(rates.values).argmax())
     return Found(abs(float(rates.values[row])), float(rates.time_s[row]))
 
 
 def _compute_mean(rates: Rates) -> Result:
-    step_s = subtract_neighbours(rates.edges_s)
-    return Found(sum_products(np.abs(rates.means), step_s) / float(step_s.sum()))
+    step_s = subtract_neighbours(rates.edges_s)[rates.is_seen]
+    if not len(step_s):
+        return _NOT_SEEN
+    return Found(sum_products(np.abs(rates.means[rates.is_seen]), step_s) / float(step_s.sum()))
 
 
 for _axis, _unit in AXES.items():
@@ -91,84 +98,42 @@ for _axis, _unit in AXES.items():
         f"run.measured_{_axis}_max",
         _unit,
         f"Largest magnitude of the {_words} that the robot reports, or else of differences of"
-        " poses; outliers left out.",
+        " poses; outliers, gaps and jumps left out.",
         better=None,
     )(_on_rates(_axis, _find_largest))
     run_metric(
         f"run.measured_{_axis}_mean",
         _unit,
-        f"Mean magnitude of the measured {_words} over time.",
+        f"Mean magnitude of the measured {_words} over the time with poses.",
         better=None,
     )(_on_rates(_axis, _compute_mean))
 
 
-_AT_REST_M_S: Final = 0.01
-_AT_REST_RAD_S: Final = 0.02
-"""Rates below which a robot is at rest [m/s, rad/s]: a tenth of the 0.1 m/s and 0.2 rad/s of slow
-small robots. Noise of poses of 1 mm and 2 mrad gives a third of these rates."""
+def judge_rest_of(context: RunContext) -> Rest | Missing:
+    """Return the rest of a run, or why it is unknown."""
 
-_REST_S: Final = 0.5
-"""Time over which rest is judged [s]. In this time the rates above give 5 mm and 0.6 deg, so that
-noise of poses does not count as motion."""
+    def find() -> Rest | Missing:
+        spaced = context.spaced_poses
+        if spaced is None:
+            return ONE_POSE
+        return judge_rest(context.run.poses.xy_m[spaced.rows], spaced, context.noise)
 
-_STEPS_AT_ONCE: Final = 65_536
-
-
-def _find_rest(context: RunContext) -> tuple[float, float] | None:
-    """Return how long the robot is at rest, and the observed time [s]; None for a single pose."""
-    # The time between two poses counts as rest if the robot moves by less than the threshold in the
-    # half second before or after it. A rest therefore includes its beginning and end.
-    spaced = context.spaced_poses
-    if spaced is None:
-        return None
-    xy_m = context.run.poses.xy_m[spaced.rows]
-    time_s, heading_rad = spaced.time_s, spaced.heading_rad
-    is_at_rest = np.zeros(len(time_s) - 1, dtype=bool)
-    for first in range(0, len(is_at_rest), _STEPS_AT_ONCE):
-        steps = slice(first, min(first + _STEPS_AT_ONCE, len(is_at_rest)))
-        begin, end = time_s[steps.start] - _REST_S, time_s[steps.stop] + _REST_S
-        low, high = np.searchsorted(time_s, (begin, end)).tolist()
-        near = slice(max(low - 1, 0), high + 1)
-        columns = *xy_m[near].T, heading_rad[near]
-        starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
-        is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
-    steps_s = time_s[1:] - time_s[:-1]
-    return float(steps_s[is_at_rest].sum()), float(time_s[-1] - time_s[0])
-
-
-def _find_slow(
-    starts_s: Values, ends_s: Values, time_s: Values, near: slice, columns: Sequence[Values]
-) -> NDArray[np.bool_]:
-    """Return in which steps from start to end the robot moves by less than the threshold of rest.
-
-    `near` are the rows of the poses within half a second of the steps, plus one row on either side;
-    `columns` are x, y [m] and heading [rad] of these rows.
-    """
-    found = np.zeros(len(starts_s), dtype=bool)
-    for first_s, last_s in (
-        (np.minimum(starts_s, ends_s - _REST_S), ends_s),
-        (starts_s, np.maximum(ends_s, starts_s + _REST_S)),
-    ):
-        first_s, last_s = np.maximum(first_s, time_s[0]), np.minimum(last_s, time_s[-1])
-        near_s = time_s[near]
-        moved = [np.interp(last_s, near_s, at) - np.interp(first_s, near_s, at) for at in columns]
-        length_s = last_s - first_s
-        is_slow = np.hypot(moved[0], moved[1]) <= _AT_REST_M_S * length_s
-        found |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * length_s)
-    return found
+    return context.recall("rest", find)
 
 
 @run_metric("run.rest_time", "s", better=None)
 def _compute_rest_time(context: RunContext) -> Result:
     """Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second."""
-    found = context.recall("rest", lambda: _find_rest(context))
-    return ONE_POSE if found is None else Found(found[0])
+    found = judge_rest_of(context)
+    return found if isinstance(found, Missing) else Found(found.time_s)
 
 
-@run_metric("run.rest_share", "1", "Share of the time at standstill.", better=None)
+@run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
 def _compute_rest_share(context: RunContext) -> Result:
-    found = context.recall("rest", lambda: _find_rest(context))
-    return ONE_POSE if found is None else Found(found[0] / found[1])
+    found = judge_rest_of(context)
+    if isinstance(found, Missing):
+        return found
+    return Found(found.time_s / found.seen_s) if found.seen_s > 0.0 else _NOT_SEEN
 
 
 _HIGHEST_HZ: Final = 10.0
@@ -177,7 +142,9 @@ _PADDING: Final = 4
 """Cut-off frequency [Hz], amplitude threshold [1] and zero padding [powers of 2] of the source."""
 
 _LEAST_HZ: Final = 5.0
-"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses."""
+_NEAR: Final = 1.01
+"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses. Clocks
+and times with few digits make a rate of 5 Hz appear up to a hundredth lower."""
 
 _MOST_ROWS: Final = 20_000
 """Largest number of rows for computing smoothness: a quarter of an hour at 20 Hz."""
@@ -194,17 +161,36 @@ def _compute_arc_length(context: RunContext) -> Result:
     if rates is None:
         return ONE_POSE
     period_s = max(compute_median(subtract_neighbours(rates.edges_s)), 0.04)
-    if period_s > 1.0 / _LEAST_HZ:
+    if period_s > _NEAR / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
         return Missing(Status.TOO_SHORT, reason)
-    time_s, values = rates.time_s[:_MOST_ROWS], rates.values[:_MOST_ROWS]
-    if float(np.abs(values).max()) <= _AT_REST_M_S:
-        return Missing(Status.NO_MOTION, "the robot does not drive forward or back")
+    time_s, values = _take_longest(rates)
+    if not len(values):
+        return _NOT_SEEN
+    time_s, values = time_s[:_MOST_ROWS], values[:_MOST_ROWS]
+    fastest_m_s = float(np.abs(values).max())
+    if fastest_m_s <= AT_REST_M_S:
+        slow = f"it drives no faster than {fastest_m_s:.1g} m/s, which counts as rest"
+        is_still = fastest_m_s <= SAME
+        return Missing(
+            Status.NO_MOTION, "the robot does not drive forward or back" if is_still else slow
+        )
     even_s = np.arange(time_s[0], time_s[-1], period_s)
     if len(even_s) < _LEAST_HZ:
         return Missing(Status.TOO_SHORT, f"{len(values)} measured speeds")
     found = compute_spectral_arc_length(np.interp(even_s, time_s, values), 1.0 / period_s)
     return _NOISY if found is None else Found(found)
+
+
+def _take_longest(rates: Rates) -> tuple[Values, Values]:
+    """Return the times and values of the longest part without gaps and jumps."""
+    edges_s, unseen = rates.edges_s, np.flatnonzero(~rates.is_seen)
+    begins_s = np.concatenate([edges_s[:1], edges_s[unseen + 1]])
+    ends_s = np.concatenate([edges_s[unseen], edges_s[-1:]])
+    longest = int((ends_s - begins_s).argmax())
+    first = int(np.searchsorted(rates.time_s, begins_s[longest]))
+    last = int(np.searchsorted(rates.time_s, ends_s[longest], side="right"))
+    return rates.time_s[first:last], rates.values[first:last]
 
 
 _FLOOR: Final = 3.0

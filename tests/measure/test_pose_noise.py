@@ -1,0 +1,110 @@
+"""Noise of poses: its size, and what rest and path are without it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.measure.driven import Values, make_driven_run
+from tests.measure.driven_robots import read, tell
+from turtlelog.compare.pose_notes import describe_poses
+from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_speed_noise
+from turtlelog.run.angles import wrap_angle
+
+SMOOTH = "run.spectral_arc_length"
+AT_10_HZ = np.arange(0.0, 100.0, 0.1)
+
+
+def scatter(run: tl.Run, position_m: float, heading_rad: float = 0.0) -> tl.Run:
+    random, poses = np.random.default_rng(1), run.poses
+    xy_m = poses.xy_m + random.normal(0.0, position_m, poses.xy_m.shape)
+    headings_rad = poses.heading_rad + random.normal(0.0, heading_rad, len(poses))
+    return replace(run, poses=replace(poses, xy_m=xy_m, heading_rad=headings_rad))
+
+
+def rest_half(time_s: Values = AT_10_HZ) -> tl.Run:
+    way = np.minimum(time_s, 50.0) * 0.8
+    return make_driven_run(time_s, speed=(np.zeros(len(time_s)), way))
+
+
+@pytest.mark.parametrize(
+    ("position_m", "heading_rad"),
+    [(0.0, 0.0), (0.001, 0.0), (0.005, 0.005), (0.02, 0.01), (0.03, 0.0), (0.0, 0.04)],
+)
+def test_noise_does_not_hide_rest(position_m: float, heading_rad: float) -> None:
+    run = scatter(rest_half(), position_m, heading_rad)
+    assert read(run, "run.rest_share") == pytest.approx(0.5, abs=0.025)
+
+
+@pytest.mark.parametrize(("position_m", "status"), [(0.03, "ok"), (0.05, "undetermined")])
+def test_rest_has_no_value_if_noise_hides_it(position_m: float, status: str) -> None:
+    assert tell(scatter(rest_half(), position_m), "run.rest_time")[0] == status
+
+
+@pytest.mark.parametrize(("speed", "share"), [(0.005, 1.0), (0.018, 0.0)])
+def test_noisy_rest_has_the_threshold_of_any_rest(speed: float, share: float) -> None:
+    run = make_driven_run(AT_10_HZ, speed=(np.zeros(1000), speed * AT_10_HZ))
+    assert read(scatter(run, 0.005), "run.rest_share") == pytest.approx(share, abs=0.06)
+
+
+def test_the_size_of_noise_is_found_while_the_robot_turns() -> None:
+    heading_rad = 0.5 * AT_10_HZ
+    xy_m = np.column_stack([np.sin(heading_rad), -np.cos(heading_rad)])
+    run = rest_half()
+    turning = replace(run.poses, xy_m=xy_m, heading_rad=np.asarray(wrap_angle(heading_rad)))
+    noisy = scatter(replace(run, poses=turning), 0.01, 0.005)
+    found = measure_noise(noisy.poses)
+    assert found.position_m == pytest.approx(0.01, rel=0.25)
+    assert found.heading_rad == pytest.approx(0.005, rel=0.25)
+    assert measure_speed_noise(noisy) == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.2])
+@pytest.mark.parametrize(
+    ("along_m", "aside_m", "is_noise"), [(0.05, 0.05, True), (0.1, 0.0, False)]
+)
+def test_a_robot_that_drives_to_and_fro_has_no_noise(
+    along_m: float, aside_m: float, period_s: float, *, is_noise: bool
+) -> None:
+    time_s = np.arange(0.0, 60.0, period_s)
+    run = make_driven_run(time_s, speed=(np.zeros(len(time_s)), 0.3 * time_s))
+    random = np.random.default_rng(2)
+    off_m = random.normal(0.0, 1.0, (len(time_s), 2)) * np.array([along_m, aside_m])
+    moved = replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m + off_m))
+    assert (find_scatter(moved).path_m is not None) is (is_noise or period_s < 0.15)
+
+
+@pytest.mark.parametrize(("swing_rad", "hz"), [(0.1, 1.5), (0.3, 1.1)])
+def test_a_robot_that_swings_at_slow_poses_turns_as_it_is_told(swing_rad: float, hz: float) -> None:
+    """A wall follower with odometry at 5 Hz."""
+    time_s = np.arange(0.0, 60.0, 0.2)
+    heading_rad = swing_rad * np.sin(2.0 * np.pi * hz * time_s)
+    run = make_driven_run(time_s, speed=(np.zeros(300), 0.2 * time_s), turn=(time_s, heading_rad))
+    assert find_scatter(run).turning_rad is None
+
+
+@pytest.mark.parametrize(("speed", "told"), [(0.001, True), (0.02, False), (0.0, False)])
+@pytest.mark.parametrize("noise_m", [0.0, 0.0002])
+def test_creeping_that_counts_as_rest_is_told(speed: float, noise_m: float, *, told: bool) -> None:
+    run = make_driven_run(AT_10_HZ, speed=(np.zeros(1000), speed * AT_10_HZ))
+    run = scatter(run, noise_m)
+    metrics = tl.measure_run(run)
+    crept = describe_poses(run, metrics).get("crept")
+    assert (crept is not None) is told
+    reason = tell(make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.001 * AT_10_HZ)), SMOOTH)[1]
+    assert reason == "it drives no faster than 0.001 m/s, which counts as rest"
+
+
+def test_noise_hides_no_rest_of_a_robot_that_drives_on() -> None:
+    run = make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.5 * AT_10_HZ))
+    assert read(scatter(run, 0.05), "run.rest_share") == 0.0
+
+
+def test_a_robot_that_turns_to_and_fro_hides_no_rest() -> None:
+    """At 5 Hz turning to and fro looks like noise of the heading."""
+    time_s = np.arange(0.0, 60.0, 0.2)
+    swing_rad = np.where(time_s < 50.0, 0.2 * np.sin(2.0 * np.pi * 1.5 * time_s), 0.0)
+    way = 0.2 * np.minimum(time_s, 50.0)
+    run = make_driven_run(time_s, speed=(time_s, way), turn=(time_s, swing_rad))
+    assert read(run, "run.rest_time") == pytest.approx(10.0, abs=0.3)
