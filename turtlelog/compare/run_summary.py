@@ -236,7 +236,7 @@ def summarise_measured(
 
 def _describe_since(run: Run) -> dict[str, str]:
     """Return a note on when the goal and the path were given, if that was during the run."""
-    if not run.is_lawless:
+    if not run.is_lawless or not len(run.poses):
         return {}
     rows = {"goal": run.goal_row if run.goal_xy_m is not None else 0, "path": run.path_row}
     if run.path is None:

@@ -292,7 +292,7 @@ class CompiledRunner:
 
 def build_law_table(scenario: Scenario) -> NDArray[np.float64]:
     """Return the table of a law; it is empty for a law without one."""
-    build = getattr(find_law(scenario.law.kind), "build_law_table", None)
+    build = getattr(find_law(scenario.law.kind), "build_table", None)
     rows = [] if build is None else [*build(scenario.law.parameters)]
     return np.array(rows, np.float64) if rows else np.empty((0, 0))
 

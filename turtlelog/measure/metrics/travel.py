@@ -185,6 +185,8 @@ def _compute_arc_length(context: RunContext) -> Result:
 def _take_longest(rates: Rates) -> tuple[Values, Values]:
     """Return the times and values of the longest part without gaps and jumps."""
     edges_s, unseen = rates.edges_s, np.flatnonzero(~rates.is_seen)
+    if not len(unseen):
+        return rates.time_s, rates.values
     begins_s = np.concatenate([edges_s[:1], edges_s[unseen + 1]])
     ends_s = np.concatenate([edges_s[unseen], edges_s[-1:]])
     longest = int((ends_s - begins_s).argmax())
