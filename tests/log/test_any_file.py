@@ -10,8 +10,8 @@ from turtlelog.errors import LogError
 from turtlelog.log import read_file_info, split_topic, write_recording
 from turtlelog.log.any_file import read_run
 from turtlelog.log.engine import opening
-from turtlelog.log.exporters import export_rosbag2
 from turtlelog.log.file_access import open_file
+from turtlelog.log.recording.run_writer import export_rosbag2
 
 
 def test_a_recording_of_turtlelogs_is_read_whole(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.log.runs import simulate_short_run
-from turtlelog.log.exporters import export_csv, export_tum
+from turtlelog.log import export_csv, export_tum
 from turtlelog.run import PoseColumns, Run
 
 ROWS = 20_000

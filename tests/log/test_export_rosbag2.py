@@ -8,7 +8,7 @@ from rosbags.highlevel import AnyReader
 from tests.log.runs import assert_same, simulate_preset, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log import read_recording
-from turtlelog.log.exporters import export_rosbag2
+from turtlelog.log.recording.run_writer import export_rosbag2
 from turtlelog.log.recording.topics import TYPE_HASHES
 from turtlelog.run import Event, Run
 

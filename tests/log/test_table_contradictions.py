@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from turtlelog.log.any_file import read_run, read_trajectory
-from turtlelog.log.table_contradictions import find_runs, find_travel
+from turtlelog.log.planar_poses import find_travel
+from turtlelog.log.table_columns import find_runs
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]

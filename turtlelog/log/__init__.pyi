@@ -13,14 +13,10 @@ from .engine.walk import (
     Loss as Loss,
 )
 from .exported_tables import (
-    holds_tables as holds_tables,
-    import_tables as import_tables,
-)
-from .exporters import (
     export_csv as export_csv,
     export_parquet as export_parquet,
-    export_rosbag2 as export_rosbag2,
-    export_tum as export_tum,
+    holds_tables as holds_tables,
+    import_tables as import_tables,
 )
 from .file_access import (
     replace_when_complete as replace_when_complete,
@@ -56,6 +52,7 @@ from .recording.live_run import RecordingTail as RecordingTail, Sink as Sink, ru
 from .recording.reader import read_recording as read_recording
 from .recording.recorder import Recorder as Recorder
 from .recording.run_writer import (
+    export_rosbag2 as export_rosbag2,
     write_recording as write_recording,
 )
 from .recording.topics import PartialRecordingWarning as PartialRecordingWarning
@@ -76,5 +73,6 @@ from .table_columns import (
 from .table_files import (
     KITTI_COLUMNS as KITTI_COLUMNS,
     PlainTable as PlainTable,
+    export_tum as export_tum,
     read_plain_table as read_plain_table,
 )

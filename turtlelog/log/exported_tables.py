@@ -1,9 +1,9 @@
-"""CSV and Parquet tables by turtlelog: recognised by their header, imported, and read back."""
+"""CSV and Parquet tables of runs: exported, read back, recognised by their header, imported."""
 
 import csv
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Final
@@ -16,9 +16,28 @@ from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
 from turtlelog.files.text_files import describe_csv_error
 from turtlelog.files.urls import make_path
-from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
-from turtlelog.log.planar_poses import compute_heading
+from turtlelog.libraries import load_library
+from turtlelog.log.file_access import (
+    create_folder,
+    name_file,
+    name_write_error,
+    open_file,
+    replace_when_complete,
+)
+from turtlelog.log.parquet_file import (
+    MOST_ROWS,
+    ParquetFile,
+    count_most_rows,
+    describe_rows,
+    list_cells,
+)
+from turtlelog.log.table_files import (
+    ROWS_AT_ONCE,
+    describe_mismatch,
+    list_rows,
+    read_header,
+    require_few_columns,
+)
 from turtlelog.run import (
     TABLES,
     Clock,
@@ -29,18 +48,13 @@ from turtlelog.run import (
     SampleColumns,
     tabulate_run,
 )
-from turtlelog.run.angles import wrap_angle
 from turtlelog.run.columns import PAIRS
 from turtlelog.run.loops import DONE, PAUSE, Declaration, parse_declaration
-from turtlelog.run.tables import Table
+from turtlelog.run.tables import Table, iterate_arrow
 
 _TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
-_ROWS_AT_ONCE: Final = 4096
-
-_ROUNDED_RAD: Final = 2e-15
-"""Rounding error of a heading after sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
 
 _MARKS: Final[Mapping[str, frozenset[str]]] = {
     "events": frozenset({"time_ns", "kind", "text"}),
@@ -52,6 +66,84 @@ _MARKS: Final[Mapping[str, frozenset[str]]] = {
 
 _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandColumns}
 """Classes of the tables with fixed columns. Samples also have states of their law."""
+
+_ROWS_GROUPED: Final = 2**16
+"""Number of rows of a Parquet file encoded at once; each row takes 160 bytes during encoding."""
+
+_Write = Callable[[Run, str, Path], None]
+
+
+def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
+    """Write the tables of a run as CSV and return the files. Numbers can be read back exactly.
+
+    Args:
+        run: Run to write.
+        path: A name that ends in .csv is one file, which replaces an existing file; any other name
+            is a new folder with one file per table.
+        table: Table to write (`poses`, `commands`, `samples`, `events`). Default: `poses` for a
+            file, all tables for a folder.
+
+    Raises:
+        LogError: If the path cannot be written, a folder exists, or there is no such table.
+    """
+    return _export(run, make_path(path), ".csv", table, _write_csv)
+
+
+def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
+    """Write the tables of a run as Parquet, as `export_csv` does, and return the files.
+
+    Columns keep their types. The metadata contain the units of the columns, and the name, goal,
+    scenario and declaration of the run.
+
+    Raises:
+        LogError: If the path cannot be written, a folder exists, or there is no such table.
+    """
+    return _export(run, make_path(path), ".parquet", table, _write_parquet)
+
+
+def _export(
+    run: Run, path: Path, suffix: str, table: str | None, write: _Write
+) -> tuple[Path, ...]:
+    if table is not None and table not in TABLES:
+        raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
+    names = tuple(TABLES) if table is None else (table,)
+    try:
+        if path.suffix.lower() == suffix:
+            with replace_when_complete(path) as temporary:
+                write(run, table or "poses", temporary)
+            return (path,)
+        with create_folder(path) as folder:
+            for name in names:
+                write(run, name, folder / f"{name}{suffix}")
+    except UnicodeEncodeError as err:
+        raise name_write_error(path, err) from err
+    return tuple(path / f"{name}{suffix}" for name in names)
+
+
+def _write_csv(run: Run, table: str, path: Path) -> None:
+    columns = tabulate_run(run, table)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        # One line end on every platform: equal runs give identical files.
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(map(guard_cell, row) for row in list_rows([*columns.values()]))
+
+
+def _write_parquet(run: Run, table: str, path: Path) -> None:
+    parquet = load_library("pyarrow.parquet")
+    parts = iterate_arrow(run, table, _ROWS_GROUPED)
+    first = next(parts)
+    # Readers accept a larger table only if the file has enough bytes, so it is not compressed.
+    is_packed = len(tabulate_run(run, table)["time_ns"]) <= MOST_ROWS
+    compression = "zstd" if is_packed else "none"
+    with (
+        path.open("wb") as stream,
+        parquet.ParquetWriter(
+            stream, first.schema, compression=compression, use_dictionary=is_packed
+        ) as writer,
+    ):
+        for part in chain([first], parts):
+            writer.write_table(part)
 
 
 def _find_table(columns: Sequence[str]) -> str | None:
@@ -116,39 +208,6 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
         _require_same(path, name, tabulate_run(run, name), table)
 
 
-def require_same_poses(path: Path, run: Run) -> None:
-    """Raise an error if the written trajectory does not contain the poses of the run.
-
-    The headings of the file are computed from its quaternions.
-    """
-    poses, first = run.poses, 0
-    for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
-        rows = slice(first, first + len(time_ns))
-        if not np.array_equal(poses.time_ns[rows], time_ns):
-            raise _describe_other(path, "time_ns")
-        if not np.array_equal(poses.xy_m[rows], xy_m):
-            raise _describe_other(path, "xy_m")
-        if np.abs(wrap_angle(poses.heading_rad[rows] - heading_rad)).max() > _ROUNDED_RAD:
-            raise _describe_other(path, "heading_rad")
-        first = rows.stop
-    if first != len(poses):
-        raise _describe_other(path, "time_ns")
-
-
-def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], NDArray[Any]]]:
-    """Yield times [ns], positions [m] and headings [rad] of a trajectory by `export_tum`."""
-    with (
-        name_file(path, expected="a trajectory"),
-        open_file(path) as stream,
-        io.TextIOWrapper(stream, "ascii") as lines,
-    ):
-        while part := [*islice(lines, _ROWS_AT_ONCE)]:
-            # The digits of a time give its nanoseconds; a float has fewer digits.
-            time_ns = [int(line[: line.index(" ")].replace(".", "")) for line in part]
-            numbers = np.loadtxt(part, ndmin=2)
-            yield time_ns, numbers[:, 1:3], compute_heading(*numbers[:, 4:8].T)
-
-
 def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
     """Return the name of the table in a file, its columns, and facts of the run."""
     with name_file(path, expected="a table of a run"):
@@ -169,13 +228,7 @@ def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
         else:
             is_same = np.array_equal(written, read, equal_nan=written.dtype.kind == "f")
         if not is_same:
-            raise _describe_other(path, f"{column} of {name}")
-
-
-def _describe_other(path: Path, column: str) -> LogError:
-    return LogError(
-        f"{path}: expected to read back what was written, found other values in {column}"
-    )
+            raise describe_mismatch(path, f"{column} of {name}")
 
 
 def _read_csv(path: Path) -> Table:
@@ -203,7 +256,7 @@ def _read_csv(path: Path) -> Table:
 
 
 def _take_rows(
-    rows: Iterator[list[str]], before: int, *, most: int = _ROWS_AT_ONCE
+    rows: Iterator[list[str]], before: int, *, most: int = ROWS_AT_ONCE
 ) -> list[list[str]]:
     part: list[list[str]] = []
     try:
@@ -368,43 +421,3 @@ def _gather(table: Table, kind: type) -> dict[str, NDArray[Any]]:
         if name in names and first in table:
             values[name] = np.column_stack([table[first], table[second]])
     return values
-
-
-LONGEST_HEAD: Final = 64 * 1024
-"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
-of 60 letters, and the other columns, fit."""
-
-MOST_COLUMNS: Final = 10_000
-"""Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
-searched once for each quantity, which takes 1 s."""
-
-
-def decode_text(data: bytes) -> str:
-    """Return the text of a table or log; spreadsheet programs write a byte order mark first."""
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as err:
-        found = f"0x{err.object[err.start]:02x}"
-        raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
-
-
-def read_header(path: Path) -> tuple[str, ...]:
-    """Return the column names without reading rows; for text files the cells of the first line.
-
-    Raises:
-        ValueError: If a file with the suffix of Parquet is not a Parquet file.
-    """
-    if path.suffix.lower() != ".parquet":
-        with open_file(path) as stream:
-            head = stream.readline(LONGEST_HEAD).decode("utf-8-sig", errors="replace")
-        return tuple(head.strip().split(","))
-    return tuple(ParquetFile(path).schema.names)
-
-
-def require_few_columns(columns: int) -> None:
-    """Refuse a table with too many columns."""
-    if columns > MOST_COLUMNS:
-        raise LogError(
-            f"the table has more than {MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
-            " time, x, y, heading and the commands"
-        )

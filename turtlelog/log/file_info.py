@@ -1,7 +1,12 @@
-"""Contents of a file: from its summary if possible, otherwise by counting its messages."""
+"""Contents of a file: from its summary if possible, otherwise by counting its messages.
 
+`describe_bag` writes the contents of the files of a bag as its metadata.yaml.
+"""
+
+import json
+import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -36,6 +41,12 @@ from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
+
+METADATA_FILE: Final = "metadata.yaml"
+METADATA_ROOT: Final = "rosbag2_bagfile_information"
+
+_PLAIN: Final = re.compile(r"[\w/.][\w/.-]*", re.ASCII)
+"""Text in names of topics and types that YAML can only read as text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,3 +321,109 @@ def _read_heads(block: Block) -> tuple[NDArray[np.uint16], NDArray[np.uint64]]:
     starts = np.concatenate([np.empty(0, np.int64), *block.offsets.values()])
     heads = gather_heads(block.data, starts)
     return heads["channel"], heads["log_time"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagTopic:
+    """A topic of a bag: name, message type, hash of the type, number of messages."""
+
+    name: str
+    type: str
+    type_hash: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagPart:
+    """A file of a bag: name, time of the first message [ns], duration [ns], number of messages."""
+
+    name: str
+    start_ns: int
+    duration_ns: int
+    count: int
+
+
+def describe_bag(files: Sequence[Path], compression: str = "") -> str:
+    """Return the metadata.yaml text of a bag of complete MCAP files, in order of time."""
+    topics: dict[tuple[str, str], BagTopic] = {}
+    parts = []
+    for file in files:
+        with file.open("rb") as stream:
+            survey = survey_file(stream)
+        schemas = survey.catalogue.schemas
+        for number, channel in sorted(survey.catalogue.channels.items()):
+            schema = schemas.get(channel.schema_id)
+            topic = BagTopic(
+                name=channel.topic,
+                type=schema.name if schema else "",
+                type_hash=channel.metadata.get("topic_type_hash", ""),
+                count=survey.counts.get(number, 0),
+            )
+            known = topics.setdefault((topic.name, topic.type), topic)
+            if known is not topic:
+                topics[topic.name, topic.type] = replace(known, count=known.count + topic.count)
+        start_ns, end_ns = survey.span_ns or (0, 0)
+        count = sum(survey.counts.values())
+        parts.append(
+            BagPart(name=file.name, start_ns=start_ns, duration_ns=end_ns - start_ns, count=count)
+        )
+    return format_bag_metadata(parts, [*topics.values()], compression=compression)
+
+
+def format_bag_metadata(
+    files: Sequence[BagPart], topics: Sequence[BagTopic], *, compression: str = ""
+) -> str:
+    """Return the metadata.yaml of a bag of MCAP files.
+
+    Version 8 is the newest with quality of service as text, which Humble and Jazzy both read. An
+    empty text, as in the file's channels, lets the player choose. Readers of earlier format
+    versions skip the keys that later versions added.
+
+    Args:
+        files: Files in order of time.
+        topics: Topics of all files.
+        compression: `message` if rosbag2 compressed messages one by one.
+    """
+    start_ns = min(part.start_ns for part in files)
+    end_ns = max(part.start_ns + part.duration_ns for part in files)
+    count = sum(topic.count for topic in topics)
+    lines = ["version: 8", "storage_identifier: mcap"]
+    lines += [*_format_span(start_ns, end_ns - start_ns, count), "topics_with_message_count:"]
+    for topic in topics:
+        type_hash = topic.type_hash or '""'
+        lines += [
+            "  - topic_metadata:",
+            f"      name: {_format_text(topic.name)}",
+            f"      type: {_format_text(topic.type)}",
+            "      serialization_format: cdr",
+            '      offered_qos_profiles: ""',
+            f"      type_description_hash: {type_hash}",
+            f"    message_count: {topic.count}",
+        ]
+    codec, mode = ("zstd", compression.upper()) if compression else ('""', '""')
+    lines += [f"compression_format: {codec}", f"compression_mode: {mode}"]
+    lines += ["relative_file_paths:", *(f"  - {_quote(part.name)}" for part in files), "files:"]
+    for part in files:
+        span = _format_span(part.start_ns, part.duration_ns, part.count)
+        lines += [f"  - path: {_quote(part.name)}", *(f"    {line}" for line in span)]
+    lines += ["custom_data: ~", 'ros_distro: ""']
+    return "\n".join([f"{METADATA_ROOT}:", *(f"  {line}" for line in lines), ""])
+
+
+def _format_span(start_ns: int, duration_ns: int, count: int) -> list[str]:
+    return [
+        "starting_time:",
+        f"  nanoseconds_since_epoch: {start_ns}",
+        "duration:",
+        f"  nanoseconds: {duration_ns}",
+        f"message_count: {count}",
+    ]
+
+
+def _format_text(value: str) -> str:
+    return value if _PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=False)
+
+
+def _quote(value: str) -> str:
+    """Return text in quotes, so that YAML reads it as text."""
+    return "'" + value.replace("'", "''") + "'"

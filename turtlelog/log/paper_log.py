@@ -19,8 +19,8 @@ from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log.engine.records import MCAP0_MAGIC
-from turtlelog.log.exported_tables import decode_text, read_header
 from turtlelog.log.file_access import name_file, open_file
+from turtlelog.log.table_files import decode_text, read_header
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 from turtlelog.run.stop_reasons import FINISHED

@@ -1,4 +1,4 @@
-"""Import of plain tables: their cells as numbers, and as a run."""
+"""Import of plain tables as runs: cells as numbers, and what in a table contradicts itself."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,36 +14,37 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import (
+    HEADINGS,
     Values,
     compute_heading,
     compute_tilt,
+    describe_headings,
     describe_height,
+    fits_degrees,
     lift_poses,
     separate_times,
     wrap_far_headings,
 )
 from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
-from turtlelog.log.ros2.reported_motion import PATH_NOTE, note_crowded
+from turtlelog.log.ros2.reported_motion import (
+    PATH_NOTE,
+    RATE_NOTE,
+    describe_speed,
+    describe_turning,
+    note_crowded,
+)
 from turtlelog.log.table_columns import (
     DATE,
     QUANTITIES,
+    UNLIKELY,
     Choice,
     assign_columns,
+    describe_units,
+    find_runs,
     find_table_robots,
     read_date,
     read_time,
     show_column,
-)
-from turtlelog.log.table_contradictions import (
-    HEADINGS,
-    RATE_NOTE,
-    UNLIKELY,
-    describe_headings,
-    describe_speed,
-    describe_turning,
-    describe_units,
-    find_runs,
-    fits_degrees,
 )
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
@@ -108,13 +109,9 @@ def import_plain_table(
 def _require_columns(
     table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str]
 ) -> None:
-    has_quaternion = all(name in chosen for name in _QUATERNION)
-    missing = [
-        name
-        for name in _NEEDED
-        if name not in chosen and not (name == "heading" and has_quaternion)
-    ]
-    if missing:
+    is_turned = {*_QUATERNION} <= {*chosen}
+    known = {*chosen, "heading"} if is_turned else {*chosen}
+    if missing := [name for name in _NEEDED if name not in known]:
         if {"row", "failed"} <= {*table.names}:
             raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
         if table.names == KITTI_COLUMNS and not table.has_header:
@@ -255,9 +252,8 @@ def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) ->
     """Return a command for each row that contains one; missing columns count as 0."""
     zeros = np.zeros(len(time_ns))
     found = [values.get(name, zeros) for name in ("command_speed", "command_turn_rate")]
-    has = np.isfinite(found).all(axis=0)
-    if "command_speed" not in values and "command_turn_rate" not in values:
-        has = np.zeros(len(time_ns), dtype=np.bool_)
+    is_given = not {"command_speed", "command_turn_rate"}.isdisjoint(values)
+    has = np.isfinite(found).all(axis=0) & is_given
     return CommandColumns(
         time_ns=time_ns[has],
         speed_m_s=found[0][has],

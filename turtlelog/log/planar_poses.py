@@ -1,4 +1,7 @@
-"""Poses in the plane: from messages of any type and from quaternions, with what the plane loses."""
+"""Poses in the plane: from messages of any type and from quaternions, with what the plane loses.
+
+Headings are judged by the direction of travel.
+"""
 
 import math
 from collections.abc import Collection, Mapping
@@ -267,3 +270,129 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     """
     far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
+
+
+HEADINGS: Final = "heading_and_travel"
+"""Name of the note on headings that differ from the direction of travel."""
+
+MOVED_M: Final = 0.1
+"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
+
+_PIECES: Final = 100
+"""Number of pieces of a path whose directions are compared with headings."""
+
+_STRAIGHT: Final = 0.5
+"""Smallest distance between the ends of a piece, as a share of its length: less is noise of a robot
+at rest."""
+
+_STEADY: Final = 0.5
+"""Smallest mean cosine of twice the change of direction between pieces; it is 0 for noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Travel:
+    """Directions of travel along pieces of a path.
+
+    Attributes:
+        firsts: First row of each piece, shape (n,).
+        lasts: Last row of each piece.
+        course_rad: Direction from the first to the last row, counter-clockwise from +x [rad].
+        length_m: Distance between them [m].
+    """
+
+    firsts: NDArray[np.int64]
+    lasts: NDArray[np.int64]
+    course_rad: Values
+    length_m: Values
+
+
+def find_travel(xy_m: Values) -> Travel | None:
+    """Return the directions of travel; None if the robot hardly moves, or scatters.
+
+    The finite positions have the shape (n, 2).
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
+        along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
+    if not np.isfinite(along_m[-1] * _PIECES):
+        return None
+    edges = np.searchsorted(along_m, np.linspace(0.0, along_m[-1], _PIECES + 1))
+    edges = np.unique(np.minimum(edges, len(along_m) - 1))
+    ways_m = np.diff(xy_m[edges], axis=0)
+    length_m = np.hypot(*ways_m.T)
+    is_straight = length_m > _STRAIGHT * np.diff(along_m[edges])
+    if is_straight.sum() < 2 or float(np.ptp(xy_m, axis=0).max()) < MOVED_M:
+        return None
+    course_rad = np.arctan2(ways_m[:, 1], ways_m[:, 0])[is_straight]
+    if float(np.cos(2.0 * np.diff(course_rad)).mean()) < _STEADY:
+        return None
+    return Travel(
+        firsts=edges[:-1][is_straight],
+        lasts=edges[1:][is_straight],
+        course_rad=course_rad,
+        length_m=length_m[is_straight],
+    )
+
+
+def _measure_misfit(travel: Travel, heading_rad: Values) -> float:
+    """Return the mean angle between headings and the line of travel [rad], in [0, pi/2].
+
+    A robot may drive backward along its heading. Headings of random directions give pi/4.
+    """
+    sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * heading_rad))])
+    mean_rad = np.angle(sums[travel.lasts + 1] - sums[travel.firsts])
+    off_rad = np.abs(np.angle(np.exp(2j * (mean_rad - travel.course_rad)))) / 2.0
+    return float(np.average(off_rad, weights=travel.length_m))
+
+
+_WELL_RAD: Final = 0.2
+"""Largest misfit of headings that fit the travel [rad]: noise, and a robot that slips sideways."""
+
+_TURNED_DEG: Final = 30.0
+"""Smallest range of headings that shows degrees [deg]. A robot that drives sideways may turn by so
+many radians, but not along its path."""
+
+_TURNED_RAD: Final = 0.5
+"""Smallest range of directions that shows how headings count [rad]. On a straight path, any offset
+of the headings may be how the robot drives."""
+
+_BADLY_RAD: Final = 0.5
+"""Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""
+
+
+def fits_degrees(xy_m: Values, headings: Values) -> bool:
+    """Return whether the direction of travel shows that headings are in degrees, not in radians."""
+    known = np.isfinite(xy_m).all(axis=1) & np.isfinite(headings)
+    xy_m, headings = xy_m[known], headings[known]
+    if len(headings) < 2 or np.ptp(headings) < _TURNED_DEG:
+        return False
+    travel = find_travel(xy_m)
+    if travel is None:
+        return False
+    in_deg = _measure_misfit(travel, np.radians(headings))
+    return in_deg <= _WELL_RAD and in_deg < _measure_misfit(travel, headings)
+
+
+def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assumed: bool) -> str:
+    """Return a sentence on headings that contradict the direction of travel; else nothing.
+
+    Args:
+        xy_m: Finite positions [m], shape (n, 2).
+        heading_rad: Headings as read [rad], shape (n,).
+        column: Name of the column of the headings; empty if rotations are quaternions.
+        is_assumed: Whether radians are assumed.
+    """
+    travel = find_travel(xy_m) if len(xy_m) > 1 else None
+    if travel is None or (misfit_rad := _measure_misfit(travel, heading_rad)) <= _BADLY_RAD:
+        return ""
+    off = f"{math.degrees(misfit_rad):.0f} deg"
+    found = f"headings and direction of travel differ by {off} on average"
+    ways = (("deg", 1.0), ("compass", -1.0)) if is_assumed else (("compass", -1.0),)
+    scale = math.pi / 180.0 if is_assumed else 1.0
+    turned_rad = float(np.ptp(np.unwrap(travel.course_rad, period=math.pi)))
+    for unit, sign in ways if column and turned_rad >= _TURNED_RAD else ():
+        other_rad = sign * scale * heading_rad + (0.0 if unit == "deg" else math.pi / 2.0)
+        if _measure_misfit(travel, other_rad) <= _WELL_RAD:
+            words = "degrees" if unit == "deg" else "a compass (0 is north, clockwise)"
+            return f"{found}, but fit {words}: --column heading='{column} [{unit}]'"
+    read = " (assumed in rad)" if is_assumed else ""
+    return f"{found}: the robot drives sideways, or the headings{read} are wrong"

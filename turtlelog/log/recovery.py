@@ -20,12 +20,12 @@ from turtlelog.log.engine.source import FileSummary, salvage_summary
 from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
 from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
-from turtlelog.log.exporters import describe_bag
 from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
+from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import LIBRARY, join_records
 from turtlelog.log.recording.head import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
-from turtlelog.log.ros2.bag_files import METADATA_FILE, list_present_files, read_compression
+from turtlelog.log.ros2.bag_files import list_present_files, read_compression
 
 if TYPE_CHECKING:
     import sqlite3

@@ -1,4 +1,4 @@
-"""The quantities and units of table columns, by name or as requested; times in cells."""
+"""The quantities and units of table columns, by name or as requested; times, and their restarts."""
 
 import math
 import re
@@ -9,7 +9,10 @@ from decimal import Decimal, InvalidOperation
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-from turtlelog.display import join_words
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import format_short, join_words
 from turtlelog.errors import LogError
 
 Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
@@ -337,6 +340,41 @@ def is_row_of_units(cells: Sequence[str]) -> bool:
     return any(cell.strip("[]() ").lower() in _SPELLINGS for cell in cells)
 
 
+UNLIKELY: Final = "unlikely_units"
+"""Name of the note on assumed units of time and length that give an unlikely motion."""
+
+_LONGEST_STEP_S: Final = 5.0
+"""Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
+every few seconds. In milliseconds, this is 200 Hz."""
+
+_FASTEST_M_S: Final = 100.0
+"""Largest usual speed that is not doubted if metres are assumed [m/s]: that of a racing car. In
+millimetres, this is 0.1 m/s."""
+
+
+def describe_units(
+    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str]
+) -> str:
+    """Return a sentence on doubtful units; empty without doubt.
+
+    The times increase; `columns` has the names of columns in assumed s and m, by quantity.
+    """
+    step_s = np.diff(time_ns) / 1e9
+    if not len(step_s):
+        return ""
+    usual_s = float(np.median(step_s))
+    if "t" in columns and usual_s > _LONGEST_STEP_S:
+        step = format_short(usual_s, "s")
+        option = f"--column t='{columns['t']} [ms]'"
+        return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
+    usual_m_s = float(np.median(np.hypot(*np.diff(xy_m, axis=0).T) / step_s))
+    if {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
+        speed = format_short(usual_m_s, "m/s")
+        option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
+        return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
+    return ""
+
+
 _LATEST_NS: Final = 2**62
 _MOST_DIGITS: Final = 20  # digits before the point; nanoseconds of 64 bits have no more
 DATE: Final = re.compile(
@@ -372,3 +410,34 @@ def read_date(cell: str) -> int | None:
         return None
     seconds = (at - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
     return seconds * 1_000_000_000 + int((match[3] or "0")[:9].ljust(9, "0"))
+
+
+_FAR_BACK: Final = 0.5
+"""Largest share of a run's time at which the next run starts. A late row goes back by a few steps,
+and a new run to the start."""
+
+_FEWEST_ROWS: Final = 10
+"""Smallest number of rows of a run, and of rows within the times of the run above. Rows of several
+threads are late by fewer rows."""
+
+
+def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
+    """Return the rows of each run in a table whose times start again, in the order of the file.
+
+    Rows that are late, and parts in another order, belong to one run: sorting is right for them.
+    """
+    starts = np.append(0, np.flatnonzero(np.diff(time_ns) < 0) + 1)
+    ends = np.append(starts[1:], len(time_ns))
+    columns = (starts, ends, time_ns[starts], time_ns[ends - 1])
+    found, first = [], 0
+    low = high = int(time_ns[0])
+    for start, end, begin, last in zip(*(column.tolist() for column in columns), strict=True):
+        is_long = start - first >= _FEWEST_ROWS <= end - start
+        if is_long and begin <= low + _FAR_BACK * (high - low):
+            part = time_ns[start:end]
+            within = np.searchsorted(part, high, "right") - np.searchsorted(part, low)
+            if within >= _FEWEST_ROWS:
+                found.append(slice(first, start))
+                first, low, high = start, begin, last
+        low, high = min(low, begin), max(high, last)
+    return [*found, slice(first, len(time_ns))]

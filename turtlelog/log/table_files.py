@@ -1,6 +1,7 @@
-"""Files of plain tables: CSV, Parquet or TUM, as columns of cells."""
+"""Files of plain tables: CSV, Parquet or TUM, as columns of cells; writing of TUM trajectories."""
 
 import csv
+import io
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,19 +11,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
-from turtlelog.log.exported_tables import (
-    LONGEST_HEAD,
-    MOST_COLUMNS,
-    decode_text,
-    require_few_columns,
-)
-from turtlelog.log.file_access import open_file
+from turtlelog.files.urls import make_path
+from turtlelog.log.file_access import name_file, open_file, replace_when_complete
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
+from turtlelog.log.planar_poses import compute_heading
 from turtlelog.log.table_columns import is_row_of_units
+from turtlelog.run import Run
+from turtlelog.run.angles import wrap_angle
 
 _TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """Columns of a TUM trajectory, which has no header: time, position, quaternion."""
@@ -46,6 +46,21 @@ point."""
 
 _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
+
+LONGEST_HEAD: Final = 64 * 1024
+"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
+of 60 letters, and the other columns, fit."""
+
+MOST_COLUMNS: Final = 10_000
+"""Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
+searched once for each quantity, which takes 1 s."""
+
+ROWS_AT_ONCE: Final = 4096
+"""Number of rows converted to or from Python values at once; these take five times as many
+bytes."""
+
+_ROUNDED_RAD: Final = 2e-15
+"""Rounding error of a heading after sine, cosine and arctangent [rad]: 4 float64 steps at pi."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -303,3 +318,108 @@ class _StoredColumns:
             if values.dtype.kind in "iuf":
                 return values  # type: ignore[no-any-return]
         return ["" if cell is None else str(cell) for cell in list_cells(column)]
+
+
+def decode_text(data: bytes) -> str:
+    """Return the text of a table or log; spreadsheet programs write a byte order mark first."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        found = f"0x{err.object[err.start]:02x}"
+        raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
+
+
+def read_header(path: Path) -> tuple[str, ...]:
+    """Return the column names without reading rows; for text files the cells of the first line.
+
+    Raises:
+        ValueError: If a file with the suffix of Parquet is not a Parquet file.
+    """
+    if path.suffix.lower() != ".parquet":
+        with open_file(path) as stream:
+            head = stream.readline(LONGEST_HEAD).decode("utf-8-sig", errors="replace")
+        return tuple(head.strip().split(","))
+    return tuple(ParquetFile(path).schema.names)
+
+
+def require_few_columns(columns: int) -> None:
+    """Refuse a table with too many columns."""
+    if columns > MOST_COLUMNS:
+        raise LogError(
+            f"the table has more than {MOST_COLUMNS:,} columns. Write fewer columns: a drive needs"
+            " time, x, y, heading and the commands"
+        )
+
+
+def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
+    """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
+
+    Each pose is one line, for programs such as evo: time [s], x y z [m], and the quaternion x y z w
+    of the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
+
+    Raises:
+        LogError: If the file cannot be written.
+    """
+    path = make_path(path)
+    with (
+        replace_when_complete(path) as temporary,
+        temporary.open("w", encoding="ascii", newline="\n") as stream,
+    ):
+        stream.writelines(_format_tum(run))
+    return (path,)
+
+
+def _format_tum(run: Run) -> Iterator[str]:
+    poses = run.poses
+    half_rad = poses.heading_rad / 2.0
+    columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
+    for time_ns, x, y, qz, qw in list_rows(columns):
+        sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
+        yield f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
+
+
+def require_same_poses(path: Path, run: Run) -> None:
+    """Raise an error if the written trajectory does not contain the poses of the run.
+
+    The headings of the file are computed from its quaternions.
+    """
+    poses, first = run.poses, 0
+    for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
+        rows = slice(first, first + len(time_ns))
+        if not np.array_equal(poses.time_ns[rows], time_ns):
+            raise describe_mismatch(path, "time_ns")
+        if not np.array_equal(poses.xy_m[rows], xy_m):
+            raise describe_mismatch(path, "xy_m")
+        if np.abs(wrap_angle(poses.heading_rad[rows] - heading_rad)).max() > _ROUNDED_RAD:
+            raise describe_mismatch(path, "heading_rad")
+        first = rows.stop
+    if first != len(poses):
+        raise describe_mismatch(path, "time_ns")
+
+
+def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], NDArray[Any]]]:
+    """Yield times [ns], positions [m] and headings [rad] of a trajectory by `export_tum`."""
+    with (
+        name_file(path, expected="a trajectory"),
+        open_file(path) as stream,
+        io.TextIOWrapper(stream, "ascii") as lines,
+    ):
+        while part := [*islice(lines, ROWS_AT_ONCE)]:
+            # The digits of a time give its nanoseconds; a float has fewer digits.
+            time_ns = [int(line[: line.index(" ")].replace(".", "")) for line in part]
+            numbers = np.loadtxt(part, ndmin=2)
+            yield time_ns, numbers[:, 1:3], compute_heading(*numbers[:, 4:8].T)
+
+
+def list_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of equally long columns as Python values, with few rows in memory."""
+    for first in range(0, len(columns[0]), ROWS_AT_ONCE):
+        parts = (column[first : first + ROWS_AT_ONCE].tolist() for column in columns)
+        yield from zip(*parts, strict=True)
+
+
+def describe_mismatch(path: Path, column: str) -> LogError:
+    """Return the error for a written file that reads back with other values in a column."""
+    return LogError(
+        f"{path}: expected to read back what was written, found other values in {column}"
+    )

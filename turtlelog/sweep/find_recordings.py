@@ -13,7 +13,8 @@ from turtlelog.files.urls import RemotePath, is_url
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.exported_tables import list_table_files
 from turtlelog.log.file_access import open_file
-from turtlelog.log.ros2.bag_files import METADATA_FILE, list_bag_files
+from turtlelog.log.file_info import METADATA_FILE
+from turtlelog.log.ros2.bag_files import list_bag_files
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
 """Suffixes of recordings. A .txt file is read only if it is named, because most .txt files are

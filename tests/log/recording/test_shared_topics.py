@@ -14,9 +14,8 @@ from rosbags.highlevel import AnyReader
 
 import turtlelog as tl
 from tests.log.runs import assert_same, simulate_preset
-from turtlelog.log.exporters import export_rosbag2
 from turtlelog.log.recording import run_writer
-from turtlelog.log.recording.run_writer import build_shared_messages, list_unshared
+from turtlelog.log.recording.run_writer import build_shared_messages, export_rosbag2, list_unshared
 from turtlelog.run import Run
 
 

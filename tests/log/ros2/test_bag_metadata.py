@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log.exporters import BagPart, BagTopic, format_bag_metadata
+from turtlelog.log.file_info import BagPart, BagTopic, format_bag_metadata
 from turtlelog.log.ros2.bag_files import parse_bag_metadata
 
 NAMES = st.text(

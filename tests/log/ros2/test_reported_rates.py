@@ -5,10 +5,9 @@ import pytest
 
 from tests.log.runs import find_shared
 from turtlelog.log import read_run
-from turtlelog.log.planar_poses import Values
+from turtlelog.log.planar_poses import MOVED_M, Values
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
-    MOVED_M,
     REPORTED_RATES,
     SPEED,
     TURN_RATE,

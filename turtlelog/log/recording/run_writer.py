@@ -1,4 +1,4 @@
-"""Writing of runs as recordings, with /odom, /tf and /path for other programs."""
+"""Writing of runs as recordings and rosbag2 folders, with /odom, /tf and /path for others."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.files.urls import make_path
 from turtlelog.log.engine.cdr import PackedItems
 from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_write_error
+from turtlelog.log.file_access import create_folder, name_write_error
+from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import write_columns
 from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
@@ -29,6 +31,8 @@ from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.scenario import DEFAULT_LAW
 
 Values = dict[str, Any]
+
+_LONGEST_NAME: Final = 255  # bytes; the limit of file systems
 
 _INFO: Final = 20
 _WARN: Final = 30
@@ -58,6 +62,38 @@ def write_recording(run: Run, path: str | Path, *, shares_poses: bool = False) -
     write_columns(
         messages, path, definitions=definitions, metadata={HEAD: head}, attachments=scenario
     )
+
+
+def export_rosbag2(run: Run, path: str | Path, *, shares_poses: bool = False) -> tuple[Path, ...]:
+    """Write a run as a rosbag2 folder, which `ros2 bag` and programs based on it can open.
+
+    The folder contains one recording, written by `write_recording` and named like the first file of
+    a ROS 2 bag. `turtlelog` reads the folder back as the same run.
+
+    Args:
+        run: Run to write.
+        path: Path of the folder.
+        shares_poses: As in `write_recording`.
+
+    Raises:
+        LogError: If the folder exists or cannot be written, or a recording cannot store the run.
+    """
+    path = make_path(path)
+    name = f"{path.resolve().name}_0.mcap"
+    if len(name.encode(errors="replace")) > _LONGEST_NAME:
+        raise LogError(f"{path}: expected a shorter name")
+    if not name.isprintable():
+        # The bag's metadata.yaml contains the name, in UTF-8 and on one line.
+        raise LogError(f"{path}: expected a name of printable characters, found {name!a}")
+    with create_folder(path) as folder:
+        try:
+            write_recording(run, folder / name, shares_poses=shares_poses)
+        except LogError as err:
+            # The name of the temporary folder is removed: users do not know it.
+            raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err
+        text = describe_bag([folder / name])
+        (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
+    return path / name, path / METADATA_FILE
 
 
 def build_messages(run: Run) -> tuple[TopicColumns, ...]:

@@ -1,5 +1,4 @@
 from .bag_files import (
-    METADATA_FILE as METADATA_FILE,
     list_bag_files as list_bag_files,
     read_bag_info as read_bag_info,
 )

@@ -18,10 +18,14 @@ from turtlelog.files.text_files import iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.file_info import RecordingInfo, list_absent, merge_topics, read_info
-
-METADATA_FILE: Final = "metadata.yaml"
-METADATA_ROOT: Final = "rosbag2_bagfile_information"
+from turtlelog.log.file_info import (
+    METADATA_FILE,
+    METADATA_ROOT,
+    RecordingInfo,
+    list_absent,
+    merge_topics,
+    read_info,
+)
 
 _LARGEST: Final = 2**24
 """Largest size of metadata.yaml [bytes]; a file with 2,000 topics has 2 MB."""

@@ -1,5 +1,6 @@
-"""Comparison of the path length and rates that odometry reports with its poses."""
+"""Comparison of the path length and rates that odometry or a table reports with its poses."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -8,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short
-from turtlelog.log.planar_poses import Values, describe_height, describe_level
+from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describe_level
 from turtlelog.log.ros2.bag_rows import OrderedRows
 from turtlelog.log.ros2.stamps import TimesNs
 
 PATH_NOTE: Final = "path_by_speed"
 """Name of the note on poses and reported speeds with different path lengths."""
+
+RATE_NOTE: Final = "turning_by_rate"
+"""Name of the note on headings and reported turn rates that turn differently."""
 
 _APART: Final = 0.2
 """Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
@@ -259,9 +263,6 @@ SPEED: Final = "measured_speed"
 LATERAL: Final = "measured_lateral_speed"
 TURN_RATE: Final = "measured_turn_rate"
 
-MOVED_M: Final = 0.1
-"""Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
-
 TURNED_RAD: Final = 0.2
 """Smallest turn of a robot that turned [rad]."""
 
@@ -357,6 +358,64 @@ def _compare(twists: Values, rows: TimesNs, velocities: Values) -> float:
     sums = np.vstack([np.zeros((1, 2)), np.cumsum((twists[1:] + twists[:-1]) / 2.0, axis=0)])
     means = np.diff(sums[rows], axis=0) / np.diff(rows)[:, np.newaxis]
     return float(np.median(np.hypot(*(means - velocities).T)))
+
+
+_LEAST_TURN_RAD: Final = 0.5
+"""Smallest turn that is compared with reported turn rates [rad]; noise of headings is smaller."""
+
+_TURN_STRIDE_NS: Final = 1_000_000_000
+"""Time over which headings are differenced [ns]: reports that lag a bit agree over it."""
+
+_OFF: Final = 0.2
+"""Share by which a ratio must differ from 1, or from that of a unit."""
+
+
+def describe_turning(
+    time_ns: TimesNs, heading_rad: Values, turn_rate_rad_s: Values, column: str
+) -> str:
+    """Return a sentence on reported turn rates that the headings contradict; else nothing.
+
+    The name of a column in assumed rad/s leads to a proposed unit; else it is empty.
+    """
+    rows = thin_rows(time_ns, _TURN_STRIDE_NS)
+    step_s = np.diff(time_ns) / 1e9
+    means = (turn_rate_rad_s[1:] + turn_rate_rad_s[:-1]) / 2.0
+    reported_rad = np.diff(np.concatenate([[0.0], np.cumsum(means * step_s)])[rows])
+    turned_rad = np.diff(np.unwrap(heading_rad)[rows])
+    if min(np.abs(reported_rad).sum(), np.abs(turned_rad).sum()) < _LEAST_TURN_RAD:
+        return ""
+    ratio = float((reported_rad * turned_rad).sum() / (turned_rad**2).sum())
+    if abs(ratio - 1.0) <= _OFF:
+        return ""
+    found = f"the reported turn rate is {format_short(ratio)} times that of the headings"
+    return f"{found}{_propose('turn_rate', column, ratio)}"
+
+
+def describe_speed(time_ns: TimesNs, xy_m: Values, speed_m_s: Values, column: str) -> str:
+    """Return a sentence on reported speeds that the positions contradict; else nothing.
+
+    The name of a column in assumed m/s leads to a proposed unit; else it is empty.
+    """
+    paths = measure_paths(time_ns, {"x": xy_m[:, 0], "y": xy_m[:, 1], SPEED: speed_m_s})
+    found = describe_paths(paths)
+    if found is None:
+        return ""
+    ratio = (paths.by_speed or 0.0) / paths.by_strides if paths.by_strides else 0.0
+    proposed = _propose("speed", column, ratio)
+    return f"{found.partition(':')[0]}{proposed}" if proposed else found
+
+
+_FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
+    "speed": {"km/h": 3.6, "cm/s": 100.0, "mm/s": 1000.0},
+    "turn_rate": {"deg/s": 180.0 / math.pi, "rpm": 30.0 / math.pi},
+}
+
+
+def _propose(field: str, column: str, ratio: float) -> str:
+    for unit, factor in _FACTORS[field].items() if column else ():
+        if abs(ratio / factor - 1.0) <= _OFF:
+            return f", which fits {unit}: --column {field}='{column} [{unit}]'"
+    return ""
 
 
 _CROWDED_NS: Final = 10_000
