@@ -230,7 +230,7 @@ def test_commands_of_one_size_without_rests_do_not_tell_a_drift_from_a_gain_back
     assert gain.low <= 1.0 + 1e-6
     assert backwards.low <= (1.0 if drift else 0.9) + 1e-6
     assert backwards.high >= (1.0 if drift else 0.9) - 1e-6
-    told = "what the turn rate has: another gain backwards or a drift. The intervals cover"
+    told = "what acts on the turn rate: another gain backwards or a drift. The intervals cover"
     assert told in axis.doubts[0]
     assert axis.doubts[0].endswith("A rest of some seconds between commands would show a drift.")
 

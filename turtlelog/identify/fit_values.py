@@ -212,11 +212,13 @@ def cover_rivals(
     if not (is_wider and _matters(covered)):
         return covered
     structures = [structure, *(one for one, _ in others)]
+    may_drift = len({one.has_drift for one in structures}) > 1
     rest = " A rest of some seconds between commands would show a drift."
+    which = "what acts on" if may_drift else "what limits"
     doubt = (
-        f"The log does not show what the {NAMES[found.axis]} has: {describe_rivals(structures)}."
-        " The intervals cover both cases, and advice uses the longer delay."
-        f"{rest if len({one.has_drift for one in structures}) > 1 else ''}"
+        f"The log does not show {which} the {NAMES[found.axis]}: {describe_rivals(structures)}. The"
+        " intervals cover both cases, and advice uses the longer delay."
+        f"{rest if may_drift else ''}"
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 
