@@ -200,7 +200,7 @@ def test_a_run_changed_to_violate_the_bounds_on_a_metric_fails_these_and_no_othe
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_test_sees_the_same_as_a_spec(name: str) -> None:
-    from turtlelog.check.judge_formula import watch_metric
+    from turtlelog.check.result import watch_metric
 
     pair = choose_pair(name)
     low, middle, high = bound(name, pair)

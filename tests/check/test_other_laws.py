@@ -16,7 +16,7 @@ from tests.strange_law import StrangeLaw, StrangeParameters, simulate_strange
 from turtlelog.check import CheckResult, Recording, check_runs, parse_spec
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_window
-from turtlelog.check.judge_formula import find_metric_violation
+from turtlelog.check.result import find_metric_violation
 from turtlelog.check.spec_templates import build_schema, format_first_spec
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.laws.sequential_pid import SequentialPID, SequentialPIDParameters

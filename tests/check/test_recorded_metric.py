@@ -11,7 +11,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult
-from turtlelog.check.judge_formula import watch_metric
+from turtlelog.check.result import watch_metric
 
 RUN = simulate("paper-kp10")
 OVERSHOOT = tl.measure_run(RUN)["rotate.overshoot"].value or 0.0

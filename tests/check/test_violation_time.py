@@ -11,8 +11,8 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
-from turtlelog.check import check_runs, judge_formula, parse_spec
-from turtlelog.check.judge_formula import find_metric_violation
+from turtlelog.check import check_runs, judge_formula, parse_spec, result
+from turtlelog.check.result import find_metric_violation
 from turtlelog.measure import list_metrics
 from turtlelog.run import slice_run
 
@@ -164,8 +164,9 @@ def test_many_bounds_on_one_metric_measure_each_part_of_a_run_once(
         ends_ns.append(run.end_ns)
         return tl.measure_run(run, *words, **options)
 
-    monkeypatch.setattr(judge_formula, "measure_run", count)
+    for module in (judge_formula, result):
+        monkeypatch.setattr(module, "measure_run", count)
     checks = {str(n): {"expect": f"run.path_length < {n / 10}"} for n in range(40)}
     results = [*check_runs(parse_spec({"checks": checks}), [("a.mcap", RUN)])]
-    assert all(result.first_violation_s is not None for result in results)
+    assert all(found.first_violation_s is not None for found in results)
     assert len(ends_ns) == len({*ends_ns})

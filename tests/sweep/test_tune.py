@@ -11,7 +11,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.sweep import tune, tune_candidates, tune_search
 from turtlelog.sweep.batch import measure_rows
-from turtlelog.sweep.tune_neighbourhood import explore_best, explore_neighbourhood
+from turtlelog.sweep.tune_search import explore_best, explore_neighbourhood
 
 PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, list[str], bool]] = [
     (
@@ -60,11 +60,11 @@ PROBLEMS: list[tuple[str, dict[str, Any], dict[str, tuple[float, float]], str, l
 
 def prepare(
     preset: str, changes: dict[str, Any], bounds: dict[str, tuple[float, float]], goal: Any
-) -> tuple[tune_candidates.Candidates, tuple[tune_search.SearchedKey, ...]]:
+) -> tuple[tune_candidates.Candidates, tuple[tune_candidates.SearchedKey, ...]]:
     base = tl.scenario.override_scenario(tl.load_scenario(preset), changes, source="test")
     texts = [f"{key}={low}:{high}" for key, (low, high) in bounds.items()]
     known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(base))
-    keys = tune_search.parse_searched_keys(texts, known)
+    keys = tune.parse_searched_keys(texts, known)
     return tune_candidates.Candidates(base, [key.key for key in keys], goal, jobs=1), keys
 
 
@@ -129,7 +129,7 @@ def test_the_same_seed_gives_the_same_and_processes_change_nothing() -> None:
         goal = tune_candidates.parse_goal("run.duration")
         candidates = tune_candidates.Candidates(base, ["law.k"], goal, jobs=jobs)
         known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(base))
-        keys = tune_search.parse_searched_keys(["law.k=0.5:6"], known)
+        keys = tune.parse_searched_keys(["law.k=0.5:6"], known)
         found.append(tune_search.search_best(candidates, keys, evaluations=24, seed=3))
     assert found[0] == found[1]
 
@@ -182,9 +182,7 @@ def test_a_jump_is_a_change_within_a_thousandth_of_the_range(*, high: str, jumps
     miss its goal at the first pass, and drives 4 s longer."""
     base = tl.load_scenario("lagged")
     goal = tune_candidates.parse_goal("run.duration", ["final.position_error <= 0.01"])
-    keys = tune_search.parse_searched_keys(
-        [f"kp=1.6:{high}:0.0002"], tl.scenario.flatten_scenario(base)
-    )
+    keys = tune.parse_searched_keys([f"kp=1.6:{high}:0.0002"], tl.scenario.flatten_scenario(base))
     candidates = tune_candidates.Candidates(base, ["kp"], goal, jobs=1)
     (best,) = candidates.evaluate([(keys[0].round(1.7467),)])
     found = explore_neighbourhood(candidates, keys, best)
@@ -347,7 +345,7 @@ def test_what_differs_is_not_flat() -> None:
 def test_ranges_that_are_none_are_refused(texts: list[str], reason: str) -> None:
     known = tl.scenario.flatten_scenario(tl.load_scenario("textbook"))
     with pytest.raises((tl.errors.TuneError, tl.errors.SweepError), match=reason):
-        tune_search.parse_searched_keys(texts, known)
+        tune.parse_searched_keys(texts, known)
 
 
 def test_goals_that_are_none_are_refused() -> None:
@@ -415,5 +413,5 @@ def test_intervals_of_a_robot(tmp_path: Path) -> None:
 
 
 def test_a_key_with_a_step_takes_its_values_alone() -> None:
-    (key,) = tune_search.parse_searched_keys(["law.kp_linear=1:4:0.5"], {"law.kp_linear": 2.0})
+    (key,) = tune.parse_searched_keys(["law.kp_linear=1:4:0.5"], {"law.kp_linear": 2.0})
     assert [key.round(value) for value in (0.0, 1.2, 1.3, 9.0)] == [1.0, 1.0, 1.5, 4.0]

@@ -1,14 +1,14 @@
 from .failure_report import (
     ArtifactWriter as ArtifactWriter,
 )
-from .formula import (
-    FormulaResult as FormulaResult,
-    check_formula as check_formula,
-    check_run as check_run,
-)
 from .formula_trace import (
     Signals as Signals,
     Steps as Steps,
+)
+from .judge_formula import (
+    FormulaResult as FormulaResult,
+    check_formula as check_formula,
+    check_run as check_run,
 )
 from .judge_run import (
     check_runs as check_runs,

@@ -1,37 +1,305 @@
-"""Result of a check: a formula on a run, or a metric that a test compares with a limit."""
+"""Check of a formula over signals, over a run, and as a specification asks: verdict and margin."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from numbers import Real
-from typing import Any, NoReturn, Protocol, runtime_checkable
+from collections import ChainMap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
-import numpy as np
-
+from turtlelog import expressions
 from turtlelog.check import spec
-from turtlelog.check.formula import FormulaResult, check_formula, check_run
-from turtlelog.check.formula_trace import find_span, find_window
-from turtlelog.check.result import CheckResult, JudgedMetric, Verdict
-from turtlelog.display import format_number
-from turtlelog.errors import CheckError, MissingValueError
-from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
+from turtlelog.check.formula_trace import (
+    FormulaTrace,
+    RunEnding,
+    Signals,
+    check_names,
+    find_ending,
+    find_span,
+    find_window,
+    list_names,
+    read_signals,
+)
+from turtlelog.check.result import CheckResult, Grown, Verdict, find_metric_violation
+from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
+from turtlelog.display import format_html, format_number
+from turtlelog.errors import CheckError, ExpressionError, UndecidedError
+from turtlelog.escapes import escape_controls
 from turtlelog.measure import (
     COMMANDED,
-    MIRRORED,
-    OPERATORS,
     SIGNALS,
-    MeasureSettings,
     Metric,
-    find_first_stretch,
+    explain_no_signal,
+    find_metric_kind,
     list_metrics,
     list_signals,
     measure_run,
 )
-from turtlelog.run import Run, slice_run
+from turtlelog.run import Run
+from turtlelog.run.loops import Declaration
 
-Grown = dict[tuple[str, int], float | None]
-"""Cache of a metric's values by its id and the number of the last pose, because checks repeat
-them."""
+_NO_VALUE: Final = "no value: "
+_TOO_SHORT: Final = "the recording ends before the formula's window does"
+_BEYOND: Final = "its window begins after the end, where the last values hold"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormulaResult:
+    """Verdict and margin of a formula at the beginning of a trace. Times count from the beginning.
+
+    Attributes:
+        formula: Text of the formula.
+        holds: Verdict; None if the verdict is unknown.
+        margin: Robustness: the change of every number that the verdict withstands, in the unit of
+            the deciding comparison; positive if the formula holds. inf or -inf if no comparison
+            with a distance decides; None if the margin is unknown.
+        margin_s: Time of the margin [s]; None if the margin is unknown.
+        decided_by: The comparison that gives the margin at this time.
+        value: Left side of the deciding comparison; None if it is not a number.
+        limit: Right side of the deciding comparison; None if it is not a number.
+        unit: Unit of margin, value and limit, from signals and metrics with these names; empty if
+            it is not simple.
+        first_violation_s: Time of the first violation [s]; None if there is no violation, or if it
+            is after the end of the trace.
+        values: Value of every name at the first violation, or else at `margin_s`, or else at the
+            beginning; None for no value.
+        is_covered: Whether the trace covers all windows of the formula. A run that was cut off
+            never covers a window without an end.
+        reason: One clause if the verdict is unknown, or if no time of the trace violates it.
+    """
+
+    formula: str
+    holds: bool | None
+    margin: float | None
+    margin_s: float | None
+    first_violation_s: float | None
+    values: Mapping[str, Any]
+    is_covered: bool
+    decided_by: str = ""
+    value: float | None = None
+    limit: float | None = None
+    unit: str = ""
+    reason: str = ""
+
+    def __bool__(self) -> bool:
+        """Whether the formula holds; UndecidedError if the verdict is unknown."""
+        if self.holds is None:
+            raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
+        return self.holds
+
+    def __repr__(self) -> str:
+        word = {True: "holds", False: "violated", None: "undecided"}[self.holds]
+        margin = "" if self.margin is None else f", margin {format_number(self.margin, self.unit)}"
+        return f"<FormulaResult {escape_controls(self.formula)}: {word}{margin}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("value", format_number(self.value, self.unit)),
+            ("limit", format_number(self.limit, self.unit)),
+            ("margin", format_number(self.margin, self.unit)),
+            ("margin at [s]", self.margin_s),
+            ("first violation at [s]", self.first_violation_s),
+            ("decided by", self.decided_by),
+            ("reason", self.reason),
+        ]
+        return format_html(rows, title=repr(self))
+
+
+def check_formula(
+    signals: Run | Signals,
+    expression: expressions.Expression | str,
+    *,
+    window_ns: tuple[int, int] | None = None,
+    ending: RunEnding = RunEnding.SETTLED,
+    declaration: Declaration | None = None,
+) -> FormulaResult:
+    """Check a formula at the beginning of a trace; `check_run` does so for a run.
+
+    Args:
+        signals: A run, or a mapping from names to signals (time_ns, values) or constants; None for
+            no value. Times do not decrease. Of several values at one time, the last is used.
+        expression: A formula or its text, temporal or not.
+        window_ns: First and last time of the trace [ns]. Default: from the first time at which
+            every used signal has a value, to the last time of any signal.
+        ending: Knowledge of the time after the end. Default: the last values are held.
+        declaration: Declaration of the law, for the units of its loops' metrics.
+
+    Raises:
+        ExpressionError: If a name is unknown or operand types do not match.
+        CheckError: If a signal is invalid, or has no value at the first time.
+    """
+    if isinstance(signals, Run):
+        return check_run(signals, expression, window_ns=window_ns)
+    if not isinstance(signals, Mapping):
+        raise CheckError(f"signals: expected a Run or values by name, found {signals!r:.60}")
+    expression = _parse(expression)
+    trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
+    holds, margin, critical = _decide(expression, trace)
+    failed_ns = None
+    if holds is False:  # a violation is certain only with unknown parts at their best
+        failed_ns = find_violation(walk_formula(expression, trace, exact=True, unknown=math.inf))
+    values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
+    is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
+    reach_s = _measure_reach(expression.root, is_cut=is_cut)
+    unknown = FormulaResult(
+        formula=expression.text,
+        holds=None,
+        margin=None,
+        margin_s=None,
+        first_violation_s=None if failed_ns is None else (failed_ns - trace.start_ns) / 1e9,
+        values=values,
+        is_covered=trace.start_ns + reach_s * 1e9 <= trace.end_ns,
+    )
+    if critical is None:
+        return replace(unknown, reason=_explain_unknown(expression, trace))
+    decisive = trace.read_values(critical.time_ns)
+    sides = _read_sides(expression, critical.node, decisive, declaration or Declaration())
+    return replace(
+        unknown,
+        holds=holds,
+        margin=margin + 0.0,
+        margin_s=(critical.time_ns - trace.start_ns) / 1e9,
+        values=decisive if failed_ns is None else values,
+        decided_by=expressions.format_expression(critical.node),
+        reason="" if holds or failed_ns is not None else _BEYOND,
+        **sides,
+    )
+
+
+def _parse(expression: expressions.Expression | str) -> expressions.Expression:
+    if isinstance(expression, str):
+        return expressions.parse_expression(expression)
+    if not isinstance(expression, expressions.Expression):
+        raise ExpressionError(f"expression: expected a formula, found {expression!r:.60}")
+    return expression
+
+
+def check_run(
+    run: Run, expression: expressions.Expression | str, *, window_ns: tuple[int, int] | None = None
+) -> FormulaResult:
+    """Check a formula over a run's signals, metrics and parameters.
+
+    If the run was truncated, the time after its end is unknown.
+
+    Args:
+        run: Run to check; time zero is its first sample.
+        expression: A formula, or its text, over the run's signals and states, its metrics and its
+            parameters. If the run's law does not declare a loop, the metrics of this loop have no
+            value.
+        window_ns: First and last time [ns]. Default: from time zero to the run's end; for commands
+            without samples, from the first command. After an earlier end, such as that of a phase,
+            the last values of the window are held.
+
+    Raises:
+        ExpressionError: If a name is unknown or operand types do not match.
+        CheckError: If a signal has no value at the first time.
+    """
+    expression = _parse(expression)
+    others = {name: None for name in expression.names if spec.find_kind(run, name) is not None}
+    kinds: Any = others, list_metrics(run.declaration), list_signals(run.declaration)
+    known = ChainMap[str, Any](*kinds)  # avoids copying 200 names for each of many checks
+    own: Any = run.parameters
+    check_names(expression, known.new_child(own))
+    signals = read_signals(run, expression.names)
+    window_ns = window_ns or find_span(run, expression.names)
+    ending = find_ending(run) if window_ns[1] >= run.end_ns else RunEnding.SETTLED
+    found = check_formula(
+        signals, expression, window_ns=window_ns, ending=ending, declaration=run.declaration
+    )
+    lacking = [name for name in signals if signals[name] is None and name in known]
+    reasons = dict.fromkeys(explain_no_signal(run, name) for name in lacking if name not in others)
+    if found.holds is None and found.reason.startswith(_NO_VALUE) and any(reasons):
+        return replace(found, reason=f"{found.reason} ({'; '.join(filter(None, reasons))})")
+    return found
+
+
+_Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
+"""Whether a formula holds, its margin, and the origin of the margin."""
+
+
+def _decide(expression: expressions.Expression, trace: FormulaTrace) -> _Decision:
+    """Return the verdict, with only one walk over a long trace in memory.
+
+    If a part is unknown, two margins may decide: with the unknown part at its worst, and at its
+    best.
+    """
+    whole = walk_formula(expression, trace)
+    margin = read_margin(whole)
+    if not (math.isnan(margin) or margin == 0):
+        return margin > 0, margin, whole.find_critical(trace.start_ns)
+    del whole
+    for holds, unknown in ((True, -math.inf), (False, math.inf)):
+        exact = walk_formula(expression, trace, exact=True, unknown=unknown)
+        if (read_margin(exact) > 0) is holds:
+            del exact
+            whole = walk_formula(expression, trace, unknown=unknown)
+            return holds, read_margin(whole), whole.find_critical(trace.start_ns)
+    return None, margin, None
+
+
+def _explain_unknown(expression: expressions.Expression, trace: FormulaTrace) -> str:
+    if trace.ending is not RunEnding.SETTLED:
+        settled = replace(trace, ending=RunEnding.SETTLED)
+        if _decide(expression, settled)[0] is not None:
+            recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
+            nodes = expressions.iterate_nodes(expression.root)
+            is_open = any(
+                isinstance(n, expressions.Temporal | expressions.Until) and math.isinf(n.end_s)
+                for n in nodes
+            )
+            window = f"such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
+            advice = f"; a window with an end, {window}" if is_open and recorded_ms else ""
+            return f"{_TOO_SHORT}, and {trace.ending.value}{advice}"
+    missing = [name for name, value in trace.constants.items() if value is None]
+    return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
+
+
+def _measure_reach(node: expressions.Node, *, is_cut: bool) -> float:
+    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
+    children = node.list_children()
+    below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
+    if not isinstance(node, expressions.Temporal | expressions.Until):
+        return below
+    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)
+
+
+def _read_sides(
+    expression: expressions.Expression,
+    node: expressions.Node,
+    values: Mapping[str, Any],
+    declaration: Declaration,
+) -> dict[str, Any]:
+    """Return value, limit and unit of a comparison of numbers; nothing for any other node."""
+    if not isinstance(node, expressions.Comparison):
+        return {}
+    found = {name: find_formula_unit(name, declaration) for name in list_names(node)}
+    units = {name: unit for name, unit in found.items() if unit is not None}
+    measured, limit = node.operands
+    if units.keys().isdisjoint(list_names(measured)) and units:  # the limit names all of them
+        measured, limit = limit, measured
+    sides = [expressions.evaluate_node(expression, side, values) for side in (measured, limit)]
+    if any(side.kind is not expressions.Kind.NUMBER for side in sides):
+        return {}
+    value, limit_value = (float(side.data) for side in sides)
+    return {"value": value, "limit": limit_value, "unit": _find_unit(measured, units)}
+
+
+def find_formula_unit(name: str, declaration: Declaration) -> str | None:
+    """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
+    own = list_signals(declaration).get(name) or list_metrics(declaration).get(name)
+    if own is not None or name in spec.OTHER_UNITS:
+        return spec.OTHER_UNITS[name] if own is None else own.unit
+    kind = find_metric_kind(name)
+    return None if kind is None else "" if " or " in kind.unit else kind.unit
+
+
+def _find_unit(node: expressions.Node, units: Mapping[str, str]) -> str:
+    """Return the unit of the measured value; empty if the unit is not simple."""
+    if isinstance(node, expressions.Call) and node.function in {"abs", "min", "max"}:
+        found = {_find_unit(argument, units) for argument in node.arguments}
+        return found.pop() if len(found) == 1 else ""
+    if isinstance(node, expressions.Call) and node.function == "deg":
+        return "deg"
+    return units.get(node.name, "") if isinstance(node, expressions.Name) else ""
 
 
 def judge_check(
@@ -90,14 +358,14 @@ class _Judge:
         failed_s = None if found.holds else self._find_moment(found.limit)
         return replace(self._describe(found), first_violation_s=failed_s)
 
-    def _check_values(self, formula: Expression) -> FormulaResult:
+    def _check_values(self, formula: expressions.Expression) -> FormulaResult:
         values: dict[str, Any] = {
             name: self._metrics[name].value if name in self._metrics else self._run.parameters[name]
             for name in formula.names
         }
         return check_formula(values, formula, declaration=self._run.declaration)
 
-    def _judge_condition(self, condition: Expression) -> CheckResult | None:
+    def _judge_condition(self, condition: expressions.Expression) -> CheckResult | None:
         """Return the reason why a check is skipped or undecided; None if it applies."""
         spec.require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
@@ -136,8 +404,8 @@ class _Judge:
 
     def _describe(self, found: FormulaResult) -> CheckResult:
         is_finite = found.margin is not None and math.isfinite(found.margin)
-        nodes = iterate_nodes(self._check.formula.root)
-        comparisons = sum(len(n.operators) for n in nodes if isinstance(n, Comparison))
+        nodes = expressions.iterate_nodes(self._check.formula.root)
+        comparisons = sum(len(n.operators) for n in nodes if isinstance(n, expressions.Comparison))
         return replace(
             self._build(Verdict.PASS if found.holds else Verdict.FAIL, reason=found.reason),
             value=found.value,
@@ -162,7 +430,7 @@ class _Judge:
             judged=self._check,
         )
 
-    def _find_lacking(self, formula: Expression) -> str:
+    def _find_lacking(self, formula: expressions.Expression) -> str:
         """Return the names without a value, with reasons; empty if all names have a value."""
         lacking = []
         for name in formula.names:
@@ -186,224 +454,13 @@ class _Judge:
         if len(named) != 1:
             return None
         metric, root = self._metrics[named[0]], formula.root
-        if isinstance(root, Comparison) and len(root.operands) == 2 and limit is not None:
+        if (
+            isinstance(root, expressions.Comparison)
+            and len(root.operands) == 2
+            and limit is not None
+        ):
             left = root.operands[0]
-            if isinstance(left, Name) and left.name == metric.id:
+            if isinstance(left, expressions.Name) and left.name == metric.id:
                 operator = root.operators[0]
                 return find_metric_violation(self._run, metric, operator, limit, grown=self._grown)
         return metric.at_s
-
-
-def find_metric_violation(
-    run: Run,
-    metric: Metric,
-    operator: str,
-    limit: float,
-    settings: MeasureSettings | None = None,
-    *,
-    grown: Grown | None = None,
-) -> float | None:
-    """Return when a metric first violates a limit, from the first sample [s].
-
-    A metric that only grows (an error integral, a maximum) violates an upper limit at the first
-    pose at which the run so far violates it. An awaited time (a settling time) violates the limit
-    when the allowed time is over, a final value at the end of the run. For other metrics, the
-    result is the time of the metric, or None if the metric has no time.
-    """
-    part = metric.id.split(".", 1)[0]
-    kind = list_metrics(run.declaration).get(metric.id)
-    if kind is not None and operator in {"<", "<="} and metric.value is not None:
-        if kind.grows:
-            grown = {} if grown is None else grown
-            return _find_growth(run, metric.id, operator, limit, settings, grown)
-        if kind.is_awaited:  # from the time at which its loop first acts
-            loop = run.declaration.find_loop(part)
-            stretch = find_first_stretch(run, loop) if loop else []
-            start_s = (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
-            return start_s + max(limit, 0.0)
-    if metric.at_s is None and part == "final":
-        return (run.end_ns - run.start_ns) / 1e9
-    return metric.at_s
-
-
-def _find_growth(
-    run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None, grown: Grown
-) -> float:
-    first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
-    last = len(run.poses) - 1
-    while first < last:
-        middle = (first + last) // 2
-        if (name, middle) not in grown:
-            part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
-            part = replace(part, stop_reason=run.stop_reason)  # as if it had ended there
-            grown[name, middle] = measure_run(part, settings, only=(name,))[name].value
-        value = grown[name, middle]
-        if value is not None and not OPERATORS[operator](value, limit):
-            last = middle
-        else:
-            first = middle + 1
-    return float(run.poses.time_ns[last] - run.start_ns) / 1e9
-
-
-Note = Callable[[CheckResult], None]
-
-
-@runtime_checkable
-class Approximate(Protocol):
-    """Type of the objects that `pytest.approx` returns for numbers."""
-
-    expected: Any
-
-    @property
-    def tolerance(self) -> float:
-        """Allowed difference from the number."""
-
-
-def watch_metric(
-    run: Run, file: str, name: str, note: Note, asked: Mapping[str, Any] | None = None
-) -> Metric:
-    """Return a metric of a recording that notes the result of every comparison.
-
-    If the metric has no value, every comparison raises MissingValueError, whatever the operator.
-    `asked` are settings by the names of `MeasureSettings`.
-    """
-    asked = dict(asked or {})
-    try:
-        settings = MeasureSettings(**asked)
-    except TypeError as err:
-        known, found = ", ".join(MeasureSettings.__dataclass_fields__), ", ".join(asked)
-        raise CheckError(f"{name}: expected settings among {known}, found {found}") from err
-    metric = measure_run(run, settings, only=(name,))[name]
-    text = ", ".join(f"{key}={value}" for key, value in asked.items())
-    label = f"{name}({text})" if text else name
-    watch = RecordedMetric(
-        run=run, file=file, note=note, label=label, measured=metric, settings=settings, asked=asked
-    )
-    return replace(metric, watch=watch)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RecordedMetric:
-    """The watch of a recording's metric.
-
-    Attributes:
-        note: Function that is called with the result of every comparison.
-        label: Text of the compared quantity: `abs(final.cross_track)`.
-        measured: Metric as measured.
-        asked: Settings that differ from the defaults, by name.
-        sign: -1 if the negative of the measured value is compared.
-    """
-
-    run: Run
-    file: str
-    note: Note
-    label: str
-    measured: Metric
-    settings: MeasureSettings
-    asked: Mapping[str, Any] = field(default_factory=dict)
-    sign: int = 1
-
-    def describe(self, metric: Metric) -> str:  # noqa: ARG002
-        """Return the text of the compared quantity."""
-        return self.label
-
-    def measure(self, metric: Metric, settings: Mapping[str, Any]) -> Metric:
-        """Return the metric measured with other settings."""
-        return watch_metric(self.run, self.file, metric.id, self.note, {**self.asked, **settings})
-
-    def negate(self, metric: Metric) -> "RecordedMetric":
-        """Return the watch for the absolute value of the metric."""
-        sign = -1 if float(metric) < 0 else self.sign
-        return replace(self, label=f"abs({self.label})", sign=sign)
-
-    def compare(self, metric: Metric, operator: str, other: object) -> bool:
-        """Return the result of a comparison, and record the result with its first violation."""
-        result = self.judge(metric, operator, other)
-        if result.verdict is Verdict.FAIL and result.limit is not None:
-            operator, limit = self._undo_sign(operator, result.limit)
-            at_s = find_metric_violation(self.run, self.measured, operator, limit, self.settings)
-            result = replace(result, first_violation_s=at_s)
-        self.note(result)
-        return result.verdict is Verdict.PASS
-
-    def judge(self, metric: Metric, operator: str, other: object) -> CheckResult:
-        """Return the result of a comparison without searching for its first violation.
-
-        The other operand is a number, a metric of the same unit, or `pytest.approx` of a number.
-        """
-        value = metric.value
-        if value is None:
-            self._miss(metric, f"{operator} {_show(other)}")
-        if isinstance(other, Approximate):
-            limit = self._read_limit(metric, operator, other.expected)
-            expected = _show(other, metric.unit)
-            off = other.tolerance - abs(value - limit)
-            margin = off if operator == "==" else -off
-            holds = OPERATORS[operator](value, other)
-        else:
-            limit = self._read_limit(metric, operator, other)
-            expected = format_number(limit, metric.unit)
-            margin = limit - value if operator in {"<", "<="} else value - limit
-            if operator in {"==", "!="}:
-                margin = abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
-            holds = OPERATORS[operator](value, limit)
-        judged, border = self._undo_sign(operator, limit)
-        return CheckResult(
-            file=self.file,
-            check=self.label,
-            verdict=Verdict.PASS if holds else Verdict.FAIL,
-            expected=f"{operator} {expected}",
-            value=value,
-            limit=limit,
-            margin=margin,
-            unit=metric.unit,
-            value_s=metric.at_s,
-            names=spec.choose_signals([metric.id], self.run.declaration),
-            judged=JudgedMetric(metric=self.measured, operator=judged, limit=border),
-        )
-
-    def miss(self, metric: Metric) -> NoReturn:
-        """Raise MissingValueError for a metric that was used as a number."""
-        self._miss(metric, "a number")
-
-    def _undo_sign(self, operator: str, limit: float) -> tuple[str, float]:
-        """Return the result of a comparison in terms of the metric as measured."""
-        return (MIRRORED[operator], -limit) if self.sign < 0 else (operator, limit)
-
-    def _read_limit(self, metric: Metric, operator: str, other: object) -> float:
-        if isinstance(other, Metric):
-            if other.unit != metric.unit:
-                found = f"{metric.unit} and {other.unit}"
-                raise CheckError(f"{self.label}: expected two of one unit, found {found}")
-            return float(other)
-        place = f"{self.label}: expected a number after {operator}"
-        if isinstance(other, bool) or not isinstance(other, Real):
-            raise CheckError(f"{place}, found {other!r}")
-        try:
-            limit = float(other)
-        except OverflowError:
-            raise CheckError(f"{place}, found one too large for a float") from None
-        if math.isnan(limit):
-            raise CheckError(f"{place}, found nan")
-        return limit
-
-    def _miss(self, metric: Metric, wanted: str) -> NoReturn:
-        self.note(
-            CheckResult(
-                file=self.file,
-                check=self.label,
-                verdict=Verdict.FAIL,
-                expected=wanted,
-                reason=metric.lack,
-                names=spec.choose_signals([metric.id], self.run.declaration),
-                is_decided=False,
-            )
-        )
-        found = f"found no value: {metric.lack}"
-        raise MissingValueError(f"{self.file}: {self.label}: expected {wanted}, {found}")
-
-
-def _show(other: object, unit: str = "") -> str:
-    if isinstance(other, Approximate):
-        return f"{format_number(float(other.expected), unit)} ± {other.tolerance:.2g}"
-    return format_number(other) if isinstance(other, float) else repr(other)

@@ -13,9 +13,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog import sweep
 from turtlelog.check.formula_trace import find_loss
-from turtlelog.check.judge_formula import Grown, judge_check, measure_named
+from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.reference import MetricsFile, match_run, read_metrics_file
-from turtlelog.check.result import CheckResult, Verdict, describe_result, fail_recording
+from turtlelog.check.result import (
+    CheckResult,
+    Grown,
+    Verdict,
+    describe_result,
+    fail_recording,
+)
 from turtlelog.check.spec import TRAJECTORY_VALUES, Spec, TrajectoryJudge, list_formula_names
 from turtlelog.check.spec_file import count_parts, require_reference
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LibraryError, LogError

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias, Unpack
 from turtlelog.check import spec
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
-from turtlelog.check.judge_formula import judge_check, watch_metric
+from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.reference import (
     AnyReference,
     AnyTolerance,
@@ -18,7 +18,7 @@ from turtlelog.check.reference import (
     judge_replay,
     match_run,
 )
-from turtlelog.check.result import CheckOutcome, CheckResult, fail_recording
+from turtlelog.check.result import CheckOutcome, CheckResult, fail_recording, watch_metric
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError, MissingValueError, PartialLogError
 from turtlelog.expressions import parse_expression

@@ -1,20 +1,36 @@
-"""Results of checks on a recording; a result may be undecided."""
+"""Results of checks on a recording, and a metric that notes the result of each comparison."""
 
 import enum
-from collections.abc import Container, Iterable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Callable, Container, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from numbers import Real
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
 
+import numpy as np
+
+from turtlelog.check.spec import Check, choose_signals
+from turtlelog.compare import Tolerance
 from turtlelog.display import format_html, format_number
-from turtlelog.errors import CheckError, UndecidedError
+from turtlelog.errors import CheckError, MissingValueError, UndecidedError
 from turtlelog.escapes import escape_controls
+from turtlelog.measure import (
+    MIRRORED,
+    OPERATORS,
+    MeasureSettings,
+    Metric,
+    find_first_stretch,
+    list_metrics,
+    measure_run,
+)
+from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
     from turtlelog.check.reference import MetricsFile
-    from turtlelog.check.spec import Check
-    from turtlelog.compare import Tolerance
-    from turtlelog.measure import Metric
-    from turtlelog.run import Run
+
+Grown = dict[tuple[str, int], float | None]
+"""Cache of a metric's values by its id and the number of the last pose, because checks repeat
+them."""
 
 
 class Verdict(enum.StrEnum):
@@ -33,8 +49,8 @@ class JudgedSignal:
     """A signal compared with a reference."""
 
     name: str
-    reference: "Run"
-    tolerance: "Tolerance"
+    reference: Run
+    tolerance: Tolerance
     alignment: str
 
 
@@ -42,7 +58,7 @@ class JudgedSignal:
 class JudgedMetric:
     """A metric compared with a limit, in the metric's unit."""
 
-    metric: "Metric"
+    metric: Metric
     operator: str
     limit: float
 
@@ -89,7 +105,7 @@ class CheckResult:
     is_decided: bool = True
     why: tuple[str, ...] = ()
     reference: "Run | MetricsFile | None" = field(default=None, repr=False, compare=False)
-    judged: "Check | JudgedSignal | JudgedMetric | None" = field(
+    judged: Check | JudgedSignal | JudgedMetric | None = field(
         default=None, repr=False, compare=False
     )
 
@@ -216,3 +232,218 @@ def fail_recording(file: str, reason: str) -> CheckResult:
     return CheckResult(
         file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
     )
+
+
+def find_metric_violation(
+    run: Run,
+    metric: Metric,
+    operator: str,
+    limit: float,
+    settings: MeasureSettings | None = None,
+    *,
+    grown: Grown | None = None,
+) -> float | None:
+    """Return when a metric first violates a limit, from the first sample [s].
+
+    A metric that only grows (an error integral, a maximum) violates an upper limit at the first
+    pose at which the run so far violates it. An awaited time (a settling time) violates the limit
+    when the allowed time is over, a final value at the end of the run. For other metrics, the
+    result is the time of the metric, or None if the metric has no time.
+    """
+    part = metric.id.split(".", 1)[0]
+    kind = list_metrics(run.declaration).get(metric.id)
+    if kind is not None and operator in {"<", "<="} and metric.value is not None:
+        if kind.grows:
+            grown = {} if grown is None else grown
+            return _find_growth(run, metric.id, operator, limit, settings, grown)
+        if kind.is_awaited:  # from the time at which its loop first acts
+            loop = run.declaration.find_loop(part)
+            stretch = find_first_stretch(run, loop) if loop else []
+            start_s = (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
+            return start_s + max(limit, 0.0)
+    if metric.at_s is None and part == "final":
+        return (run.end_ns - run.start_ns) / 1e9
+    return metric.at_s
+
+
+def _find_growth(
+    run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None, grown: Grown
+) -> float:
+    first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
+    last = len(run.poses) - 1
+    while first < last:
+        middle = (first + last) // 2
+        if (name, middle) not in grown:
+            part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
+            part = replace(part, stop_reason=run.stop_reason)  # as if it had ended there
+            grown[name, middle] = measure_run(part, settings, only=(name,))[name].value
+        value = grown[name, middle]
+        if value is not None and not OPERATORS[operator](value, limit):
+            last = middle
+        else:
+            first = middle + 1
+    return float(run.poses.time_ns[last] - run.start_ns) / 1e9
+
+
+Note = Callable[[CheckResult], None]
+
+
+@runtime_checkable
+class Approximate(Protocol):
+    """Type of the objects that `pytest.approx` returns for numbers."""
+
+    expected: Any
+
+    @property
+    def tolerance(self) -> float:
+        """Allowed difference from the number."""
+
+
+def watch_metric(
+    run: Run, file: str, name: str, note: Note, asked: Mapping[str, Any] | None = None
+) -> Metric:
+    """Return a metric of a recording that notes the result of every comparison.
+
+    If the metric has no value, every comparison raises MissingValueError, whatever the operator.
+    `asked` are settings by the names of `MeasureSettings`.
+    """
+    asked = dict(asked or {})
+    try:
+        settings = MeasureSettings(**asked)
+    except TypeError as err:
+        known, found = ", ".join(MeasureSettings.__dataclass_fields__), ", ".join(asked)
+        raise CheckError(f"{name}: expected settings among {known}, found {found}") from err
+    metric = measure_run(run, settings, only=(name,))[name]
+    text = ", ".join(f"{key}={value}" for key, value in asked.items())
+    label = f"{name}({text})" if text else name
+    watch = RecordedMetric(
+        run=run, file=file, note=note, label=label, measured=metric, settings=settings, asked=asked
+    )
+    return replace(metric, watch=watch)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedMetric:
+    """The watch of a recording's metric.
+
+    Attributes:
+        note: Function that is called with the result of every comparison.
+        label: Text of the compared quantity: `abs(final.cross_track)`.
+        measured: Metric as measured.
+        asked: Settings that differ from the defaults, by name.
+        sign: -1 if the negative of the measured value is compared.
+    """
+
+    run: Run
+    file: str
+    note: Note
+    label: str
+    measured: Metric
+    settings: MeasureSettings
+    asked: Mapping[str, Any] = field(default_factory=dict)
+    sign: int = 1
+
+    def describe(self, metric: Metric) -> str:  # noqa: ARG002
+        """Return the text of the compared quantity."""
+        return self.label
+
+    def measure(self, metric: Metric, settings: Mapping[str, Any]) -> Metric:
+        """Return the metric measured with other settings."""
+        return watch_metric(self.run, self.file, metric.id, self.note, {**self.asked, **settings})
+
+    def negate(self, metric: Metric) -> "RecordedMetric":
+        """Return the watch for the absolute value of the metric."""
+        sign = -1 if float(metric) < 0 else self.sign
+        return replace(self, label=f"abs({self.label})", sign=sign)
+
+    def compare(self, metric: Metric, operator: str, other: object) -> bool:
+        """Return the result of a comparison, and record the result with its first violation."""
+        result = self.judge(metric, operator, other)
+        if result.verdict is Verdict.FAIL and result.limit is not None:
+            operator, limit = self._undo_sign(operator, result.limit)
+            at_s = find_metric_violation(self.run, self.measured, operator, limit, self.settings)
+            result = replace(result, first_violation_s=at_s)
+        self.note(result)
+        return result.verdict is Verdict.PASS
+
+    def judge(self, metric: Metric, operator: str, other: object) -> CheckResult:
+        """Return the result of a comparison without searching for its first violation.
+
+        The other operand is a number, a metric of the same unit, or `pytest.approx` of a number.
+        """
+        value = metric.value
+        if value is None:
+            self._miss(metric, f"{operator} {_show(other)}")
+        if isinstance(other, Approximate):
+            limit = self._read_limit(metric, operator, other.expected)
+            expected = _show(other, metric.unit)
+            off = other.tolerance - abs(value - limit)
+            margin = off if operator == "==" else -off
+            holds = OPERATORS[operator](value, other)
+        else:
+            limit = self._read_limit(metric, operator, other)
+            expected = format_number(limit, metric.unit)
+            margin = limit - value if operator in {"<", "<="} else value - limit
+            if operator in {"==", "!="}:
+                margin = abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
+            holds = OPERATORS[operator](value, limit)
+        judged, border = self._undo_sign(operator, limit)
+        return CheckResult(
+            file=self.file,
+            check=self.label,
+            verdict=Verdict.PASS if holds else Verdict.FAIL,
+            expected=f"{operator} {expected}",
+            value=value,
+            limit=limit,
+            margin=margin,
+            unit=metric.unit,
+            value_s=metric.at_s,
+            names=choose_signals([metric.id], self.run.declaration),
+            judged=JudgedMetric(metric=self.measured, operator=judged, limit=border),
+        )
+
+    def miss(self, metric: Metric) -> NoReturn:
+        """Raise MissingValueError for a metric that was used as a number."""
+        self._miss(metric, "a number")
+
+    def _undo_sign(self, operator: str, limit: float) -> tuple[str, float]:
+        """Return the result of a comparison in terms of the metric as measured."""
+        return (MIRRORED[operator], -limit) if self.sign < 0 else (operator, limit)
+
+    def _read_limit(self, metric: Metric, operator: str, other: object) -> float:
+        if isinstance(other, Metric):
+            if other.unit != metric.unit:
+                found = f"{metric.unit} and {other.unit}"
+                raise CheckError(f"{self.label}: expected two of one unit, found {found}")
+            return float(other)
+        place = f"{self.label}: expected a number after {operator}"
+        if isinstance(other, bool) or not isinstance(other, Real):
+            raise CheckError(f"{place}, found {other!r}")
+        try:
+            limit = float(other)
+        except OverflowError:
+            raise CheckError(f"{place}, found one too large for a float") from None
+        if math.isnan(limit):
+            raise CheckError(f"{place}, found nan")
+        return limit
+
+    def _miss(self, metric: Metric, wanted: str) -> NoReturn:
+        self.note(
+            CheckResult(
+                file=self.file,
+                check=self.label,
+                verdict=Verdict.FAIL,
+                expected=wanted,
+                reason=metric.lack,
+                names=choose_signals([metric.id], self.run.declaration),
+                is_decided=False,
+            )
+        )
+        found = f"found no value: {metric.lack}"
+        raise MissingValueError(f"{self.file}: {self.label}: expected {wanted}, {found}")
+
+
+def _show(other: object, unit: str = "") -> str:
+    if isinstance(other, Approximate):
+        return f"{format_number(float(other.expected), unit)} ± {other.tolerance:.2g}"
+    return format_number(other) if isinstance(other, float) else repr(other)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from turtlelog.charts.curve_marks import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Curve
-from turtlelog.check.formula import check_run, find_formula_unit
 from turtlelog.check.formula_trace import (
     FormulaTrace,
     Signals,
@@ -19,6 +18,7 @@ from turtlelog.check.formula_trace import (
     list_names,
     read_signals,
 )
+from turtlelog.check.judge_formula import check_run, find_formula_unit
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.robustness import split_comparison, walk_formula
 from turtlelog.check.spec import Check

@@ -17,8 +17,7 @@ from turtlelog.files.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog.sweep.tune import TunedScenario, Variation
-    from turtlelog.sweep.tune_candidates import TuningGoal
-    from turtlelog.sweep.tune_search import SearchedKey
+    from turtlelog.sweep.tune_candidates import SearchedKey, TuningGoal
 
 _MOST_VARIANTS: Final = 1_000_000
 
@@ -119,7 +118,7 @@ class RobustnessOptions:
             found += tl.sweep.tune.read_intervals(self.robot, scenario)
         if self.spread:
             known = tl.scenario.flatten_scenario(tl.scenario.resolve_scenario(scenario))
-            given = tl.sweep.tune_search.parse_searched_keys(self.spread, known, source="--spread")
+            given = tl.sweep.tune.parse_searched_keys(self.spread, known, source="--spread")
             names = {one.key for one in given}
             found = [one for one in found if one.key not in names]
             found += [console.copy_fields(tl.sweep.tune.Variation, one) for one in given]
@@ -225,9 +224,7 @@ def _parse_keys(
 ) -> "tuple[tl.Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
     given = list_given_keys(changes)
-    for key in tl.sweep.tune_search.parse_searched_keys(
-        vary, tl.scenario.flatten_scenario(scenario)
-    ):
+    for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
         if key.key == "kp" and changes is not None and changes.kp is not None:
             raise UsageError("--kp: the gains are tuned by --grid kp; leave one of them out")
         if key.key in given:
@@ -244,7 +241,7 @@ def _search(
     running: dict[str, Any],
 ) -> "TunedScenario":
     """Return the best of about `most` candidates and its neighbourhood."""
-    expected = most + tl.sweep.tune_neighbourhood.NEIGHBOURS * len(keys)
+    expected = most + tl.sweep.tune_search.NEIGHBOURS * len(keys)
     with show_progress("simulated", expected, "candidates", has_rate=True) as progress:
         candidates = tl.sweep.tune_candidates.Candidates(
             scenario,

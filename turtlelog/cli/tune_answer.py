@@ -13,8 +13,8 @@ from turtlelog.errors import ScenarioError
 
 if TYPE_CHECKING:
     from turtlelog.sweep.tune import Spread, TunedScenario
-    from turtlelog.sweep.tune_neighbourhood import KeyRange
-    from turtlelog.sweep.tune_search import SearchedKey
+    from turtlelog.sweep.tune_candidates import SearchedKey
+    from turtlelog.sweep.tune_search import KeyRange
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

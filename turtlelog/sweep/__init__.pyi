@@ -1,7 +1,6 @@
 from . import (
     tune as tune,
     tune_candidates as tune_candidates,
-    tune_neighbourhood as tune_neighbourhood,
     tune_search as tune_search,
 )
 from .find_recordings import (

@@ -26,9 +26,9 @@ from turtlelog.scenario import (
 from turtlelog.simulate import declare_scenario
 from turtlelog.simulate.loop_parts import list_streams
 from turtlelog.simulate.step_budget import STEP_BUDGET_S
-from turtlelog.sweep import tune_neighbourhood, tune_search
-from turtlelog.sweep.sweep_plan import KP
-from turtlelog.sweep.tune_candidates import Candidates, TuningGoal, spread_keys
+from turtlelog.sweep import tune_search
+from turtlelog.sweep.sweep_plan import KP, EqualSteps, parse_key_values
+from turtlelog.sweep.tune_candidates import Candidates, SearchedKey, TuningGoal, spread_keys
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -39,6 +39,10 @@ generation of the evolution 12."""
 
 FEWEST: Final = 8
 """Smallest number of candidates of a search."""
+
+_MOST_STEPS: Final = 10_000
+"""Largest number of values of a key with a step; from each candidate, the nearest of them are
+searched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -54,10 +58,10 @@ class TunedScenario:
     """
 
     scenario: Scenario
-    keys: tuple[tune_search.SearchedKey, ...]
+    keys: tuple[SearchedKey, ...]
     goal: TuningGoal
     tuned: tune_search.Tuned
-    around: tune_neighbourhood.Neighbourhood | None = None
+    around: tune_search.Neighbourhood | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -161,7 +165,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         [one.key for one in keys],
         goal,
         jobs=jobs,
-        expected=most + tune_neighbourhood.NEIGHBOURS * len(keys),
+        expected=most + tune_search.NEIGHBOURS * len(keys),
         step_budget_s=step_budget_s,
         source="ranges",
     )
@@ -170,7 +174,7 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
 def tune_candidates(
     candidates: Candidates,
-    keys: tuple[tune_search.SearchedKey, ...],
+    keys: tuple[SearchedKey, ...],
     *,
     evaluations: int,
     seed: int = 0,
@@ -191,14 +195,14 @@ def tune_candidates(
     goal, around = candidates.goal, None
     tuned = tune_search.search_best(candidates, keys, evaluations=evaluations, seed=seed)
     if tuned.best.is_feasible:
-        tuned, around = tune_neighbourhood.explore_best(candidates, keys, tuned)
+        tuned, around = tune_search.explore_best(candidates, keys, tuned)
     best = candidates.build_scenario(tuned.best.point)
     return TunedScenario(scenario=best, keys=keys, goal=goal, tuned=tuned, around=around)
 
 
 def complete_searched(
     scenario: Scenario, texts: Sequence[str], *, source: str, trust_law: bool = False
-) -> tuple[Scenario, tuple[tune_search.SearchedKey, ...]]:
+) -> tuple[Scenario, tuple[SearchedKey, ...]]:
     """Return the keys, and the scenario with a value for each key, because laws may lack defaults.
 
     Args:
@@ -208,7 +212,7 @@ def complete_searched(
         trust_law: Whether a law named in a recording may run too.
     """
     known = flatten_scenario(scenario)
-    keys = tune_search.parse_searched_keys(texts, known, source=source)
+    keys = parse_searched_keys(texts, known, source=source)
     names = tuple(one.key for one in keys)
     if KP in names:
         gains = declare_scenario(resolve_scenario(scenario, trust_law=trust_law)).list_gains()
@@ -217,7 +221,53 @@ def complete_searched(
     whole = {key: int(low) if float(low).is_integer() else low for key, low in lows.items()}
     scenario = override_scenario(scenario, whole, source=source)
     resolved = flatten_scenario(resolve_scenario(scenario, trust_law=trust_law))
-    return scenario, tune_search.parse_searched_keys(texts, resolved, source=source)
+    return scenario, parse_searched_keys(texts, resolved, source=source)
+
+
+def parse_searched_keys(
+    texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--grid"
+) -> tuple[SearchedKey, ...]:
+    """Parse texts such as `law.kp_linear=0.5:12`.
+
+    Args:
+        texts: Texts, each with a key, an equals sign and bounds.
+        parameters: Parameters of the scenario by key; they show which keys need whole numbers.
+        source: Prefix of error messages.
+
+    Raises:
+        SweepError: If a text cannot be parsed.
+        TuneError: If there is no text, or a key occurs twice or has no range.
+    """
+    if not texts:
+        raise TuneError(f"{source}: expected a key and its bounds, as in law.kp_linear=0.5:12")
+    found: dict[str, SearchedKey] = {}
+    for text in texts:
+        one = parse_key_values(text, source=source, is_sampled=True)
+        steps = one.values
+        if not isinstance(steps, EqualSteps) or (not one.is_open and len(steps) > _MOST_STEPS):
+            expected = "two bounds and perhaps a step, as in 0.5:12 or 0.5:12:0.5"
+            raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
+        if one.key in found:
+            raise TuneError(f"{source}: {one.key}: expected each key once, found it twice")
+        low, high = steps[0], steps[-1]
+        if not low < high:
+            raise TuneError(f"{source}: {one.key}: expected a range, found {one.text[:60]!r}")
+        known = parameters.get(one.key)
+        if isinstance(known, bool) or not isinstance(known, int | float | None):
+            expected = "a key whose values are numbers"
+            raise TuneError(f"{source}: {one.key}: expected {expected}, found {known!r}")
+        is_whole = isinstance(known, int) and not isinstance(known, bool)
+        if is_whole and not (float(low).is_integer() and float(high).is_integer()):
+            expected = "whole bounds of a key that counts"
+            raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
+        found[one.key] = SearchedKey(
+            key=one.key,
+            low=low,
+            high=high,
+            is_whole=is_whole,
+            steps=() if one.is_open else tuple(steps),
+        )
+    return tuple(found.values())
 
 
 def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The goal of a search, and its candidates: many are simulated at a time and none twice."""
+"""The goal and keys of a search, and its candidates: many simulated at a time and none twice."""
 
 import math
 import time
@@ -191,6 +191,32 @@ def _compare(left: Any, operator: str, right: Any) -> float:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SearchedKey:
+    """A key and its search range.
+
+    Attributes:
+        key: Dotted scenario key.
+        low: Smallest value.
+        high: Largest value.
+        is_whole: Whether only whole numbers are allowed.
+        steps: Allowed values; empty if any value is allowed.
+    """
+
+    key: str
+    low: float
+    high: float
+    is_whole: bool = False
+    steps: Sequence[float] = ()
+
+    def round(self, value: float) -> float | int:
+        """Return the nearest allowed value."""
+        value = min(max(value, self.low), self.high)
+        if self.steps:
+            return min(self.steps, key=lambda step: abs(step - value))
+        return round(value) if self.is_whole else float(value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

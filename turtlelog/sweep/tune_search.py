@@ -1,4 +1,4 @@
-"""The search for the best values of keys, in three steps.
+"""The search for the best values of keys, in three steps, and how far each can change around them.
 
 First, a scrambled Sobol sequence covers the range evenly. Second, differential evolution (R. Storn
 and K. Price, J. Global Optimization 11, 1997; as in scipy) continues from the best points, whole
@@ -10,19 +10,19 @@ genetic algorithms", Computer Methods in Applied Mechanics and Engineering 186, 
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from operator import sub
-from typing import Any, Final
+from statistics import median
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import TuneError
-from turtlelog.sweep.sweep_plan import EqualSteps, parse_key_values
-from turtlelog.sweep.tune_candidates import Candidate, Candidates, Point, TuningGoal
+from turtlelog.sweep.tune_candidates import Candidate, Candidates, Point, SearchedKey, TuningGoal
 
 _SPREAD: Final = 32
 """Number of points per key of the first cover: one key has steps of 3 % of its range. The number is
@@ -50,8 +50,6 @@ _FAR: Final = 1e100
 """Amount added to the score of a candidate that violates constraints, so that it comes after all
 others."""
 
-Order = tuple[int, float]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned:
@@ -78,32 +76,6 @@ class Tuned:
     is_flat: bool = False
     failure: str = ""
     largest_step: float | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SearchedKey:
-    """A key and its search range.
-
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value.
-        high: Largest value.
-        is_whole: Whether only whole numbers are allowed.
-        steps: Allowed values; empty if any value is allowed.
-    """
-
-    key: str
-    low: float
-    high: float
-    is_whole: bool = False
-    steps: Sequence[float] = ()
-
-    def round(self, value: float) -> float | int:
-        """Return the nearest allowed value."""
-        value = min(max(value, self.low), self.high)
-        if self.steps:
-            return min(self.steps, key=lambda step: abs(step - value))
-        return round(value) if self.is_whole else float(value)
 
 
 def search_best(
@@ -157,15 +129,11 @@ def find_largest_step(values: Sequence[float], low: float, high: float) -> float
 
 
 def find_best(candidates: Candidates) -> Candidate:
-    """Return the best known candidate; of equal candidates, the first.
-
-    Raises:
-        ValueError: If no candidate is known.
-    """
+    """Return the best known candidate, of at least one; of equal candidates, the first."""
     return min(candidates.list_known(), key=partial(_order, candidates.goal))
 
 
-def _order(goal: TuningGoal, candidate: Candidate) -> Order:
+def _order(goal: TuningGoal, candidate: Candidate) -> tuple[int, float]:
     """Return the sort key of a candidate; the best candidate is first."""
     if candidate.is_feasible and candidate.objective is not None:
         return 0, goal.sign * candidate.objective
@@ -257,52 +225,264 @@ class _Search:
             best = found
 
 
-_MOST_STEPS: Final = 10_000
-"""Largest number of values of a key with a step; from each candidate, the nearest of them are
-searched."""
+# The neighbourhood: a walk from the best value of a key to each bound ends where the objective is
+# worse or a constraint breaks. Scans then look for such places inside, because a metric that
+# depends on the sampling instants may be good on both sides of a narrow place that is not.
+
+_WORSE: Final = 0.1
+"""Largest loss of the objective, as a share of the best value: the rounding of a gain."""
+
+_OF_SPREAD: Final = 0.01
+"""The same loss as a share of the distance from the best to the median candidate, if that is
+larger. A share of a best value of 0 would always be 0."""
+
+_POINTS: Final = 16
+"""Number of candidates between the best value and each bound, denser near the best."""
+
+_ROUNDS: Final = 5
+"""Largest number of neighbourhoods. If a metric depends on single samples, each may contain a
+better value."""
+
+_HALVINGS: Final = 8
+"""Number of halvings of the step, down to 1/256."""
+
+_SCAN: Final = 32
+"""Number of candidates between the best value and each end of its range, at equal distances: a part
+of 1/32 of either side that is worse ends the range."""
+
+_SCANS: Final = 8
+"""Largest number of scans. A scan follows each one that makes the range smaller."""
+
+NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS + _SCAN)
+"""Usual number of candidates of a neighbourhood for each key."""
+
+_JUMP_WIDTH: Final = 1e-3
+"""Largest distance of the two sides of a jump, as a share of the search range. Around a best value,
+a smooth objective changes by far less than the accepted loss over so short a distance."""
+
+End = Literal["objective", "constraint", "no value", "bound"]
 
 
-def parse_searched_keys(
-    texts: Sequence[str], parameters: Mapping[str, Any], *, source: str = "--grid"
-) -> tuple[SearchedKey, ...]:
-    """Parse texts such as `law.kp_linear=0.5:12`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyRange:
+    """Range of a key around its best value, with all other keys at their best values.
 
-    Args:
-        texts: Texts, each with a key, an equals sign and bounds.
-        parameters: Parameters of the scenario by key; they show which keys need whole numbers.
-        source: Prefix of error messages.
-
-    Raises:
-        SweepError: If a text cannot be parsed.
-        TuneError: If there is no text, or a key occurs twice or has no range.
+    Attributes:
+        key: Dotted scenario key.
+        low: Smallest value that is still good.
+        high: Largest value that is still good.
+        low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
+            value is missing, or the given bound is reached.
+        high_end: Reason for the upper end, with the same values.
+        low_constraint: Constraint that is violated below the range; empty if no constraint is.
+        high_constraint: Constraint that is violated above the range; empty if no constraint is.
+        largest_step: Largest distance between two neighbouring values that were tried in the range;
+            0 if the range is a single value.
     """
-    if not texts:
-        raise TuneError(f"{source}: expected a key and its bounds, as in law.kp_linear=0.5:12")
-    found: dict[str, SearchedKey] = {}
-    for text in texts:
-        one = parse_key_values(text, source=source, is_sampled=True)
-        steps = one.values
-        if not isinstance(steps, EqualSteps) or (not one.is_open and len(steps) > _MOST_STEPS):
-            expected = "two bounds and perhaps a step, as in 0.5:12 or 0.5:12:0.5"
-            raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
-        if one.key in found:
-            raise TuneError(f"{source}: {one.key}: expected each key once, found it twice")
-        low, high = steps[0], steps[-1]
-        if not low < high:
-            raise TuneError(f"{source}: {one.key}: expected a range, found {one.text[:60]!r}")
-        known = parameters.get(one.key)
-        if isinstance(known, bool) or not isinstance(known, int | float | None):
-            expected = "a key whose values are numbers"
-            raise TuneError(f"{source}: {one.key}: expected {expected}, found {known!r}")
-        is_whole = isinstance(known, int) and not isinstance(known, bool)
-        if is_whole and not (float(low).is_integer() and float(high).is_integer()):
-            expected = "whole bounds of a key that counts"
-            raise TuneError(f"{source}: {one.key}: expected {expected}, found {one.text[:60]!r}")
-        found[one.key] = SearchedKey(
-            key=one.key,
+
+    key: str
+    low: float
+    high: float
+    low_end: End
+    high_end: End
+    low_constraint: str = ""
+    high_constraint: str = ""
+    largest_step: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """A change of the objective by more than the accepted loss between two close values of a key.
+
+    Attributes:
+        key: Dotted scenario key.
+        low: Value of the key below the jump.
+        high: Value of the key above the jump.
+        change: Magnitude of the change of the objective.
+    """
+
+    key: str
+    low: float
+    high: float
+    change: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Neighbourhood:
+    """The range in which each key can change while the other keys stay fixed.
+
+    Attributes:
+        slack: Largest accepted loss of the objective.
+        ranges: Range of each key.
+        jump: Largest jump of the objective along a key; None if there is no jump.
+    """
+
+    slack: float
+    ranges: tuple[KeyRange, ...]
+    jump: Jump | None = None
+
+
+@dataclass(slots=True)
+class _Walk:
+    """A walk from the best value to a bound; each probe of it may end its good part earlier."""
+
+    place: int
+    bound: float
+    good: float = 1.0  # last good fraction
+    bad: float | None = None  # first bad fraction
+    end: End = "bound"
+    constraint: str = ""
+
+    def enter(self, share: float, fault: tuple[End, str] | None) -> None:
+        if fault is None:
+            self.good = share
+        else:
+            self.bad, (self.end, self.constraint) = share, fault
+
+
+def explore_best(
+    candidates: Candidates, keys: Sequence[SearchedKey], found: Tuned
+) -> tuple[Tuned, Neighbourhood]:
+    """Return the best candidate and its neighbourhood. A better candidate found there replaces it.
+
+    The best candidate so far in `found` satisfies the constraints.
+    """
+    for _ in range(_ROUNDS):
+        around = explore_neighbourhood(candidates, keys, found.best)
+        before, found = found, sum_up(candidates, keys)
+        if found.best is before.best:
+            break
+    return replace(found, best=before.best, at_bounds=before.at_bounds), around
+
+
+def explore_neighbourhood(
+    candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate
+) -> Neighbourhood:
+    """Return the range of each key, found by walks from the best value to both bounds.
+
+    The best candidate satisfies the constraints. In each range, every candidate tried is good: the
+    range is scanned at equal distances, and ends before the first candidate that is not.
+    """
+    walks = _Walks(candidates, keys, best)
+    walks.walk_out()
+    walks.scan()
+    lines = [_list_line(candidates, best, place) for place in range(len(keys))]
+    pairs = zip(lines, keys, strict=True)
+    jumps = [jump for line, key in pairs for jump in _list_jumps(line, key, walks.slack)]
+    return Neighbourhood(
+        slack=walks.slack,
+        ranges=tuple(
+            walks.build_range(place, [value for value, _ in line])
+            for place, line in enumerate(lines)
+        ),
+        jump=max(jumps, key=lambda jump: jump.change, default=None),
+    )
+
+
+class _Walks:
+    """Walks along all keys, in both directions."""
+
+    def __init__(
+        self, candidates: Candidates, keys: Sequence[SearchedKey], best: Candidate
+    ) -> None:
+        assert best.objective is not None
+        self._candidates, self._keys, self._point = candidates, keys, best.point
+        self.slack = _find_slack(candidates, best.objective)
+        self._sign = candidates.goal.sign
+        self._limit = self._sign * best.objective + self.slack
+        self._pairs = [
+            (_Walk(place, key.low), _Walk(place, key.high)) for place, key in enumerate(keys)
+        ]
+
+    def walk_out(self) -> None:
+        """Walk from the best value to the bounds, in steps that grow."""
+        every = [walk for pair in self._pairs for walk in pair]
+        self._probe(every, [(step / _POINTS) ** 2 for step in range(1, _POINTS + 1)])
+
+    def scan(self) -> None:
+        """Look at equal distances on the good part of each walk, until no scan ends it earlier."""
+        ended = [walk for pair in self._pairs for walk in pair]
+        for _ in range(_SCANS):
+            ended = self._probe(ended, [step / _SCAN for step in range(1, _SCAN + 1)])
+            if not ended:
+                break
+
+    def _probe(self, walks: Sequence[_Walk], shares: Sequence[float]) -> list[_Walk]:
+        """Look at shares of the good part of walks, ascending to 1; return the walks that end."""
+        asked = [(walk, walk.good * share) for walk in walks for share in shares]
+        for walk in walks:
+            walk.good, walk.bad = 0.0, None
+        for (walk, share), fault in zip(asked, self._look(asked), strict=True):
+            if walk.bad is None:
+                walk.enter(share, fault)
+        for _ in range(_HALVINGS):
+            halved = [(one, (one.good + one.bad) / 2.0) for one in walks if one.bad is not None]
+            for (walk, share), fault in zip(halved, self._look(halved), strict=True):
+                walk.enter(share, fault)
+        return [walk for walk in walks if walk.bad is not None]
+
+    def _look(self, asked: Sequence[tuple[_Walk, float]]) -> list[tuple[End, str] | None]:
+        found = self._candidates.evaluate([self._move(walk, share) for walk, share in asked])
+        return [_find_fault(one, self._limit, self._sign) for one in found]
+
+    def _move(self, walk: _Walk, share: float) -> Point:
+        point = [*self._point]
+        here = point[walk.place]
+        point[walk.place] = self._keys[walk.place].round(here + share * (walk.bound - here))
+        return tuple(point)
+
+    def build_range(self, place: int, tried: Sequence[float]) -> KeyRange:
+        """Return the range of a key, of which these values were tried."""
+        below, above = self._pairs[place]
+        low, high = (self._move(walk, walk.good)[place] for walk in (below, above))
+        return KeyRange(
+            key=self._keys[place].key,
             low=low,
             high=high,
-            is_whole=is_whole,
-            steps=() if one.is_open else tuple(steps),
+            low_end=below.end,
+            high_end=above.end,
+            low_constraint=below.constraint,
+            high_constraint=above.constraint,
+            largest_step=find_largest_step(tried, low, high),
         )
-    return tuple(found.values())
+
+
+def _list_line(
+    candidates: Candidates, best: Candidate, place: int
+) -> list[tuple[float, float | None]]:
+    """Return all tried values of a key, ascending, with the other keys at their best values.
+
+    Their objectives are None if a constraint does not hold.
+    """
+    others = best.point[:place], best.point[place + 1 :]
+    return sorted(
+        (one.point[place], one.objective if one.is_feasible else None)
+        for one in candidates.list_known()
+        if (one.point[:place], one.point[place + 1 :]) == others
+    )
+
+
+def _list_jumps(
+    line: Sequence[tuple[float, float | None]], key: SearchedKey, least: float
+) -> Iterator[Jump]:
+    """Yield larger changes of the objective between neighbouring values that are close together."""
+    most = _JUMP_WIDTH * (key.high - key.low)
+    for (low, before), (high, after) in pairwise(line):
+        change = 0.0 if before is None or after is None else abs(after - before)
+        if change > least and high - low <= most:
+            yield Jump(key=key.key, low=low, high=high, change=change)
+
+
+def _find_slack(candidates: Candidates, best: float) -> float:
+    known = candidates.list_known()
+    values = [one.objective for one in known if one.is_feasible and one.objective is not None]
+    return max(_WORSE * abs(best), _OF_SPREAD * abs(median(values) - best))
+
+
+def _find_fault(one: Candidate, limit: float, sign: float) -> tuple[End, str] | None:
+    broken = [found for found in one.constraints if not found.holds]
+    if broken:
+        return "constraint", broken[0].expression
+    if one.objective is None:
+        return "no value", ""
+    return ("objective", "") if sign * one.objective > limit else None

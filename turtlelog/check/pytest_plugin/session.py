@@ -147,7 +147,7 @@ class Session:
 
 def explain_comparison(operator: str, left: object, right: object) -> list[str] | None:
     """Return the first lines of the message of a comparison; the section below has the details."""
-    from turtlelog.check.judge_formula import RecordedMetric
+    from turtlelog.check.result import RecordedMetric
     from turtlelog.measure import MIRRORED, Metric
 
     watched = [one for one in (left, right) if isinstance(one, Metric) and one.watch is not None]
