@@ -46,12 +46,12 @@ from turtlelog.theory.process import (
     require_positive,
 )
 from turtlelog.theory.step_motion import (
-    CLOSE,
-    SLOW,
+    CLOSE_PERCENT,
+    TOO_SLOW,
     LoopDesign,
     StepLimits,
     StepMotion,
-    find_p_without_any,
+    find_p_without_any_overshoot,
 )
 
 _Array = NDArray[np.float64]
@@ -307,8 +307,8 @@ _PARTS: Final = 8
 def _find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     """Return the P controller with an overshoot, or the reason why there is no such controller."""
     if design.is_slow:
-        return SLOW
-    start = find_p_without_any(design)
+        return TOO_SLOW
+    start = find_p_without_any_overshoot(design)
     if percent == 0.0:
         return PidGains(kp=start)
     ends = start, _STEP * start
@@ -326,8 +326,8 @@ def _find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
             " the errors have added up to 0"
         )
     if design.is_slow:
-        return SLOW
-    kp = find_p_without_any(design)
+        return TOO_SLOW
+    kp = find_p_without_any_overshoot(design)
     # Without lag and dead time an overshoot of 5 % takes Ki = 0.055 K Kp^2.
     start = 0.5 * percent / 100.0 * design.process.gain * kp * kp
 
@@ -345,7 +345,7 @@ def _find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float)
     if isinstance(whole, str) or isinstance(alone, str):
         return whole if isinstance(whole, str) else alone
     if design.is_slow:
-        return SLOW
+        return TOO_SLOW
     shape = design.build_shape(PidGains(kp=design.unit_gain))
     keep, rate = PidGains(kp=1.0, kd=1.0, filter_s=design.filter_s).weigh_derivative(
         design.period_s
@@ -366,11 +366,11 @@ def _find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float)
     words = f"with a phase margin of {math.degrees(margin_rad):g} deg PD"
     lowest, high = (design.find_crossover(gains) for gains in (alone, whole))
     value = measure(high)
-    if value > percent + CLOSE:
+    if value > percent + CLOSE_PERCENT:
         return f"{words} overshoots by {value:.3g} % even where Kd cancels the lag"
     for low in np.linspace(high, lowest, _PARTS + 1)[1:].tolist():
         below = measure(low)
-        if below > percent + CLOSE:
+        if below > percent + CLOSE_PERCENT:
             gains = follow(_solve(measure, (high, value), (low, below), percent, design.close))
             return gains if design.has_margin(gains, margin_rad) else _tell_no_margin(margin_rad)
         high, value = low, below

@@ -288,12 +288,12 @@ _MOST_SAMPLES: Final = 2000
 """Largest sum of lag, low-pass and dead time [samples] for which overshoots are measured. Beyond
 this sum, the 10 to 40 responses of some ten thousand samples each take several seconds."""
 
-SLOW: Final = (
+TOO_SLOW: Final = (
     f"lag and dead time are longer than {_MOST_SAMPLES} samples, so no overshoot is measured"
 )
 """Reason why a slow loop has no gains for an overshoot."""
 
-CLOSE: Final = 1e-6
+CLOSE_PERCENT: Final = 1e-6
 """Tolerance of an overshoot [% of the step]; a smaller overshoot counts as none."""
 
 _CLOSE_PHASE: Final = 1e-9
@@ -331,7 +331,7 @@ class LoopDesign:
     @property
     def close(self) -> float:
         """Tolerance of an overshoot [% of the step]."""
-        return CLOSE if self.limits is None else _TRACE
+        return CLOSE_PERCENT if self.limits is None else _TRACE
 
     @property
     def is_slow(self) -> bool:
@@ -444,7 +444,7 @@ def find_p_without_overshoot(design: LoopDesign) -> float:
 
 
 @lru_cache(maxsize=64)
-def find_p_without_any(design: LoopDesign) -> float:
+def find_p_without_any_overshoot(design: LoopDesign) -> float:
     """Return the largest Kp [1/s] of P without overshoot of any step, also with limits."""
     high = find_p_without_overshoot(design)
     if design.limits is None or not design.overshoots(PidGains(kp=high)):
