@@ -281,6 +281,17 @@ def find_sign_changes(compute: Callable[[_Array], _Array], angles: _Array) -> _A
     return found
 
 
+def find_maximum(compute: Callable[[_Array], _Array], high: float) -> tuple[float, float]:
+    """Return the place and value of the only maximum of a function between 0 and another end."""
+    low = 0.0
+    for _ in range(9):  # a 50th each time: 1e-15 of the interval
+        places = np.linspace(low, high, 102)[1:-1]
+        values = compute(places)
+        best = int(np.argmax(values))
+        low, high = (low, *places, high)[best], (low, *places, high)[best + 2]
+    return float(places[best]), float(values[best])
+
+
 _LARGEST_FACTOR: Final = 1e12
 """Largest factor; its reciprocal is the smallest. Beyond these, crossings are rounding: L is 0 at
 pi, or grows without bound towards 0 with a phase that goes to -180 deg."""

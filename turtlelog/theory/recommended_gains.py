@@ -1,19 +1,43 @@
 """Recommended gains: exact gains for a wanted overshoot or phase margin, and published rules.
 
+Let L1 be the open loop in z at Kp = 1, G the process and W the phase margin:
+
+    P    overshoot     the smallest Kp whose motion overshoots by as much
+    P    phase margin  Kp = 1 / |L1| where L1 has the phase W - pi
+    PI   overshoot     Kp the largest of P without overshoot, then the smallest such Ki
+    PI   phase margin  the largest Ki among C = exp(j (W - pi)) / G at all frequencies
+    PD   phase margin  Kd puts the controller's zero on the pole of the slowest lag
+    PD   overshoot     both at once: the first on the way from that PD to P
+
+C = Kp + Ki T / (z - 1) gives one Kp and one Ki at each frequency. The largest Ki gives the smallest
+integrated error, 1 / Ki, after a constant disturbance. K. J. Astrom, H. Panagopoulos and T.
+Hagglund maximise Ki under another constraint (Automatica 34 (1998) 585-601). Kp + Kd / (Tf + T) (z
+- 1) / (z - a) has its zero at e = exp(-T / tau) if Kd = Kp (Tf + T) (e - a) / (1 - e); this also
+gives one Kp and one Kd at each frequency.
+
 The published rules apply to continuous time. Half a sampling period T counts as dead time of the
 hold, as Skogestad (2003) proposes. Each rule returns gains, or the reason why it does not apply.
 """
 
+import cmath
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from turtlelog.errors import TheoryError
-from turtlelog.theory import exact_gains as exact
-from turtlelog.theory.exact_gains import LoopDesign
-from turtlelog.theory.pid_stability import Margins, PidGains
+from turtlelog.theory.pid_stability import (
+    Margins,
+    PidGains,
+    evaluate_open_loop,
+    find_maximum,
+    find_sign_changes,
+    list_angles,
+)
 from turtlelog.theory.process import (
     INTEGRATOR,
     Process,
@@ -21,7 +45,16 @@ from turtlelog.theory.process import (
     require_period,
     require_positive,
 )
-from turtlelog.theory.step_motion import StepLimits, StepMotion
+from turtlelog.theory.step_motion import (
+    CLOSE_PERCENT,
+    TOO_SLOW,
+    LoopDesign,
+    StepLimits,
+    StepMotion,
+    find_p_without_any_overshoot,
+)
+
+_Array = NDArray[np.float64]
 
 OVERSHOOT_PERCENT: Final = 5.0
 """Default of the wanted overshoot [% of the step]: the overshoot of a second-order loop with a
@@ -105,17 +138,17 @@ def recommend_gains(
         if not percent < 100.0:
             problem = f"expected less than 100 %, found {percent!r}"
             raise TheoryError(problem, quantity="overshoot_percent")
-        find_pd = partial(exact.find_pd_of_overshoot, margin_rad=margin_rad)
+        find_pd = partial(_find_pd_of_overshoot, margin_rad=margin_rad)
         rules += [
-            ("overshoot", "P", _EXACT, partial(exact.find_p_of_overshoot, design, percent)),
-            ("overshoot", "PI", _EXACT, partial(exact.find_pi_of_overshoot, design, percent)),
+            ("overshoot", "P", _EXACT, partial(_find_p_of_overshoot, design, percent)),
+            ("overshoot", "PI", _EXACT, partial(_find_pi_of_overshoot, design, percent)),
             ("overshoot", "PD", _EXACT, partial(find_pd, design, percent)),
         ]
     if phase_margin_rad is not None:
         rules += [
-            ("phase-margin", "P", _EXACT, partial(exact.find_p_of_margin, design, margin_rad)),
-            ("phase-margin", "PI", _EXACT, partial(exact.find_pi_of_margin, design, margin_rad)),
-            ("phase-margin", "PD", _EXACT, partial(exact.find_pd_of_margin, design, margin_rad)),
+            ("phase-margin", "P", _EXACT, partial(_find_p_of_margin, design, margin_rad)),
+            ("phase-margin", "PI", _EXACT, partial(_find_pi_of_margin, design, margin_rad)),
+            ("phase-margin", "PD", _EXACT, partial(_find_pd_of_margin, design, margin_rad)),
         ]
 
     def halve_ultimate_gain() -> PidGains:  # which gives a gain margin of 2
@@ -262,3 +295,188 @@ def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
     half = 0.5 * lags[kept]
     theta_s = process.dead_time_s + 0.5 * design.period_s + half + sum(lags[kept + 1 :])
     return theta_s, left + half if kept else 0.0
+
+
+_STEP: Final = 1.25
+"""Factor from one gain to the next while the overshoot is too small."""
+
+_PARTS: Final = 8
+"""Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""
+
+
+def _find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
+    """Return the P controller with an overshoot, or the reason why there is no such controller."""
+    if design.is_slow:
+        return TOO_SLOW
+    start = find_p_without_any_overshoot(design)
+    if percent == 0.0:
+        return PidGains(kp=start)
+    ends = start, _STEP * start
+    kp = _find_first(
+        lambda kp: design.measure_overshoot(PidGains(kp=kp)), *ends, percent, design.close
+    )
+    return PidGains(kp=kp)
+
+
+def _find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
+    """Return the PI controller with an overshoot, or the reason why there is no such controller."""
+    if percent == 0.0:
+        return (
+            "on a plant that integrates, an integral always overshoots: it comes to rest only when"
+            " the errors have added up to 0"
+        )
+    if design.is_slow:
+        return TOO_SLOW
+    kp = find_p_without_any_overshoot(design)
+    # Without lag and dead time an overshoot of 5 % takes Ki = 0.055 K Kp^2.
+    start = 0.5 * percent / 100.0 * design.process.gain * kp * kp
+
+    def measure(ki: float) -> float:
+        return design.measure_overshoot(PidGains(kp=kp, ki=ki))
+
+    ki = _find_first(measure, 0.0, start, percent, design.close)
+    return PidGains(kp=kp, ki=ki)
+
+
+def _find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) -> PidGains | str:
+    """Return the PD with an overshoot and a phase margin, or the reason for its absence."""
+    whole = _find_pd_of_margin(design, margin_rad)
+    alone = _find_p_of_margin(design, margin_rad)
+    if isinstance(whole, str) or isinstance(alone, str):
+        return whole if isinstance(whole, str) else alone
+    if design.is_slow:
+        return TOO_SLOW
+    shape = design.build_shape(PidGains(kp=design.unit_gain))
+    keep, rate = PidGains(kp=1.0, kd=1.0, filter_s=design.filter_s).weigh_derivative(
+        design.period_s
+    )
+
+    def follow(angle: float) -> PidGains:
+        """Return the only PD whose open loop has the phase margin at an angle w T."""
+        z = cmath.exp(1j * angle)
+        wanted = cmath.exp(1j * (margin_rad - math.pi)) / complex(evaluate_open_loop(shape, angle))
+        difference = (z - 1.0) / (z - keep)
+        weight = max(wanted.imag / difference.imag, 0.0)
+        kp = design.unit_gain * (wanted.real - weight * difference.real)
+        return PidGains(kp=kp, kd=design.unit_gain * weight / rate, filter_s=design.filter_s)
+
+    def measure(angle: float) -> float:
+        return design.measure_overshoot(follow(angle))
+
+    words = f"with a phase margin of {math.degrees(margin_rad):g} deg PD"
+    lowest, high = (design.find_crossover(gains) for gains in (alone, whole))
+    value = measure(high)
+    if value > percent + CLOSE_PERCENT:
+        return f"{words} overshoots by {value:.3g} % even where Kd cancels the lag"
+    for low in np.linspace(high, lowest, _PARTS + 1)[1:].tolist():
+        below = measure(low)
+        if below > percent + CLOSE_PERCENT:
+            gains = follow(_solve(measure, (high, value), (low, below), percent, design.close))
+            return gains if design.has_margin(gains, margin_rad) else _tell_no_margin(margin_rad)
+        high, value = low, below
+    return f"{words} overshoots less"
+
+
+def _find_p_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
+    """Return the P controller with a phase margin, or the reason why there is none."""
+    return _find_pd(design, 0.0, margin_rad)
+
+
+def _find_pd_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
+    """Return the PD with a phase margin whose Kd cancels the lag, or the reason for its absence."""
+    ratio_s = design.find_lag_ratio()
+    if ratio_s is not None:
+        return _find_pd(design, ratio_s, margin_rad)
+    if design.sampled.gaps:
+        return "the derivative's filter is slower than the lag, so no Kd cancels it"
+    return "there is no lag to cancel; of an integrator alone D only makes the gain smaller"
+
+
+def _find_pi_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
+    """Return the PI with a phase margin and the largest Ki, or the reason for its absence."""
+    alone = _find_p_of_margin(design, margin_rad)
+    if isinstance(alone, str):
+        return alone
+    shape = design.build_shape(PidGains(kp=design.unit_gain))
+
+    def compute(angle: _Array) -> tuple[_Array, _Array]:
+        """Return Kp divided by the unit gain, and Ki T divided by the unit gain."""
+        wanted = cmath.exp(1j * (margin_rad - math.pi)) / evaluate_open_loop(shape, angle)
+        integral = -2.0 * np.tan(0.5 * angle) * wanted.imag
+        return wanted.real + 0.5 * integral, integral
+
+    def compute_integral(angle: _Array) -> _Array:
+        proportional, integral = compute(angle)
+        return np.where(proportional > 0.0, integral, -1.0)
+
+    # An integral takes phase away, so PI crosses over earlier than P alone.
+    angle, _ = find_maximum(compute_integral, design.find_crossover(alone))
+    proportional, integral = (float(value[0]) for value in compute(np.array([angle])))
+    unit = design.unit_gain
+    gains = PidGains(kp=unit * proportional, ki=unit * integral / design.period_s)
+    return gains if design.has_margin(gains, margin_rad) else _tell_no_margin(margin_rad)
+
+
+def _find_pd(design: LoopDesign, ratio_s: float, margin_rad: float) -> PidGains | str:
+    """Return the largest P or PD with a phase margin and a Kd / Kp, or the reason for absence."""
+    unit = PidGains(kp=design.unit_gain, kd=ratio_s * design.unit_gain, filter_s=design.filter_s)
+    shape = design.build_shape(unit)
+    turn = cmath.exp(1j * (math.pi - margin_rad))
+
+    def read_imaginary(angle: _Array) -> _Array:
+        return (turn * evaluate_open_loop(shape, angle)).imag
+
+    for angle in find_sign_changes(read_imaginary, list_angles(shape)).tolist():
+        value = turn * complex(evaluate_open_loop(shape, angle))
+        if value.real > 0.0:
+            kp = unit.kp / abs(value)
+            gains = replace(unit, kp=kp, kd=ratio_s * kp)
+            if design.has_margin(gains, margin_rad):
+                return gains
+    return _tell_no_margin(margin_rad)
+
+
+def _tell_no_margin(margin_rad: float) -> str:
+    if margin_rad >= 0.5 * math.pi:
+        return "the integrator alone lags by 90 deg, so a phase margin is below 90 deg"
+    return f"no gains have a phase margin of {math.degrees(margin_rad):g} deg"
+
+
+def _find_first(
+    measure: Callable[[float], float], none: float, first: float, percent: float, close: float
+) -> float:
+    """Return the first gain with an overshoot, searching upward from a gain without it.
+
+    At the limit of stability the overshoot is 100 %, so every smaller overshoot occurs below it.
+    """
+    low, below, high = none, 0.0, first
+    while (value := measure(high)) < percent:
+        low, below, high = high, value, _STEP * high
+    return _solve(measure, (low, below), (high, value), percent, close)
+
+
+def _solve(
+    measure: Callable[[float], float],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    target: float,
+    close: float,
+) -> float:
+    """Return the point at which a measure meets its target, between two points on either side.
+
+    The method is regula falsi in the Illinois variant, which halves the value at an end that does
+    not move (M. Dowell and P. Jarratt, BIT 11 (1971) 168-174). If a step gets no nearer, bisection
+    follows.
+    """
+    (at, value), (other, far) = (start[0], start[1] - target), (end[0], end[1] - target)
+    for _ in range(80):
+        middle = other - far * (other - at) / (far - value)
+        found = measure(middle) - target
+        if abs(found) < close or abs(other - at) <= 1e-13 * abs(other):
+            return middle
+        if (found > 0.0) == (far > 0.0):
+            value *= 0.5
+        else:
+            at, value = other, far
+        other, far = middle, found
+    return middle

@@ -20,7 +20,7 @@ from turtlelog.draw.figures.page import STROKES, fix_style
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
-from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
+from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
 
 _MOST_LINES: Final = 3
 """Largest number of dead times with a line each. More dead times become a band from the smallest to
