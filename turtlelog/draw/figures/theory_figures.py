@@ -464,6 +464,7 @@ def _draw_ideal_locus(axes: Axes, poles: Sequence[_Poles]) -> None:
     _draw_poles(axes, poles)
     axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
     axes.set_ylim(-1.0, 1.0)
+    axes.locator_params(nbins=5)  # all poles are real
 
 
 def _draw_poles(axes: Axes, poles: Sequence[_Poles]) -> None:
