@@ -98,6 +98,8 @@ def tabulate_runs(
         for name in shown
         if len(units[name]) > 1
     ]
+    if "run.path_length" in shown:
+        told += _describe_scatter(names, summaries)
     marks = {name: mark_metric(summaries, name, ranking=ranking) for name in shown}
     head = title or describe_count(len(summaries), "run")
     varied = _describe_varied(summaries, gains, rows, ranking, besides)
@@ -116,6 +118,22 @@ def tabulate_runs(
             }
         ),
     )
+
+
+def _describe_scatter(names: Sequence[str], summaries: Sequence[RunSummary]) -> list[str]:
+    """Return a sentence on path lengths that noise of the poses makes longer."""
+    left = [
+        f"{length} ({name})"
+        for name, one in zip(names, summaries, strict=True)
+        if (length := one.notes.get("path_without_scatter")) is not None
+    ]
+    if not left:
+        return []
+    more = [f"{len(left) - _MOST_NAMED} more"] if len(left) > _MOST_NAMED else []
+    return [
+        "Path lengths count steps back and forth between poses, as from noise; through the median"
+        f" pose of each second: {join_words([*left[:_MOST_NAMED], *more])}."
+    ]
 
 
 def _list_summaries(summaries: object) -> list[RunSummary]:
