@@ -147,6 +147,20 @@ def test_a_path_that_noise_lengthens_is_told_without_it(
     assert (call("metrics", table, "--json").json[0]["scatter"] is None) is ("median" not in told)
 
 
+@pytest.mark.parametrize(("rate_hz", "rest"), [(1.0, "0 %"), (0.0, "100 %")])
+def test_a_robot_that_swings_does_not_rest_when_it_is_back(
+    rate_hz: float, rest: str, call: Call, tmp_path: Path
+) -> None:
+    time_s = np.arange(0.0, 20.0, 0.05)
+    x_m = 0.3 * np.sin(2.0 * np.pi * rate_hz * time_s)
+    rows = [f"{t:.3f},{x:.6f},0,0" for t, x in zip(time_s, x_m, strict=True)]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    answer = call("metrics", table).flat
+    assert f"share of the time at rest {rest}" in answer
+    assert "creeping" not in answer
+
+
 def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
     call: Call, tmp_path: Path
 ) -> None:

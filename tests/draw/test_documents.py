@@ -1,6 +1,6 @@
 import turtlelog as tl
 from turtlelog.compare import summarise_run, tabulate_runs
-from turtlelog.draw.tables import document_runs, format_markdown
+from turtlelog.draw.written_tables import document_runs, format_markdown
 
 
 def test_beside_pictures_runs_show_first_where_they_ended() -> None:

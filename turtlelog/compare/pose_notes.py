@@ -12,6 +12,7 @@ from turtlelog.measure.metrics.travel import judge_rest_of
 from turtlelog.measure.pose_noise import find_scatter, measure_speed_noise
 from turtlelog.measure.rates import AXES, describe_repetition, space_poses
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.rest import AT_REST_M_S
 from turtlelog.measure.travel_direction import describe_sideways, describe_travel
 from turtlelog.run import Run
 
@@ -103,6 +104,8 @@ def _describe_rest(run: Run, metrics: Mapping[str, Metric], path_m: float) -> di
         return {}
     rest = judge_rest_of(RunContext(run, MeasureSettings()))
     if isinstance(rest, Missing) or rest.way_m <= max(_CREPT_M, _LARGE * path_m):
+        return {}
+    if rest.way_m > AT_REST_M_S * rest.time_s:  # it swings, and does not creep
         return {}
     return {"crept": format_short(rest.way_m, "m")}
 

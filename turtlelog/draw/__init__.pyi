@@ -42,7 +42,7 @@ from .rerun.viewer import (
     open_window as open_window,
     write_snapshot as write_snapshot,
 )
-from .tables import (
+from .written_tables import (
     TABLE_FORMATS as TABLE_FORMATS,
     document_run as document_run,
     format_table as format_table,

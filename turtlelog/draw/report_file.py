@@ -23,7 +23,7 @@ from turtlelog.draw import report_sections as sections
 from turtlelog.draw.figures.sweep_figures import MapKind, draw_sweep_svg
 from turtlelog.draw.report_drawing import Drawn, Plots
 from turtlelog.draw.report_plots import draw_plots
-from turtlelog.draw.tables import choose_essentials
+from turtlelog.draw.written_tables import choose_essentials
 from turtlelog.errors import ShowError
 from turtlelog.escapes import write_policy_tag
 from turtlelog.explain import Attribution

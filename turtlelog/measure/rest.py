@@ -147,7 +147,11 @@ def _find_slow_steps(time_s: Values, every: Sequence[Values]) -> NDArray[np.bool
         columns = [at[near] for at in every]
         starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
         is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
-    return is_at_rest
+    # A robot that swings is back at its place after half a second, and did not rest.
+    x_m, y_m, turned_rad = (np.abs(subtract_neighbours(at)) for at in every)
+    longest_s = np.maximum(subtract_neighbours(time_s), _REST_S)
+    is_small = np.hypot(x_m, y_m) <= AT_REST_M_S * longest_s
+    return np.asarray(is_at_rest & is_small & (turned_rad <= AT_REST_RAD_S * longest_s))
 
 
 def _find_slow(

@@ -22,7 +22,7 @@ from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend, label
 from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
 from turtlelog.draw.figures.page import FIGURE_FORMATS, Page, ShownFigure, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
-from turtlelog.draw.tables import choose_essentials, format_latex
+from turtlelog.draw.written_tables import choose_essentials, format_latex
 from turtlelog.errors import ShowError, describe_unknown, make_portable
 from turtlelog.files.urls import make_path
 from turtlelog.log import replace_when_complete

@@ -28,7 +28,7 @@ from turtlelog.draw.rerun.content import (
 from turtlelog.draw.rerun.entities import RUNS, join_path
 from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, open_recording
 from turtlelog.draw.rerun.turtles import Look
-from turtlelog.draw.tables import document_runs
+from turtlelog.draw.written_tables import document_runs
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces, RobotModel, trace_axis
 from turtlelog.measure import measure_run

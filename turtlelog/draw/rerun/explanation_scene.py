@@ -24,7 +24,7 @@ from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.layout import build_explanation_layout
 from turtlelog.draw.rerun.recording_stream import RunStream, open_recording
 from turtlelog.draw.rerun.turtles import Ghost, Look
-from turtlelog.draw.tables import format_markdown
+from turtlelog.draw.written_tables import format_markdown
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_markdown
 from turtlelog.explain import Attribution, Luck, write_sentences

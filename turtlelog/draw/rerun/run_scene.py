@@ -29,7 +29,7 @@ from turtlelog.draw.rerun.layout import (
 )
 from turtlelog.draw.rerun.recording_stream import RunStream
 from turtlelog.draw.rerun.turtles import Look
-from turtlelog.draw.tables import document_run
+from turtlelog.draw.written_tables import document_run
 from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.log.ros2.bag_surroundings import Surroundings
 from turtlelog.measure import Metric, measure_run
