@@ -43,8 +43,8 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
 
     Only the first violated results of the run are shown in full.
     """
-    lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
-    return [escape_controls(line) for line in lines]
+    scenario = map(escape_controls, _list_scenario(run, results[0]))
+    return [*describe_results(run, *results), *scenario]
 
 
 def describe_results(run: Run, *results: CheckResult) -> list[str]:
@@ -232,10 +232,8 @@ class ArtifactWriter:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as err:
-            found = f"found: {err.strerror}"
-            raise errors.CheckError(
-                f"{self._folder}: expected a folder to write to, {found}"
-            ) from err
+            expected = f"expected a folder to write to, found: {err.strerror}"
+            raise errors.CheckError(f"{self._folder}: {expected}") from err
         base = self._folder / name_files(result, prefix)
         rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
         at_s = result.first_violation_s

@@ -2,6 +2,7 @@
 
 import enum
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
@@ -269,20 +270,18 @@ def find_metric_violation(
 def _find_growth(
     run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None, grown: Grown
 ) -> float:
-    first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
-    last = len(run.poses) - 1
-    while first < last:
-        middle = (first + last) // 2
-        if (name, middle) not in grown:
-            part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
+    def is_violated(row: int) -> bool:
+        if (name, row) not in grown:
+            part = slice_run(run, end_ns=int(run.poses.time_ns[row]))
             part = replace(part, stop_reason=run.stop_reason)  # as if it had ended there
-            grown[name, middle] = measure_run(part, settings, only=(name,))[name].value
-        value = grown[name, middle]
-        if value is not None and not OPERATORS[operator](value, limit):
-            last = middle
-        else:
-            first = middle + 1
-    return float(run.poses.time_ns[last] - run.start_ns) / 1e9
+            grown[name, row] = measure_run(part, settings, only=(name,))[name].value
+        value = grown[name, row]
+        return value is not None and not OPERATORS[operator](value, limit)
+
+    last = len(run.poses) - 1
+    first = min(int(np.searchsorted(run.poses.time_ns, run.start_ns)), last)
+    row = bisect_left(range(last), x=True, lo=first, key=is_violated)
+    return float(run.poses.time_ns[row] - run.start_ns) / 1e9
 
 
 Note = Callable[[CheckResult], None]

@@ -22,6 +22,7 @@ from turtlelog.check.judge_formula import check_run, find_formula_unit
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.robustness import split_comparison, walk_formula
 from turtlelog.check.spec import Check
+from turtlelog.compare.common_clock import merge_times
 from turtlelog.compare.difference import trace_tube
 from turtlelog.expressions import (
     Call,
@@ -45,9 +46,8 @@ from turtlelog.measure import (
     list_signals,
     measure_run,
 )
+from turtlelog.measure.reductions import Values
 from turtlelog.run import Run
-
-Values = NDArray[np.float64]
 
 _SAME: Final = 1e-9
 """Relative difference up to which a metric equals a signal's value at its time."""
@@ -389,12 +389,10 @@ class _BandReader:
         named = {name: signals.get(name) for name in list_names(leaf.node)}
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
         self._signals = columns
-        longest = max(columns.values(), key=lambda column: len(column[0]))[0]
-        others = [time_ns for time_ns, _ in columns.values()]
-        one = all(np.array_equal(time_ns, longest) for time_ns in others)
-        self._time_ns = longest if one else np.unique(np.concatenate(others))
-        start_ns = max(int(time_ns[0]) for time_ns in others)
-        self._time_ns = self._time_ns[self._time_ns >= start_ns]
+        times = [time_ns for time_ns, _ in columns.values()]
+        is_one = all(np.array_equal(time_ns, times[0]) for time_ns in times[1:])
+        time_ns = times[0] if is_one else merge_times(times)
+        self._time_ns = time_ns[time_ns >= max(int(one[0]) for one in times)]
         self._values: dict[str, Any] = {name: signals.get(name) for name in formula.names}
         for name, (time_ns, values) in columns.items():
             rows = np.searchsorted(time_ns, self._time_ns, side="right") - 1

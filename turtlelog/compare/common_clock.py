@@ -9,8 +9,9 @@ this half-width grows no faster than the distance, so the nearest values below a
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 from turtlelog.display import parse_utc
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
+from turtlelog.measure.reductions import Values
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import NAME_PATTERN
 
-Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
@@ -219,7 +220,7 @@ def _describe(value: object) -> str:
 
 def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
     """Return the grid of two runs' rows in an interval of their clock, both ends included."""
-    at = _merge_times(reference_at, run_at)
+    at = merge_times([reference_at, run_at])
     at = at[(at >= span[0]) & (at <= span[1])]
     run_row = np.maximum(np.searchsorted(run_at, at, side="right") - 1, 0)
     shares = run_at[1:] == run_at[:-1]
@@ -327,35 +328,51 @@ def _find_nearest_held(
     return nearest
 
 
-def _merge_times(one: Times, other: Times) -> Times:
-    """Return the times of both signals, sorted and without duplicates."""
-    both = one
-    if not np.array_equal(one, other):
-        # Merges sorted runs, where np.union1d would sort anew.
-        both = np.sort(np.concatenate([one, other]), kind="stable")
-    return both[np.flatnonzero(np.diff(both, prepend=both[0] - 1))]
+def merge_times(times: Sequence[Times]) -> Times:
+    """Return all times, sorted and without duplicates; at least one is given."""
+    merged = np.sort(np.concatenate(times), kind="stable")  # merges sorted runs, unlike np.unique
+    return np.asarray(merged[np.append(merged[1:] != merged[:-1], True)])
 
 
 def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Values]:
-    """Return the minimum and maximum of every segment, in the shape of `first`.
+    """Return the minimum and maximum of the rows from `first` to `after - 1`, for each pair."""
+    lowest, highest = (find_range_maxima(one, first, after - 1) for one in (-values, values))
+    return -lowest, highest
 
-    A segment has the rows `first` to `after - 1`, at least one; all segments are evaluated at once.
-    Two overlapping segments of 2^k rows cover any longer segment. Only the tables of the required k
-    are built, one after another.
+
+def find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
+    """Return the maximum of values[first] to values[last] for each pair.
+
+    Ranges that reach the end use suffix maxima. Other ranges use two overlapping maxima of 2^k
+    values. Firsts and lasts do not decrease.
     """
-    level = np.frexp((after - first).astype(np.float64))[1] - 1
-    low, high = values, values
-    lowest, highest = np.empty(first.shape), np.empty(first.shape)
-    for k in range(int(level.max(initial=-1)) + 1):
-        if k:
-            half = 1 << (k - 1)
-            low = np.minimum(low[:-half], low[half:])
-            high = np.maximum(high[:-half], high[half:])
-        asked = np.flatnonzero(level == k)
-        left, right = first[asked], after[asked] - (1 << k)
-        lowest[asked] = np.minimum(low[left], low[right])
-        highest[asked] = np.maximum(high[left], high[right])
-    return lowest, highest
+    inner = int(np.searchsorted(lasts, len(values) - 1))
+    found = np.empty(len(firsts))
+    found[inner:] = np.maximum.accumulate(values[::-1])[::-1][firsts[inner:]]
+    firsts, lasts = firsts[:inner], lasts[:inner]
+    levels = _find_levels(lasts - firsts + 1)
+    maxima, level = values, 0
+    for target in np.flatnonzero(np.bincount(levels)):
+        while level < target:
+            maxima = np.maximum(maxima[: -(1 << level)], maxima[1 << level :])
+            level += 1
+        rows = slice(None) if levels.size == 1 else np.flatnonzero(levels == target)
+        ends = lasts[rows] - ((1 << level) - 1)
+        found[:inner][rows] = np.maximum(maxima[firsts[rows]], maxima[ends])
+    return found
+
+
+def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
+    """Return the largest k with 2^k <= count for each; a single k if all are equal."""
+    if not len(counts):
+        return np.empty(0, np.int64)
+    extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
+    if extremes[0] == extremes[1]:
+        return extremes[:1]
+    levels = np.zeros(len(counts), np.int8)  # few of 64 levels occur: cheaper than all logarithms
+    for level in range(1, int(extremes[1]) + 1):
+        levels += counts >= (1 << level)
+    return levels
 
 
 def _find_neighbours(

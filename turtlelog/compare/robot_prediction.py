@@ -21,14 +21,13 @@ from turtlelog.compare.robot_comparison import (
     NoiseLevel,
     Quantity,
     RobotComparison,
-    Rows,
-    Values,
 )
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.identify import axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.identify.robot_noise import NORMAL_MAD
+from turtlelog.measure.reductions import Rows, Values
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
@@ -56,10 +55,7 @@ _MOVED: Final = 1e-9
 """Smallest motion between two poses of a moving robot [m] or [rad]; rounding alone moves a robot as
 far."""
 
-_QUANTITIES: Final[tuple[Quantity, Quantity]] = (
-    "position",
-    "heading",
-)
+_QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
 _CENTRAL: Final = (0.025, 0.5, 0.975)
 
 

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.breaks import measure_steps
 from turtlelog.measure.rates import find_changing_rows, space_poses
-from turtlelog.measure.reductions import compute_median
+from turtlelog.measure.reductions import Values, compute_median
 from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
-
-Values = NDArray[np.float64]
 
 _BLOCK: Final = 20
 """Number of second differences that give one estimate of the noise; its error is a fifth."""
