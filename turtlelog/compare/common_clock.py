@@ -202,14 +202,6 @@ class Grid:
     later: Times  # number of further rows of the run with the same time
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GridValues:
-    """A run's values on a grid, shape (n,)."""
-
-    grid: Grid
-    values: Values
-
-
 _LONGEST_S = 1e6
 """Longest tolerance in time [s]: eleven days, longer than any run; in ns it fits into an int64."""
 
@@ -235,22 +227,41 @@ def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
     return Grid(at=at, run_row=run_row, later=last - run_row)
 
 
-def read_rows(run: Signal, grid: Grid) -> GridValues:
+def read_rows(run: Signal, grid: Grid) -> Values:
     """Return a placed signal's values on a grid, interpolated or held according to its kind."""
     if run.kind.resampling == "line":
-        return GridValues(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
-    return GridValues(grid=grid, values=run.values[grid.run_row])
+        return np.interp(grid.at, run.time_ns, run.values)
+    return run.values[grid.run_row]
 
 
 def find_deciding_values(
-    reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
+    reference: Signal, grid: Grid, values: Values, tolerance: Tolerance, half_width: int
 ) -> Values:
-    """Return the reference value that decides each row; far inside the tolerance, any within it."""
+    """Return the reference value that decides each row; far inside the tolerance, any within it.
+
+    `values` are those of the run on the grid, `half_width` is the tolerance in time.
+    """
     if reference.kind.resampling == "line":
-        return _find_nearest_on_line(reference, rows, half_width)
+        return _find_nearest_on_line(reference, grid, values, half_width)
     if not half_width:
-        return _find_held(reference, rows)
-    return _find_nearest_held(reference, rows, tolerance, half_width)
+        return _find_held(reference, grid)
+    return _find_nearest_held(reference, grid, values, tolerance, half_width)
+
+
+def find_range(reference: Signal, grid: Grid, half_width: int) -> tuple[Values, Values]:
+    """Return the least and the largest reference value in the window around each row."""
+    if reference.kind.resampling == "hold":
+        return _find_ranges(reference.values, *_find_window(reference, grid, half_width))
+    start, end = grid.at - half_width, grid.at + half_width
+    ends = [np.interp(side, reference.time_ns, reference.values) for side in (start, end)]
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    first = np.searchsorted(reference.time_ns, start, side="left")
+    after = np.searchsorted(reference.time_ns, end, side="right")
+    inside = np.flatnonzero(first < after)
+    lowest, highest = _find_ranges(reference.values, first[inside], after[inside])
+    low[inside] = np.minimum(low[inside], lowest)
+    high[inside] = np.maximum(high[inside], highest)
+    return low, high
 
 
 def measure_distance(reference: Signal, values: Values, nearest: Values) -> Values:
@@ -269,19 +280,10 @@ def find_limit(reference: Signal, nearest: Values, tolerance: Tolerance) -> Valu
     return np.maximum(tolerance.abs, tolerance.rel * np.abs(size))
 
 
-def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) -> Values:
+def _find_nearest_on_line(reference: Signal, grid: Grid, values: Values, half_width: int) -> Values:
     if not half_width:
-        return np.interp(rows.grid.at, reference.time_ns, reference.values)
-    start, end = rows.grid.at - half_width, rows.grid.at + half_width
-    ends = [np.interp(side, reference.time_ns, reference.values) for side in (start, end)]
-    low, high = np.minimum(*ends), np.maximum(*ends)
-    first = np.searchsorted(reference.time_ns, start, side="left")
-    after = np.searchsorted(reference.time_ns, end, side="right")
-    inside = np.flatnonzero(first < after)
-    lowest, highest = _find_ranges(reference.values, first[inside], after[inside])
-    low[inside] = np.minimum(low[inside], lowest)
-    high[inside] = np.maximum(high[inside], highest)
-    values = rows.values
+        return np.interp(grid.at, reference.time_ns, reference.values)
+    low, high = find_range(reference, grid, half_width)
     if reference.kind.compared_as == "angle":
         # The run's angles may be counted from another turn: take the turn next to the window.
         middle = (low + high) / 2.0
@@ -289,16 +291,23 @@ def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) 
     return np.clip(values, low, high)
 
 
-def _find_held(reference: Signal, rows: GridValues) -> Values:
+def _find_held(reference: Signal, grid: Grid) -> Values:
     """Return the value held at each row's time; rows at one time match from the last backwards."""
-    last = np.maximum(np.searchsorted(reference.time_ns, rows.grid.at, side="right") - 1, 0)
+    last = np.maximum(np.searchsorted(reference.time_ns, grid.at, side="right") - 1, 0)
     same = np.searchsorted(reference.time_ns, reference.time_ns[last], side="left")
-    is_there = reference.time_ns[last] == rows.grid.at
-    return reference.values[np.where(is_there, np.maximum(last - rows.grid.later, same), last)]
+    is_there = reference.time_ns[last] == grid.at
+    return reference.values[np.where(is_there, np.maximum(last - grid.later, same), last)]
+
+
+def _find_window(reference: Signal, grid: Grid, half_width: int) -> tuple[Times, Times]:
+    """Return the row held at the start of each row's window, and the row after its last."""
+    times_ns, start, end = reference.time_ns, grid.at - half_width, grid.at + half_width
+    first = np.maximum(np.searchsorted(times_ns, start, side="right") - 1, 0)
+    return first, np.maximum(np.searchsorted(times_ns, end, side="right"), first + 1)
 
 
 def _find_nearest_held(
-    reference: Signal, rows: GridValues, tolerance: Tolerance, half_width: int
+    reference: Signal, grid: Grid, values: Values, tolerance: Tolerance, half_width: int
 ) -> Values:
     """Return the nearest row value in each window, if this value can matter.
 
@@ -306,22 +315,20 @@ def _find_nearest_held(
     the range may lie in a gap. The rows are searched only if the held value does not already show
     that the row passes with more margin than another row.
     """
-    start, end = rows.grid.at - half_width, rows.grid.at + half_width
-    first = np.maximum(np.searchsorted(reference.time_ns, start, side="right") - 1, 0)
-    after = np.maximum(np.searchsorted(reference.time_ns, end, side="right"), first + 1)
+    first, after = _find_window(reference, grid, half_width)
     low, high = _find_ranges(reference.values, first, after)
-    edge, held = np.clip(rows.values, low, high), _find_held(reference, rows)
-    between = edge == rows.values
+    edge, held = np.clip(values, low, high), _find_held(reference, grid)
+    between = edge == values
 
     def find_excess(values: Values, nearest: Values) -> Values:
         distance = measure_distance(reference, values, nearest)
         return distance - find_limit(reference, nearest, tolerance)
 
-    enough = min(0.0, float(find_excess(rows.values, edge).max(initial=-np.inf)))
+    enough = min(0.0, float(find_excess(values, edge).max(initial=-np.inf)))
     nearest = np.where(between, held, edge)
-    unsaid = np.flatnonzero(between & (find_excess(rows.values, held) > enough))
+    unsaid = np.flatnonzero(between & (find_excess(values, held) > enough))
     if len(unsaid):
-        wanted = rows.values[unsaid]
+        wanted = values[unsaid]
         sides = _find_neighbours(reference.values, first[unsaid], after[unsaid], wanted)
         excess = [np.nan_to_num(find_excess(wanted, side), nan=np.inf) for side in sides]
         nearest[unsaid] = np.where(excess[0] <= excess[1], *sides)
