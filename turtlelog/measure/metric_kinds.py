@@ -40,7 +40,7 @@ from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, Co
 
 if TYPE_CHECKING:
     from turtlelog.measure.metric_list import MeasureSettings
-    from turtlelog.measure.pose_noise import WhiteNoise
+    from turtlelog.measure.pose_quality import WhiteNoise
 
 _Value = TypeVar("_Value")
 
@@ -108,7 +108,7 @@ class RunContext:
         """Noise of the poses that are used for differences; None of a simulation."""
         if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
             return None
-        from turtlelog.measure.pose_noise import find_noise
+        from turtlelog.measure.pose_quality import find_noise
 
         return find_noise(self.run, self.spaced_poses.rows)
 

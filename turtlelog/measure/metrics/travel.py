@@ -16,7 +16,7 @@ from turtlelog.measure.references import recall
 from turtlelog.run.angles import unwrap_headings
 
 if TYPE_CHECKING:
-    from turtlelog.measure.pose_noise import WhiteNoise
+    from turtlelog.measure.pose_quality import WhiteNoise
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
