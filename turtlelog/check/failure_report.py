@@ -355,9 +355,12 @@ def _explain(
     trust_law: bool,
     are_recorded: bool = True,
 ) -> tuple[str, ...]:
-    lengths_s = [float(one.end_ns - one.poses.time_ns[0]) / 1e9 for one in (reference, run)]
-    if max(lengths_s) > _LONGEST_S:
-        return (f"Not explained here: a run of {max(lengths_s):.0f} s takes longer.",)
+    for who, one in (("the reference", reference), ("this run", run)):
+        if not len(one.poses):
+            return (f"Not explained: {who} has no poses.",)
+    length_s = max(one.end_ns - int(one.poses.time_ns[0]) for one in (reference, run)) / 1e9
+    if length_s > _LONGEST_S:
+        return (f"Not explained here: a run of {length_s:.0f} s takes longer.",)
     began_s = perf_counter()
 
     def require_time(done: int, total: int) -> None:
