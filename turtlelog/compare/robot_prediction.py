@@ -255,6 +255,8 @@ def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) ->
         raise CompareError(
             f"horizons_s: expected times above 0 s, found {[*map(float, horizons_s)]}"
         )
+    if not len(run.poses):
+        raise CompareError(f"{run.name}: the recording holds no poses, which are compared")
     if not len(run.commands):
         raise CompareError(f"{run.name}: no commands to drive the simulated robot with")
 
