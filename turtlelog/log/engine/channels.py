@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from types import MappingProxyType
 from typing import Any, Final
 
 from mcap.records import Channel, Schema
@@ -26,15 +25,13 @@ from turtlelog.log.engine.message_types import (
 from turtlelog.log.engine.object_messages import JsonField, read_json_schema, read_protobuf_type
 from turtlelog.log.file_access import DamageError, LimitError
 
-_SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        # A message type without a schema encoding has no text; its name must suffice.
-        MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
-        MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
-        MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
-        MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
-    }
-)
+_SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = {
+    # A message type without a schema encoding has no text; its name must suffice.
+    MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
+    MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
+    MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
+    MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
+}
 """Encodings of schemas by the encoding of their messages; each belongs to one."""
 
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
@@ -382,12 +379,10 @@ ackermann_msgs/AckermannDriveStamped: \
 std_msgs/Header header, ackermann_msgs/AckermannDrive drive
 """
 
-_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        name: "".join(f"{field.strip()}\n" for field in fields.split(",") if field.strip())
-        for name, _, fields in (line.partition(":") for line in _FIELDS.splitlines())
-    }
-)
+_TEXTS: Final[Mapping[str, str]] = {
+    name: "".join(f"{field.strip()}\n" for field in fields.split(",") if field.strip())
+    for name, _, fields in (line.partition(":") for line in _FIELDS.splitlines())
+}
 """Fields of each type in `ros2msg`, by `package/Type`."""
 
 KNOWN_TYPES: Final = tuple(name.replace("/", "/msg/") for name in _TEXTS)

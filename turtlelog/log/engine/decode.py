@@ -42,7 +42,7 @@ LOG_TIME: Final = "#log_time"
 PUBLISH_TIME: Final = "#publish_time"
 SEQUENCE: Final = "#sequence"
 
-_KINDS: Final = MappingProxyType({LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: "u4"})
+_KINDS: Final = {LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: "u4"}
 
 # For arrays of this size [bytes] numpy asks Linux for large pages, which take a tenth of the time
 # to fill at first. Smaller columns of a topic share an array.

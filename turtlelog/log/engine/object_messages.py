@@ -10,7 +10,6 @@ import math
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
@@ -31,14 +30,12 @@ _MOST_PARTS: Final = 2**18
 References to objects with references multiply, even without fields. Reading this number of parts
 takes 0.5 s; a text of 1 MB has fewer objects."""
 
-_EXPECTED: Final[Mapping[JsonKind, str]] = MappingProxyType({
+_EXPECTED: Final[Mapping[JsonKind, str]] = {
     "number": "a number", "integer": "a whole number", "boolean": "true or false",
     "string": "a text",
-})  # fmt: skip
+}  # fmt: skip
 """Kinds of values in words."""
-_NAMED_NUMBERS: Final = MappingProxyType(
-    {name: float(name) for name in ("NaN", "Infinity", "-Infinity")}
-)
+_NAMED_NUMBERS: Final = {name: float(name) for name in ("NaN", "Infinity", "-Infinity")}
 """Texts that represent numbers missing in JSON, in protobuf's JSON."""
 
 _ABSENT: Final = object()
@@ -249,25 +246,29 @@ _LONGEST_VARINT: Final = 10
 _MESSAGE: Final = 11
 _REPEATED: Final = 3
 
-_FIXED: Final[Mapping[int, tuple[int, str]]] = MappingProxyType(
-    {1: (_EIGHT, "<d"), 6: (_EIGHT, "<Q"), 16: (_EIGHT, "<q")}
-    | {2: (_FOUR, "<f"), 7: (_FOUR, "<I"), 15: (_FOUR, "<i")}
-)
+_FIXED: Final[Mapping[int, tuple[int, str]]] = {
+    1: (_EIGHT, "<d"),
+    6: (_EIGHT, "<Q"),
+    16: (_EIGHT, "<q"),
+} | {2: (_FOUR, "<f"), 7: (_FOUR, "<I"), 15: (_FOUR, "<i")}
 """Wire type and `struct` code of types with a fixed size, by their number in descriptor.proto."""
 
-_KINDS: Final[Mapping[int, JsonKind]] = MappingProxyType({
+_KINDS: Final[Mapping[int, JsonKind]] = {
     1: "number", 2: "number", 8: "boolean", 9: "string",
     **dict.fromkeys((3, 4, 5, 6, 7, 13, 14, 15, 16, 17, 18), "integer"),
-})  # fmt: skip
+}  # fmt: skip
 """Kind of a field by the number of its type. Bytes and groups have no kind."""
 
-_ZEROS: Final[Mapping[JsonKind, Any]] = MappingProxyType(
-    {"number": 0.0, "integer": 0, "boolean": False, "string": ""}
-)
+_ZEROS: Final[Mapping[JsonKind, Any]] = {
+    "number": 0.0,
+    "integer": 0,
+    "boolean": False,
+    "string": "",
+}
 """Values of fields that were not written: numbers 0, texts empty; missing messages stay absent."""
 
 _STAMPS: Final = frozenset({".google.protobuf.Timestamp", ".google.protobuf.Duration"})
-_STAMP_NAMES: Final = MappingProxyType({"seconds": "sec", "nanos": "nsec"})
+_STAMP_NAMES: Final = {"seconds": "sec", "nanos": "nsec"}
 
 
 class ProtobufField(NamedTuple):
