@@ -98,26 +98,16 @@ def find_batch(base: Scenario) -> many.CompiledCode | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredRows:
-    """Results of rows, in their order.
+    """Results of rows, in their order."""
 
-    Attributes:
-        values: Values by metric, shape (n,) each; NaN for a missing value.
-        statuses: Indices into `STATUSES` by metric, shape (n,) each; -1 for rows that failed.
-        stop_reasons: Stop reason of each row; None for rows that failed.
-        failed: Reason of each failure; None for rows that did not fail.
-        samples: Number of samples of each row, shape (n,).
-        compiled: Number of rows simulated and measured by the compiled loop, not as single runs.
-        notes: Notes on the compiled code of a user's law, one line each.
-    """
-
-    values: Mapping[str, NDArray[np.float64]]
-    statuses: Mapping[str, NDArray[np.int8]]
-    stop_reasons: list[str | None]
-    failed: list[str | None]
-    samples: NDArray[np.int64]
-    compiled: int = 0
+    values: Mapping[str, NDArray[np.float64]]  # by metric, shape (n,) each; NaN if missing
+    statuses: Mapping[str, NDArray[np.int8]]  # indices into `STATUSES`, likewise; -1 if failed
+    stop_reasons: list[str | None]  # stop reason of each row; None for rows that failed
+    failed: list[str | None]  # reason of each failure; None for rows that did not fail
+    samples: NDArray[np.int64]  # number of samples of each row, shape (n,)
+    compiled: int = 0  # number of rows that the compiled loop simulated, not as single runs
     interpreted: int = 0
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # notes on the compiled code of a user's law, one line each
 
 
 def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)

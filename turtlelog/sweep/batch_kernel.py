@@ -33,17 +33,11 @@ TURN_RAD: Final = 2.0 * math.pi
 
 
 class Memory(NamedTuple):
-    """Work arrays for the largest number of poses or samples, filled again for every row.
+    """Work arrays for the largest number of poses or samples, filled again for every row."""
 
-    Attributes:
-        numbers: One row per use: first the rows of `reductions`, then those named here.
-        rows: Row numbers.
-        spans: A `SPAN` for each loop.
-    """
-
-    numbers: Any
-    rows: Any
-    spans: Any
+    numbers: Any  # one row per use: first the rows of `reductions`, then those named here
+    rows: Any  # row numbers
+    spans: Any  # A `SPAN` for each loop
 
 
 HEADINGS, VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)

@@ -36,18 +36,14 @@ _TABLE_HEADS: Final = (b"run,Kp [", b"file,run,", b"verdict,file,check,")
 class FoundRecording:
     """A recording to read, with its size and time when it was found.
 
-    Attributes:
-        path: Path of the file or folder.
-        label: Name in tables: relative to the given folder, with slashes. For several folders or a
-            file given by name, the name as given. Invalid Unicode is escaped.
-        size: Size of the file, or of all files in the bag's folder [bytes]; -1 if unknown.
-        mtime_ns: Time of the last change, or for a folder of its newest file [ns]; -1 if unknown.
+    The label is relative to the given folder; for several folders or a file given by name, the name
+    as given.
     """
 
-    path: str
-    label: str
-    size: int
-    mtime_ns: int
+    path: str  # path of the file or folder
+    label: str  # name in tables, with slashes; invalid Unicode is escaped
+    size: int  # size of the file, or of all files in the bag's folder [bytes]; -1 if unknown
+    mtime_ns: int  # time of the last change, or for a folder of its newest file [ns]; -1 if unknown
 
 
 def find_recordings(

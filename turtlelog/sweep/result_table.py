@@ -59,36 +59,22 @@ class ComputedItems(Sequence[Any]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultColumn:
-    """A named column.
+    """A named column."""
 
-    Attributes:
-        name: Name of the column: a dotted scenario key, or a metric id.
-        type: Type of the cells.
-        cells: Cells, one per row; None for a missing value.
-        unit: Unit of the numbers; None for texts, counts and numbers used as names.
-    """
-
-    name: str
-    type: ColumnType
-    cells: Sequence[Any]
-    unit: str | None = None
+    name: str  # name of the column: a dotted scenario key, or a metric id
+    type: ColumnType  # type of the cells
+    cells: Sequence[Any]  # cells, one per row; None for a missing value
+    unit: str | None = None  # unit of the numbers; None for texts, counts and numbers used as names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultTable:
-    """Columns of equal length, and facts about the table.
+    """Columns of equal length, and facts about the table."""
 
-    Attributes:
-        kind: Command that wrote the table, such as `sweep`. Readers refuse other kinds.
-        columns: Columns in order, with unique names.
-        facts: Texts by name, without the reserved names `kind`, `format` and `version`.
-        version: Version of turtlelog that wrote the table.
-    """
-
-    kind: str
-    columns: tuple[ResultColumn, ...]
-    facts: Mapping[str, str] = field(default_factory=dict)
-    version: str = __version__
+    kind: str  # command that wrote the table, such as `sweep`. Readers refuse other kinds
+    columns: tuple[ResultColumn, ...]  # columns in order, with unique names
+    facts: Mapping[str, str] = field(default_factory=dict)  # without `kind`, `format`, `version`
+    version: str = __version__  # version of turtlelog that wrote the table
 
     @property
     def row_count(self) -> int:

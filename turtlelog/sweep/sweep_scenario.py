@@ -96,25 +96,14 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """A sweep that can be run, as returned by `prepare_sweep`.
+    """A sweep that can be run, as returned by `prepare_sweep`."""
 
-    Attributes:
-        base: Scenario that the rows vary, as text.
-        plan: Plan of the rows.
-        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
-            `dead_time`.
-        records: Runs to record; None: no run is recorded.
-        law_code: Checksum of the files of a law that is not built in; empty otherwise.
-        step_budget_s: Longest computing time of the law per step [s]; a sweep may be resumed with
-            another value.
-    """
-
-    base: str
-    plan: SweepPlan
-    metrics: tuple[str, ...] | None = None
-    records: sweep_rows.RowRecords | None = None
-    law_code: str = ""
-    step_budget_s: float = STEP_BUDGET_S
+    base: str  # scenario that the rows vary, as text
+    plan: SweepPlan  # plan of the rows
+    metrics: tuple[str, ...] | None = None  # ids or patterns. Default: essential, no `dead_time`
+    records: sweep_rows.RowRecords | None = None  # runs to record; None: no run is recorded
+    law_code: str = ""  # checksum of the files of a law that is not built in; empty otherwise
+    step_budget_s: float = STEP_BUDGET_S  # longest step [s]; may differ in a resumed sweep
 
     def list_facts(self) -> dict[str, str]:
         """Return the facts that identify a sweep, for file metadata."""
@@ -442,15 +431,10 @@ def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepEstimate:
-    """Estimated cost of a sweep, measured on a few of its rows.
+    """Estimated cost of a sweep, measured on a few of its rows."""
 
-    Attributes:
-        seconds: Duration with the given number of processes [s].
-        bytes: Size of the table [bytes]; the file may be smaller if values repeat.
-    """
-
-    seconds: float
-    bytes: int
+    seconds: float  # duration with the given number of processes [s]
+    bytes: int  # size of the table [bytes]; the file may be smaller if values repeat
 
 
 def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:

@@ -48,21 +48,13 @@ cells."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptAxis:
-    """One axis of a sweep: a key, or keys that vary together.
+    """One axis of a sweep: a key, or keys that vary together."""
 
-    Attributes:
-        keys: Dotted keys; the first gives the axis its numbers.
-        values: Values at each place, one per key. Numbers are ascending, words in row order.
-        places: Place of each row, shape (n,).
-        unit: Unit of the numbers; None if they have no unit.
-        is_number: Whether all places have finite numbers; otherwise the places are equally spaced.
-    """
-
-    keys: tuple[str, ...]
-    values: tuple[tuple[Any, ...], ...]
-    places: NDArray[np.int64]
-    unit: str | None
-    is_number: bool
+    keys: tuple[str, ...]  # dotted keys; the first gives the axis its numbers
+    values: tuple[tuple[Any, ...], ...]  # per place and key. Numbers ascend, words in row order
+    places: NDArray[np.int64]  # place of each row, shape (n,)
+    unit: str | None  # unit of the numbers; None if they have no unit
+    is_number: bool  # whether all places have finite numbers; else they are equally spaced
 
     def __len__(self) -> int:
         return len(self.values)
@@ -98,19 +90,12 @@ class SweptAxis:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptMetric:
-    """A metric of every row.
+    """A metric of every row."""
 
-    Attributes:
-        name: Id of the metric.
-        unit: Unit of the values.
-        values: Value of each row, shape (n,); NaN for a missing value.
-        reasons: Reason for a missing value, per row; None for an existing value.
-    """
-
-    name: str
-    unit: str
-    values: Values
-    reasons: Sequence[str | None]
+    name: str  # id of the metric
+    unit: str  # unit of the values
+    values: Values  # value of each row, shape (n,); NaN for a missing value
+    reasons: Sequence[str | None]  # reason for a missing value, per row; None for an existing value
 
     @property
     def is_verdict(self) -> bool:
@@ -125,29 +110,17 @@ class SweptMetric:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptResults:
-    """The rows of a sweep.
+    """The rows of a sweep."""
 
-    Attributes:
-        path: Path of the table.
-        axes: Axes in the order of the plan.
-        metrics: Requested metrics.
-        others: Ids of all other metrics.
-        is_sampled: Whether rows were sampled at random, so that few share a place.
-        failed: Number of rows without a run.
-        row_count: Number of rows.
-        row_numbers: Row number of each row, as used by `run --from`.
-        base: Scenario that the rows vary.
-    """
-
-    path: Path | str
-    axes: tuple[SweptAxis, ...]
-    metrics: tuple[SweptMetric, ...]
-    others: tuple[str, ...]
-    is_sampled: bool
-    failed: int
-    row_count: int
-    row_numbers: Sequence[int]
-    base: Scenario
+    path: Path | str  # path of the table
+    axes: tuple[SweptAxis, ...]  # axes in the order of the plan
+    metrics: tuple[SweptMetric, ...]  # requested metrics
+    others: tuple[str, ...]  # ids of all other metrics
+    is_sampled: bool  # whether rows were sampled at random, so that few share a place
+    failed: int  # number of rows without a run
+    row_count: int  # number of rows
+    row_numbers: Sequence[int]  # row number of each row, as used by `run --from`
+    base: Scenario  # scenario that the rows vary
 
     def find_axis(self, key: str) -> SweptAxis | None:
         """Return the axis of a key; None if the key does not vary."""

@@ -24,25 +24,15 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptView:
-    """Rows of a sweep over one or two axes.
+    """Rows of a sweep over one or two axes."""
 
-    Attributes:
-        results: Sweep that the rows belong to.
-        x: Horizontal axis.
-        y: Vertical axis; None if one axis is shown.
-        held: Fixed places of the axes that are not shown.
-        seeds: Number of seeds over which a cell averages; 1 if runs are not repeated.
-        rows: Shown rows, ascending.
-        notes: Choices made for the caller, in sentences.
-    """
-
-    results: SweptResults
-    x: SweptAxis
-    y: SweptAxis | None
-    held: Mapping[SweptAxis, int]
-    seeds: int
-    rows: Places
-    notes: tuple[str, ...]
+    results: SweptResults  # sweep that the rows belong to
+    x: SweptAxis  # horizontal axis
+    y: SweptAxis | None  # vertical axis; None if one axis is shown
+    held: Mapping[SweptAxis, int]  # fixed places of the axes that are not shown
+    seeds: int  # number of seeds over which a cell averages; 1 if runs are not repeated
+    rows: Places  # shown rows, ascending
+    notes: tuple[str, ...]  # choices made for the caller, in sentences
 
     @property
     def axes(self) -> tuple[SweptAxis, ...]:
@@ -77,21 +67,13 @@ class SweptView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptCells:
-    """A metric in the cells of a view.
+    """A metric in the cells of a view."""
 
-    Attributes:
-        values: Means over the rows with a value, in the shape of the view; NaN for a missing value.
-        least: Smallest value.
-        most: Largest value.
-        counts: Number of rows with a value.
-        reasons: Reason for a missing value, by cell index. Cells without rows are not included.
-    """
-
-    values: Values
-    least: Values
-    most: Values
-    counts: Places
-    reasons: Mapping[int, str]
+    values: Values  # means over the rows with a value, in the shape of the view; NaN if missing
+    least: Values  # smallest value
+    most: Values  # largest value
+    counts: Places  # number of rows with a value
+    reasons: Mapping[int, str]  # reason for a missing value, by index of a cell with rows
 
 
 def choose_view(
@@ -304,15 +286,10 @@ def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
 
 
 class Rivals(NamedTuple):
-    """Means over seeds beside the best mean.
+    """Means over seeds beside the best mean."""
 
-    Attributes:
-        within_chance: Number of means that are not significantly worse than the best.
-        others: Number of means that are worse, significantly or not.
-    """
-
-    within_chance: int
-    others: int
+    within_chance: int  # number of means that are not significantly worse than the best
+    others: int  # number of means that are worse, significantly or not
 
     @property
     def is_open(self) -> bool:

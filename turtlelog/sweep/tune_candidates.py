@@ -64,17 +64,11 @@ class ConstraintFinding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TuningGoal:
-    """The goal of tuning.
+    """The goal of tuning."""
 
-    Attributes:
-        objective: Formula of metrics and keys with a number as result.
-        is_maximised: Whether to maximise the objective instead of minimising it.
-        constraints: Conditions on metrics and keys.
-    """
-
-    objective: Expression
-    is_maximised: bool = False
-    constraints: tuple[Expression, ...] = ()
+    objective: Expression  # formula of metrics and keys with a number as result
+    is_maximised: bool = False  # whether to maximise the objective instead of minimising it
+    constraints: tuple[Expression, ...] = ()  # conditions on metrics and keys
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -195,21 +189,13 @@ def _is_number(value: Any) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchedKey:
-    """A key and its search range.
+    """A key and its search range."""
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value.
-        high: Largest value.
-        is_whole: Whether only whole numbers are allowed.
-        steps: Allowed values; empty if any value is allowed.
-    """
-
-    key: str
-    low: float
-    high: float
-    is_whole: bool = False
-    steps: Sequence[float] = ()
+    key: str  # dotted scenario key
+    low: float  # smallest value
+    high: float  # largest value
+    is_whole: bool = False  # whether only whole numbers are allowed
+    steps: Sequence[float] = ()  # allowed values; empty if any value is allowed
 
     def round(self, value: float) -> float | int:
         """Return the nearest allowed value."""
@@ -221,22 +207,13 @@ class SearchedKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """Values of the keys, with the results.
+    """Values of the keys, with the results."""
 
-    Attributes:
-        point: A value for each key.
-        objective: Value of the objective; None if the objective has no value.
-        constraints: Result of each constraint.
-        failed: Reason of a failed run; empty if the run did not fail.
-        missing: Reason for a missing objective, from the metric; empty if the objective has a
-            value.
-    """
-
-    point: Point
-    objective: float | None
-    constraints: tuple[ConstraintFinding, ...]
-    failed: str = ""
-    missing: str = ""
+    point: Point  # A value for each key
+    objective: float | None  # value of the objective; None if the objective has no value
+    constraints: tuple[ConstraintFinding, ...]  # result of each constraint
+    failed: str = ""  # reason of a failed run; empty if the run did not fail
+    missing: str = ""  # the metric's reason for a missing objective; empty if there is a value
 
     @property
     def is_feasible(self) -> bool:

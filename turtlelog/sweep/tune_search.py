@@ -53,29 +53,16 @@ others."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        best: Best candidate; `is_feasible` shows whether it satisfies the constraints.
-        evaluations: Number of simulated candidates.
-        failed: Number of candidates that failed.
-        failure: Reason of the first failure; empty if no candidate failed.
-        feasible: Number of candidates that satisfy the constraints.
-        at_bounds: Keys whose best value is at a bound of their range.
-        is_flat: Whether all candidates that satisfy the constraints, at least two, have the same
-            objective.
-        largest_step: Largest distance between neighbouring tried values of the key in its range;
-            None if several keys vary.
-    """
-
-    best: Candidate
-    evaluations: int
-    failed: int
-    feasible: int
-    at_bounds: tuple[str, ...]
-    is_flat: bool = False
-    failure: str = ""
-    largest_step: float | None = None
+    best: Candidate  # best candidate; `is_feasible` shows whether it satisfies the constraints
+    evaluations: int  # number of simulated candidates
+    failed: int  # number of candidates that failed
+    feasible: int  # number of candidates that satisfy the constraints
+    at_bounds: tuple[str, ...]  # keys whose best value is at a bound of their range
+    is_flat: bool = False  # whether all satisfying candidates, at least two, are equally good
+    failure: str = ""  # reason of the first failure; empty if no candidate failed
+    largest_step: float | None = None  # between neighbouring tried values; None for several keys
 
 
 def search_best(
