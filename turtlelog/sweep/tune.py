@@ -300,42 +300,27 @@ _MOST_BYTES: Final = 2**24
 class Variation:
     """A key of the scenario that is sampled at random.
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value.
-        high: Largest value. The distribution is uniform, over whole numbers if `is_whole` is set.
-        is_whole: Whether values are whole numbers.
+    The distribution is uniform, over whole numbers if `is_whole` is set.
     """
 
-    key: str
-    low: float
-    high: float
-    is_whole: bool = False
+    key: str  # dotted scenario key
+    low: float  # smallest value
+    high: float  # largest value
+    is_whole: bool = False  # whether values are whole numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """Results of random variants of a candidate.
+    """Results of random variants of a candidate."""
 
-    Attributes:
-        runs: Number of variants.
-        with_value: Number of variants in which the objective has a value.
-        holds: Number of variants in which every constraint holds and the objective has a value.
-        median: Median of the objective; None if the objective has no value in any variant.
-        low: 5th percentile of the objective, interpolated.
-        high: 95th percentile of the objective, interpolated.
-        worst: Worst value of the objective.
-        varied: Keys that were sampled at random.
-    """
-
-    runs: int
-    with_value: int
-    holds: int
-    median: float | None
-    low: float | None
-    high: float | None
-    worst: float | None
-    varied: tuple[Variation, ...]
+    runs: int  # number of variants
+    with_value: int  # number of variants in which the objective has a value
+    holds: int  # number of variants with a value in which every constraint holds
+    median: float | None  # median of the objective; None, like the next three, if there is no value
+    low: float | None  # 5th percentile of the objective, interpolated
+    high: float | None  # 95th percentile of the objective, interpolated
+    worst: float | None  # worst value of the objective
+    varied: tuple[Variation, ...]  # keys that were sampled at random
 
 
 def choose_variations(

@@ -46,20 +46,14 @@ Values = Mapping[str, Any]
 class ConstraintFinding:
     """Result of a constraint for a candidate.
 
-    Attributes:
-        expression: Constraint as typed.
-        value: Value of the left side of a comparison of numbers. None if the value is missing, or
-            for other constraints.
-        margin: Distance to the other verdict, in the unit of the compared values: positive if the
-            constraint holds, negative if it does not. inf or -inf if there is no distance, as for
-            words; -inf if a value is missing.
-        holds: Whether the constraint holds; False if a value is missing.
+    The margin has the unit of the compared values. It is inf or -inf if there is no distance, as
+    for words, and -inf if a value is missing.
     """
 
-    expression: str
-    value: float | None
-    margin: float
-    holds: bool
+    expression: str  # constraint as typed
+    value: float | None  # left side of a comparison of numbers; None if missing, or for others
+    margin: float  # distance to the other verdict, negative if the constraint does not hold
+    holds: bool  # whether the constraint holds; False if a value is missing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

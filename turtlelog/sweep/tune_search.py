@@ -254,59 +254,37 @@ End = Literal["objective", "constraint", "no value", "bound"]
 class KeyRange:
     """Range of a key around its best value, with all other keys at their best values.
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value that is still good.
-        high: Largest value that is still good.
-        low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
-            value is missing, or the given bound is reached.
-        high_end: Reason for the upper end, with the same values.
-        low_constraint: Constraint that is violated below the range; empty if no constraint is.
-        high_constraint: Constraint that is violated above the range; empty if no constraint is.
-        largest_step: Largest distance between two neighbouring values that were tried in the range;
-            0 if the range is a single value.
+    An end is where the objective becomes worse, a constraint is violated, a value is missing, or
+    the given bound is reached.
     """
 
-    key: str
-    low: float
-    high: float
-    low_end: End
-    high_end: End
-    low_constraint: str = ""
-    high_constraint: str = ""
-    largest_step: float = 0.0
+    key: str  # dotted scenario key
+    low: float  # smallest value that is still good
+    high: float  # largest value that is still good
+    low_end: End  # reason for the lower end
+    high_end: End  # reason for the upper end
+    low_constraint: str = ""  # constraint that is violated below the range, if any
+    high_constraint: str = ""  # constraint that is violated above the range, if any
+    largest_step: float = 0.0  # between neighbouring tried values; 0 for a single value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """A change of the objective by more than the accepted loss between two close values of a key.
+    """Change of the objective by more than the accepted loss between close values of a key."""
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Value of the key below the jump.
-        high: Value of the key above the jump.
-        change: Magnitude of the change of the objective.
-    """
-
-    key: str
-    low: float
-    high: float
-    change: float
+    key: str  # dotted scenario key
+    low: float  # value of the key below the jump
+    high: float  # value of the key above the jump
+    change: float  # magnitude of the change of the objective
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Neighbourhood:
-    """The range in which each key can change while the other keys stay fixed.
+    """The range in which each key can change while the other keys stay fixed."""
 
-    Attributes:
-        slack: Largest accepted loss of the objective.
-        ranges: Range of each key.
-        jump: Largest jump of the objective along a key; None if there is no jump.
-    """
-
-    slack: float
-    ranges: tuple[KeyRange, ...]
-    jump: Jump | None = None
+    slack: float  # largest accepted loss of the objective
+    ranges: tuple[KeyRange, ...]  # range of each key
+    jump: Jump | None = None  # largest jump of the objective along a key; None if there is no jump
 
 
 @dataclass(slots=True)
