@@ -46,8 +46,7 @@ peak is marked with its overshoot."""
 SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
     {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
-"""Letters that Rerun's viewer can draw. Other letters, such as the heavy multiplication sign, crash
-the viewer."""
+"""Letters that Rerun's viewer can draw. Others, such as the heavy multiplication sign, crash it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -377,8 +377,7 @@ _DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("world_velocity_x", "world_velocity_y"), ("along_track",)),
     "distance": ("along_track", "distance"),
 }
-"""Signals of the loops that determine the ideal response of a curve; along the line, all are
-equal."""
+"""Signals of the loops that determine a curve's ideal response; along the line, all are equal."""
 
 _ERRORS: Final = frozenset(
     {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}

@@ -28,12 +28,10 @@ _JUMP: Final = 0.02
 """Smallest visible jump between neighbours, as a share of the picture's height."""
 
 _SMOOTH: Final = 6.0
-"""Ratio to the step of a quarter of the neighbours from which a step is a jump instead of a
-slope."""
+"""Ratio to the lower quartile of steps from which a step is a jump instead of a slope."""
 
 _FROM_ZERO: Final = 0.5
-"""Ratio of smallest to largest value below which the axis begins at 0; for errors it always
-does."""
+"""Ratio of smallest to largest value below which the axis begins at 0; for errors, always."""
 
 _ROOM: Final = 0.06
 """Margin above and below the curves, as a share of the axis."""

@@ -17,8 +17,7 @@ from turtlelog.run import Run
 from turtlelog.run.stop_reasons import AT_REST
 
 MANY: Final = len(FEW)
-"""Largest number of runs with distinct hues. With more, colours follow the order of the runs, and a
-bar shows this order."""
+"""Largest number of runs with distinct hues. Colours of more follow their order, as a bar shows."""
 
 _MOST_SWINGS: Final = 10
 """Largest number of sign changes of a command in the last half of a run that comes to rest. The
@@ -250,8 +249,7 @@ def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
 
 
 MANY_PATHS: Final = 24
-"""Largest number of coloured paths in a plane. More paths cover each other, and only the last drawn
-would be visible."""
+"""Largest number of coloured paths in a plane. Of more, only the last drawn would be visible."""
 
 OUTLINE_LABEL: Final = "90 % of the ends of a gain"
 

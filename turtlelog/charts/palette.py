@@ -63,8 +63,7 @@ _SHADES: Final[tuple[Color, ...]] = (
     (188, 200, 42),
     (250, 206, 60),
 )
-"""Ramp of values in cells. Without a required contrast to the ground, it has twice the range of
-lightness."""
+"""Ramp of values in cells: with no required contrast, twice the range of lightness."""
 
 _OKABE_ITO: Final[tuple[Color, ...]] = (
     (86, 180, 233),
@@ -87,8 +86,7 @@ TRACKED: Final[Color] = (95, 95, 95)
 """Colour of tracked paths: broad lines, dark enough that the driven path is visible on them."""
 
 WALLS: Final[Color] = (118, 118, 118)
-"""Colour of the end points of scans, which are below the driven paths and still visible on the
-ground."""
+"""Colour of scans' end points, below the driven paths and still visible on the ground."""
 
 SCAN: Final[Color] = (232, 128, 52)
 """Colour of the robot's present scan."""
@@ -103,8 +101,7 @@ tracked path."""
 COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (*_OKABE_ITO[4], 0 if percent == 0 else 20 + percent) for percent in range(101)
 )
-"""Colours of costmap cells, through which lower layers stay visible. Cells without cost have no
-colour."""
+"""Colours of costmap cells: lower layers stay visible, and cells without cost have none."""
 
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
 """Colour of the paths of very many runs on dark ground; only their ends have other colours."""
@@ -135,8 +132,7 @@ GHOST: Final[Color] = (170, 170, 170)
 """Colour of ghosts: a run without the acting effects, or the ideal loop."""
 
 IDEAL: Final[Color] = (128, 128, 128)
-"""Colour of ideal responses and moving references, with a contrast of at least 3.9:1 to white and
-to `GROUND`."""
+"""Colour of ideal responses and moving references: at least 3.9:1 to white and to `GROUND`."""
 
 DEAD_TIME: Final[Color] = _OKABE_ITO[4]
 """Colour of dead times: of the bar below the bars of the phases, and of spans in plots."""
@@ -154,8 +150,7 @@ ERROR: Final[Color] = _OKABE_ITO[4]
 """Colour of the arrow from the turtle to the goal."""
 
 VIOLATION: Final[Color] = (208, 52, 44)
-"""Colour of violations of a check, with a contrast of 5:1 to white and of 3.7:1 to dark. No run and
-no phase has this red."""
+"""Colour of violations: 5:1 to white, 3.7:1 to dark. No run and no phase has this red."""
 
 FULFILLED: Final[Color] = (0, 103, 75)
 """Colour of a check that holds, on white."""
@@ -310,8 +305,7 @@ _FEW_TURTLES: Final = 4
 """Largest number of turtles of full size; more are smaller."""
 
 _SMALLEST_TURTLE: Final = 0.3
-"""Smallest size of a turtle as a share of the full size: a shell of 4 pixels, as large as the
-dot."""
+"""Smallest share of a turtle's full size: a shell of 4 pixels, as large as the dot."""
 
 
 def choose_turtle_size(turtles: int) -> float:

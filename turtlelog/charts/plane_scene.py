@@ -21,8 +21,7 @@ from turtlelog.run.paths import Path
 Point = tuple[float, float]
 
 _POINTS_PER_TURN: Final = 1440
-"""Points of a drawn circle. The drawn circle differs from the exact one by 2.4e-6 of the radius,
-about the rounding of poses."""
+"""Points of a drawn circle: off by 2.4e-6 of the radius, about the rounding of poses."""
 
 
 def list_starts(runs: Sequence[Run]) -> Values:
@@ -56,15 +55,13 @@ def is_in_world(runs: Sequence[Run]) -> bool:
 
 
 _FAR_M: Final = 10_000.0
-"""Distance from the origin beyond which coordinates are shifted [m], because their tick labels
-would touch."""
+"""Distance from which coordinates are shifted [m], because their tick labels would touch."""
 
 LEAST_SHOWN_M: Final = 0.5
 """Smallest side of a plane [m]; in a smaller plane, noise of poses would look like a path."""
 
 _STILL_M: Final = 1e-3
-"""Extent within which a robot counts as not moved [m], because poses have noise and a
-resolution."""
+"""Extent within which a robot has not moved [m]: poses have noise and a resolution."""
 
 _STILL_RAD: Final = 1e-3
 
@@ -201,8 +198,7 @@ def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
 
 
 _LEAST_SHARE: Final = 0.01
-"""Smallest visible gap as a share of a run's duration. In a column of 70 mm, a shorter gap is
-narrower than a millimetre."""
+"""Smallest visible gap as a share of the duration: in a column of 70 mm, a millimetre."""
 
 _LEAST_NS: Final = 1_000_000_000
 """Length from which a gap always interrupts curves [ns], because a view can be zoomed. Shorter gaps

@@ -51,8 +51,7 @@ Picture = NDArray[np.uint8]
 """Pixels of a picture, shape (height, width, 3): red, green and blue."""
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
-"""Widths and heights [pixels]: the size of a slide, and a size for a page with text next to the
-movie."""
+"""Widths and heights [pixels]: of a slide, and of a page with text next to the movie."""
 
 
 def write_movie(
@@ -161,8 +160,7 @@ SHORTEST_S: Final = 1.0
 """Shortest movie [s]; shorter movies would be a picture."""
 
 LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
-"""Longest movie [s] by format. An .mp4 takes 3 s of work per second. A .gif is made from all
-pictures at once, 22 MB per second."""
+"""Longest movie [s]. An .mp4 takes 3 s of work per second, a .gif 22 MB of memory."""
 
 _INCH: Final = (12.8, 7.2)
 _LOOKS: Final = {
@@ -176,8 +174,7 @@ _LOOKS: Final = {
     "lines.linewidth": 2.2,
     "axes.linewidth": 1.0,
 }
-"""Settings of matplotlib. If the picture is a slide, text is legible from the last row of the
-audience."""
+"""Settings of matplotlib: on a slide, text is legible from the last row of the audience."""
 
 _PLANE: Final = (0.055, 0.095, 0.48, 0.79)
 _CURVES: Final = ((0.63, 0.725, 0.35, 0.16), (0.63, 0.49, 0.35, 0.16))
@@ -195,8 +192,7 @@ _TURTLE_SIZE: Final = 0.045
 """Size of a turtle as a share of the plane's half-width, large enough to see the heading."""
 
 _NEAR: Final = 3.0
-"""Distance from the goal, in half-widths of the close-up, below which a robot counts as near: it
-arrives within about a second."""
+"""Distance in half-widths of the close-up from which a robot is near: about a second away."""
 
 _MOST_POINTS: Final = 2000
 """Largest number of points of a trail: more than the picture is wide."""

@@ -21,13 +21,11 @@ from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 
 MOST_POINTS: Final = 2000
-"""Largest number of points of a curve: more than a screen has columns, so that omitted points are
-invisible before a zoom."""
+"""Largest number of points of a curve: a screen has fewer columns."""
 
 
 _FAR: Final = 1e3
-"""Magnitude from which 32-bit numbers lose a tenth of a millimetre or millisecond, so that 64 bits
-are used."""
+"""Magnitude from which 64 bits are used: 32 bits lose a tenth of a millimetre or millisecond."""
 
 RING: Final = "#8a8a8a"
 

@@ -21,8 +21,7 @@ from turtlelog.measure import Metric
 from turtlelog.run import Run
 
 _MOST_OF_ALL: Final = 24_000
-"""Largest number of points of one signal over all runs. 12 runs have all of their points; each
-point takes 11 bytes of the file."""
+"""Largest number of points of a signal, 11 bytes each; 12 runs have all of their points."""
 
 _LEAST_POINTS: Final = 200
 _ROOM: Final = 0.012
@@ -32,8 +31,7 @@ _MOST_STATES: Final = 6
 """Largest number of plots of law states."""
 
 _MOST_TIPS: Final = 6
-"""Largest number of curves whose values are all shown at the cursor. Of more curves, only the one
-under the cursor is shown, because tips would hide the plot."""
+"""Largest number of curves with tips together; of more, which would hide the plot, only one has."""
 
 _GHOST: Final[frozenset[plotted_curves.CurveKind]] = frozenset({"run"})
 """Kinds of curves that are drawn for a ghost: only its own."""
@@ -312,8 +310,7 @@ _NEAR: Final = 0.2
 """Distance between dots, as a share of the width, below which their texts are one below another."""
 
 _LATE: Final = 0.6
-"""Share of the width from which text is on the left of dots, because it would leave the plot on the
-right."""
+"""Share of the width from which text is left of its dot, because it would leave the plot."""
 
 _SHAPES: Final[Mapping[curve_marks.MarkShape, str]] = {
     "disc": "circle",

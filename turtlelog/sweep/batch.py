@@ -50,8 +50,7 @@ _TOO_LARGE: Final = arrays.STATUSES.index(Status.TOO_LARGE)
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
-"""Number of rows in one call: enough for a negligible overhead, few enough that all cores finish
-together."""
+"""Number of rows in one call: negligible overhead, and all cores finish together."""
 
 _COMPARED: Final[set[many.CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""

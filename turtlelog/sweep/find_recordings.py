@@ -17,8 +17,7 @@ from turtlelog.log.file_info import METADATA_FILE
 from turtlelog.log.ros2.bag_files import list_bag_files
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
-"""Suffixes of recordings. A .txt file is read only if it is named, because most .txt files are
-prose."""
+"""Suffixes of recordings. A .txt file, mostly prose, is read only if it is named."""
 
 _BAG_MARK: Final = b"rosbag2_bagfile_information"
 _TABLE_MARK: Final = b"turtlelog.kind"

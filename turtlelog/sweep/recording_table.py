@@ -48,8 +48,7 @@ Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
 _CHUNK_FILES: Final = 16
 _CHUNK_BYTES: Final = 2**24
-"""Size of a chunk of files [bytes], read in about a tenth of a second; an interruption loses one
-chunk."""
+"""Size of a chunk [bytes], read in a tenth of a second; an interruption loses one."""
 
 
 class FileState(msgspec.Struct, frozen=True, array_like=True):

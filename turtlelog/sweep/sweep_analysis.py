@@ -36,8 +36,7 @@ from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
 Values = NDArray[np.float64]
 
 _MOST_DRAWN: Final = 48
-"""Largest number of places of a sampled key at which theory is computed: one per 2 mm of a
-figure."""
+"""Largest number of places of a sampled key with theory: one per 2 mm of a figure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,8 +270,7 @@ def describe_limits(limit: ColumnLimits | None) -> Mapping[str, Any] | None:
 
 
 _LEAST_ROWS: Final = 10
-"""Smallest number of rows with a value in a sample. With fewer rows, chance alone gives
-correlations of 0.65 in one of 20 cases."""
+"""Smallest sample; with fewer rows, chance gives correlations of 0.65 in one of 20 cases."""
 
 _NORMAL_95: Final = 1.959964
 """Half-width of the central 95 % of the normal distribution. By chance, ranks of n independent rows

@@ -232,12 +232,10 @@ _CHUNK_S: Final = 0.5
 """Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
 
 _MOST_IN_CHUNK: Final = 1024
-"""Largest number of rows in an ordinary chunk, because a process keeps all results of a chunk in
-memory."""
+"""Largest number of rows in a chunk, of which a process keeps all results in memory."""
 
 _MOST_IN_BATCH: Final = 4096
-"""Largest number of rows in a compiled chunk: half a second for usual rows, and a few hundred
-calls."""
+"""Largest number of rows in a compiled chunk: half a second of usual rows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

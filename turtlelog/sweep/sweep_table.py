@@ -42,8 +42,7 @@ _USUAL_METRICS: Final = 4
 """Default number of panels: two rows of two panels, each as wide as a column of a paper."""
 
 MOST_METRICS: Final = 12
-"""Largest number of panels in one picture. With more panels, text would be higher than the
-cells."""
+"""Largest number of panels in one picture; with more, text would be higher than the cells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -298,8 +298,7 @@ class Rivals(NamedTuple):
 
 
 _CHANCE: Final = 0.05
-"""Probability that chance makes a mean that is as good as the best seem worse, for all means
-together."""
+"""Probability that chance makes an equally good mean seem worse, for all means together."""
 
 
 def count_rivals(view: SweptView, metric: SweptMetric) -> Rivals | None:

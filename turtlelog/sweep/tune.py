@@ -34,15 +34,13 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 FOR_EACH_KEY: Final = 300
-"""Default number of candidates per key: the cover takes 32 (128 if one key varies alone), and a
-generation of the evolution 12."""
+"""Candidates per key: the cover takes 32 (128 of one key alone), a generation 12."""
 
 FEWEST: Final = 8
 """Smallest number of candidates of a search."""
 
 _MOST_STEPS: Final = 10_000
-"""Largest number of values of a key with a step; from each candidate, the nearest of them are
-searched."""
+"""Largest number of values of a key with a step, of which the nearest is searched."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -36,8 +36,7 @@ _ROWS: Final = "grid: "
 """Prefix of errors about the values of a row."""
 
 _CHUNK_S: Final = 0.5
-"""Duration of a unit of work [s]: long compared with the time to distribute it, short for a waiting
-user."""
+"""Duration of a unit of work [s]: long beside its distribution, short for a waiting user."""
 
 Values = Mapping[str, Any]
 

@@ -47,8 +47,7 @@ _CORNERS: Final = 6
 """Largest number of keys for which the corners of the range are candidates, at most 64 corners."""
 
 _FAR: Final = 1e100
-"""Amount added to the score of a candidate that violates constraints, so that it comes after all
-others."""
+"""Amount added to a score if constraints are violated, so that it comes after all others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,8 +226,7 @@ _POINTS: Final = 16
 """Number of candidates between the best value and each bound, denser near the best."""
 
 _ROUNDS: Final = 5
-"""Largest number of neighbourhoods. If a metric depends on single samples, each may contain a
-better value."""
+"""Largest number of neighbourhoods, each of which may contain a better value."""
 
 _HALVINGS: Final = 8
 """Number of halvings of the step, down to 1/256."""

@@ -292,8 +292,7 @@ _DOT_MM: Final = 1.2
 """Half the size of the run's own mark in print [mm]."""
 
 _DASHES: Final[tuple[Any, ...]] = ((0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
-"""Dash patterns of the curves without one cause, chosen so that coinciding curves are all
-visible."""
+"""Dashes of the curves without one cause, such that coinciding curves are all visible."""
 
 
 def measure_luck_for_figure(

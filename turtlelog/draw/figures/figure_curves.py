@@ -23,8 +23,7 @@ from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
 from turtlelog.run import Run
 
 _MOST_SWINGS: Final = 8.0
-"""Largest path of a curve up and down, relative to its height. Along a longer path, the marks would
-hide the curve."""
+"""Largest path of a curve up and down, in its height; along a longer path, marks would hide it."""
 
 
 def draw_curve(axes: Axes, curve: curves.Curve, **looks: Any) -> None:
@@ -89,8 +88,7 @@ _CURVES: Final = 2.0
 _MOST_NAMED: Final = 12
 """Largest number of theoretical lines with an entry each: six rows of two entries in a column."""
 _SOME: Final = 7
-"""Number of entries if there are more lines, in even steps. Colours identify the lines in
-between."""
+"""Number of entries of more lines, in even steps. Colours identify the lines in between."""
 
 
 def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
@@ -193,8 +191,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
 
 
 _MOST_BROAD: Final = 24
-"""Largest number of lines of usual width; with more, a column of 40 mm would have no space between
-lines."""
+"""Largest number of lines of usual width; more would touch in a column of 40 mm."""
 
 _THIN: Final = 0.7
 

@@ -24,29 +24,25 @@ from turtlelog.sweep.sweep_table import SweptAxis, SweptMetric
 from turtlelog.sweep.sweep_views import SweptView, fill_cells
 
 _MOST_VECTORS: Final = 2_500
-"""Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each. More cells become
-pixels."""
+"""Largest number of cells stored as shapes, 100 bytes each; more become pixels."""
 
 _MOST_WORDS: Final = 12
 """Largest number of labels along a side: each takes 4 mm of a column."""
 
 _FEW_NUMBERS: Final = 6
-"""Largest number of values with a label below each cell. With few values, a scale would suggest
-cells in between."""
+"""Largest number of values with a label each; with so few, a scale would suggest values between."""
 
 _LONGEST: Final = 16
 """Longest label [letters]."""
 
 _MOST_EDGED: Final = 1_000
-"""Largest number of dots with an edge. With more dots, they are so small that only the edges would
-be visible."""
+"""Largest number of dots with an edge; of more, smaller dots only edges would be visible."""
 
 _HALO: Final = 1.4
 """Width of the white border around a line, which separates it from any colour below [points]."""
 
 VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Colours of unstable, between and stable. The colours also differ in lightness, and are light
-enough for theory's lines."""
+"""Colours of unstable, between and stable: of differing lightness, and light below lines."""
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 

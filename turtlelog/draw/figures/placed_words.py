@@ -24,12 +24,10 @@ _LEADER_MM: Final = 4.0
 """Distance from which a line connects text and its dot [mm]."""
 
 _NO_ROOM: Final = 150.0
-"""Number of covered curve points from which a text is left out: 15 mm of a curve, or one other text
-or dot."""
+"""Number of covered points from which a text is left out: 15 mm of a curve, a text, or a dot."""
 
 _GUIDE_POINTS: Final = 40
-"""Number of points of a guide line that text avoids: a tenth of a curve's, because covering a guide
-line matters less."""
+"""Number of points of a guide line: a tenth of a curve's, because covering it matters less."""
 
 _MARK_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 12.0, 14.0, 16.0, 19.0, 22.0, 25.0, 28.0, 32.0, 38.0)
 """Distances of text from its dot, best first [mm]. The marks of one phase end in one corner."""
@@ -281,8 +279,7 @@ _RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4
 """Angles at which the name of a ring may be placed, best first [rad]."""
 
 _APART_MM: Final = 0.1
-"""Distance between the points of a line that text avoids [mm]; a crossing curve has hundreds of
-them."""
+"""Distance between the points of a line [mm]; a curve that crosses a text has hundreds."""
 
 _MOST_POINTS: Final = 4_000
 """Largest number of points on an oscillating line."""

@@ -244,8 +244,7 @@ _PATH: Final = fix_style(
 _WAY: Final = fix_style(color="0.35", linewidth=0.5, zorder=2.2, solid_capstyle="butt")
 
 _MOST_WAYS: Final = 60
-"""Largest number of deviation lines: two per centimetre of a path around half a page. More lines
-would be a grey area."""
+"""Largest number of deviation lines: two per centimetre. More would be a grey area."""
 
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 

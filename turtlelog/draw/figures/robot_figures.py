@@ -39,8 +39,7 @@ _BEFORE_S: Final = 0.25
 
 _LEAST_AFTER_S: Final = 0.8
 _LENGTHS: Final = 6.0
-"""Time shown after a step, in dead times plus time constants. After 5 time constants, the response
-is within 1 %."""
+"""Time shown after a step, in dead times plus time constants; after 5, 1 % is left."""
 
 _FINE: Final = 600
 """Number of points of the model in the close-up."""

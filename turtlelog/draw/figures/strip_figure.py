@@ -32,8 +32,7 @@ _MOST_KEYS: Final = 2
 _MOST_LETTERS: Final = 22
 
 _BOX_FROM: Final = 10
-"""Number of values from which quartiles are useful. With fewer values, each quartile lies between
-two points or on one."""
+"""Number of values from which quartiles are useful; of fewer, each is about one of the points."""
 
 _HALF_WIDTH: Final = 0.17
 """Half the width of a group's points, as a share of the distance between groups."""
@@ -262,8 +261,7 @@ OF_TRACKING: Final = ("*.rms_error", "*.largest_error")
 """Default metrics if no loop responds to a step: errors of loops with a moving reference."""
 
 _LOGARITHMIC: Final = 30.0
-"""Ratio of largest to smallest value from which a scale is logarithmic. On a linear scale of 30 mm,
-the smallest value would be within 1 mm of 0."""
+"""Ratio from which a scale is logarithmic: on 30 mm, the smallest value is within 1 mm of 0."""
 
 _LEAST_PERCENT: Final = 0.5
 """Smallest height of a percentage axis [%], a quarter of the settling band. On a smaller axis, the

@@ -48,8 +48,7 @@ _BAR_INCH: Final = 0.34
 """Height of each bar of a tornado plot [inch]: two lines of text."""
 
 _SQUEEZED: Final = 0.62
-"""Smallest height of panels on a slide, as a share of the usual height. On lower panels, labels of
-sides touch."""
+"""Smallest share of the usual height on a slide; on lower panels, labels of sides touch."""
 
 _LETTERS_PER_INCH: Final = 16.0
 """Letters per inch of the notes below the panels, at 7 points."""
@@ -295,15 +294,13 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
 
 
 _MOST_LINES: Final = 12
-"""Largest number of values of a second key with a line each; neighbouring colours remain
-distinct."""
+"""Largest number of lines, one for each value of a second key, of which neighbours differ."""
 
 _MOST_TOLD: Final = 6
 """Largest number of omitted values that a legend lists; for more, the legend gives the step."""
 
 _ALIKE: Final = 0.005
-"""Difference below which curves are one line in print: a third of a millimetre, as a share of a
-panel's height."""
+"""Share of a panel's height within which curves are one line: a third of a millimetre."""
 
 
 _MOST_MARKED: Final = 40

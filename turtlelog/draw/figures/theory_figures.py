@@ -51,8 +51,7 @@ _DECADES_BELOW: Final = 2.0
 """Number of decades below the crossover at which a frequency response begins."""
 
 _WIDER: Final = 1.2
-"""Additional width of each loop of a run below the other loops [points]. If two loops coincide, the
-lower one is visible on both sides."""
+"""Additional width of each lower loop [points], which stays visible if two loops coincide."""
 
 _DASH_POINTS: Final = 1.6
 """Width of a line to which dashes are scaled [points]."""
@@ -63,8 +62,7 @@ _LARGER: Final = 2.2
 _MOST_TOLD: Final = 6
 
 _PLANE_INCH: Final = 2.1
-"""Smallest width of a plane of poles with its text [inch]; three such planes fit into a row of a
-page."""
+"""Smallest width of a plane of poles with its text [inch]; three fit into a page's row."""
 _LINE_SHARE: Final = 0.45
 """Height of the axis of ideal poles, as a share of the height of a plane."""
 _ROOM_INCH: Final = 0.42

@@ -41,8 +41,7 @@ _MOST_EXTREMES: Final = 3
 """Largest number of runs that are named in the plane; more names would hide the paths."""
 
 _EXTREME_SHARE: Final = 0.2
-"""Smallest distance of a name from the goal or another name, as a share of half the plane; nearer
-names would cover others."""
+"""Smallest distance of a name from goal and names, in half a plane; nearer, it covers others."""
 
 
 def write_comparison_rrd(
@@ -303,8 +302,7 @@ _CURVES: Final[tuple[tuple[str, palette.Color, float], ...]] = (
     ("modelled", palette.MODEL, 2.5),
     (_RESIDUAL, palette.ERROR, 1.0),
 )
-"""Curves of each axis in the order of drawing, with widths [points]; noise must not hide the
-model."""
+"""Curves of each axis, in order, with widths [points]; noise must not hide the model."""
 
 
 def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:

@@ -252,8 +252,7 @@ _MOST_PHASE_ROWS: Final = 4
 
 
 _LINE_LETTERS: Final = 46
-"""Number of letters in a legend's line: in any window, the viewer breaks lines of more than 275
-pixels."""
+"""Letters in a legend's line, because the viewer breaks lines of more than 275 pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -58,8 +58,7 @@ WIDGET_SIZE: Final = (960, 640)
 _FLUSH_S: Final = 5.0
 
 _GROWTH = 64
-"""Growth of the rows, by 1/64, after which data that are sent as a whole are sent again. The total
-stays a small multiple of the rows."""
+"""Growth of rows (1/64) from which whole data are sent again: in total a small multiple."""
 
 _WHOLE = (
     *map(join_path, (entities.PATH, entities.REFERENCE_PATH, entities.REFERENCE)),

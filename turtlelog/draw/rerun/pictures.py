@@ -56,8 +56,7 @@ _LEGEND_RADIUS: Final = 5.0  # [points]
 _SCALE_HEIGHT: Final = 1.0
 
 _SCALE_LINES: Final = 8
-"""Number of lines side by side that fill a cell, because the viewer rounds the ends of a thick
-line."""
+"""Number of lines that fill a cell, because the viewer rounds the ends of a thick line."""
 
 _SCALE_LABELS: Final = 12
 """Largest number of values in a view 500 pixels wide: 40 pixels each."""

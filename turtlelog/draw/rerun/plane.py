@@ -42,16 +42,13 @@ _NAME_UP = 0.11  # the viewer writes a name below its point
 _MARKER_RADIUS = 3.5  # [points]
 
 UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
-"""Transform that turns y upward for all entities below it, because Rerun's 2D views have y
-downward."""
+"""Transform that turns y upward for all entities below it: Rerun's 2D views have y downward."""
 
 LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
-"""Size of text, measured in a window of 1200 x 860 pixels, where half of the close-up is 125
-pixels."""
+"""Size of text, measured at 1200 x 860 pixels, where half of the close-up is 125 pixels."""
 
 SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
-"""Size of text in a window of 700 x 450, where half of the close-up is 73 pixels and a line of text
-18."""
+"""Size of text at 700 x 450, where half of the close-up is 73 pixels and a line of text 18."""
 
 _ABOVE: Final = 0.6
 """Offset of text in lines, because the viewer writes text below its point."""
@@ -277,8 +274,7 @@ _SCAN_ORDER: Final = 16.0
 _SCAN_RADIUS: Final = 1.75  # [points]
 
 _WIDEST: Final = 3.0
-"""Largest growth of the plane for the surroundings of the path, with which the path stays
-readable."""
+"""Largest growth of the plane for surroundings, with which the path stays readable."""
 
 _SHARE: Final = 0.95
 """Share of the walls that the plane shows, because rays through a door lead far away."""
@@ -348,8 +344,7 @@ _ON_TRACES: Final = 22.0
 _EVENT_RADIUS: Final = 4.0
 
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
-"""Kinds of events that random effects cause every few samples. Only the list of events shows
-them."""
+"""Kinds of events that random effects cause every few samples, only listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -38,8 +38,7 @@ _NO_TELEMETRY: Final = {"CI": "1"}
 """Environment that disables Rerun's telemetry, which has no option for a single viewer."""
 
 _PROOF_PIXELS: Final = 16
-"""Longest side of the picture that proves that a viewer draws [pixels]; the smallest costs
-least."""
+"""Longest side of the picture that proves that a viewer draws [pixels], the cheapest."""
 
 
 class ViewerProcess:
