@@ -209,11 +209,7 @@ _MOST_NAMED: Final = 5
 
 
 def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
-    """Return the longest gaps in the poses that a picture can show, in order of time.
-
-    Returns:
-        Start and end of each gap, from the first sample [s], and its length in words.
-    """
+    """Return start and end from the first sample [s], in order, and words of the longest gaps."""
     return list_time_gaps(run.poses.time_ns, run.start_ns, _find_least_ns(run), "poses")
 
 

@@ -366,10 +366,7 @@ def name_phase_timeline(phase: str) -> str:
 
 
 def find_phase_zeros(run: Run) -> dict[str, int]:
-    """Return the timelines of the phases after the first declared phase, with their zeros.
-
-    Zeros are in the run's time [ns].
-    """
+    """Return the timelines of phases after the first, with their zeros in the run's time [ns]."""
     phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
     starts_ns: dict[str, int] = {}
     for span in run.find_phase_spans():

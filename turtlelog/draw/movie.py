@@ -108,12 +108,7 @@ _COLORS: Final = 128
 
 
 def require_encoder(suffix: str) -> None:
-    """Load the encoder for files with a suffix.
-
-    Raises:
-        ShowError: If there is no movie format with this suffix.
-        LibraryError: If the encoder is not installed.
-    """
+    """Load the encoder for a suffix; ShowError without a format, LibraryError without encoder."""
     if suffix not in _SIZES:
         raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
     load_library("cv2" if suffix == ".mp4" else "PIL.Image")

@@ -247,10 +247,7 @@ _CLOSE: Final = 0.3
 def draw_violations(
     plots: Plots, found: Sequence[tuple[ViolatedSignal, Color | None]], x_range: Any
 ) -> None:
-    """Draw the signal of each failed check, in its run's colour, on the common time axis.
-
-    The page gets places `violation-0`, `violation-1` and so on.
-    """
+    """Draw failed checks' signals on the common time axis, at `violation-0`, `violation-1` ..."""
     for number, (violated, color) in enumerate(found[:MOST_VIOLATIONS]):
         _draw_violation(plots, f"violation-{number}", violated, color or MAIN, x_range)
 
@@ -363,10 +360,7 @@ _MOST_NAMED: Final = 6
 
 
 def describe_plot(title: str, curves: Sequence[tuple[str, Values]]) -> str:
-    """Return a description of a plot over time: start, end and range of each run's curve.
-
-    The title contains the unit of the values; values that are not finite are gaps.
-    """
+    """Describe a plot over time by each run's start, end and range; NaN is a gap."""
     finite = [(name, values[np.isfinite(values)]) for name, values in curves]
     known = [(name, values) for name, values in finite if len(values)]
     if not known:

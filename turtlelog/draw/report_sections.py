@@ -175,10 +175,7 @@ def write_provenance(
     versions: Iterable[str],
     command: str,
 ) -> str:
-    """Return the provenance of the report: programs, command, and file and sha256 of each run.
-
-    Unknown files, keys and commands are empty.
-    """
+    """Return the report's provenance: programs, command, file and sha256 of each run if known."""
     rows = [
         f'<tr><th scope="row">{show(name)}</th><td>{show(file)}</td><td><code>{show(key)}</code>'
         f"</td><td>{show(run.source)}</td></tr>"
@@ -273,10 +270,7 @@ def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -
 
 
 def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
-    """Return a sentence on failed and skipped checks; empty without checks.
-
-    Each verdict follows the names of its run and its check.
-    """
+    """Return a sentence on failed and skipped checks, given as run, check and verdict, if any."""
     judged = [found for found in verdicts if found[2] != "SKIPPED"]
     failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
     skipped = len(verdicts) - len(judged)

@@ -203,11 +203,7 @@ def stat_recording(path: Path) -> tuple[int, int]:
 
 
 def list_contents(path: Path) -> list[Path]:
-    """Return the files of a recording: the file itself, or the files in a bag's folder.
-
-    Raises:
-        OSError: If the folder cannot be listed.
-    """
+    """Return the file itself, or the files in a bag's folder; OSError if it cannot be listed."""
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
 
 

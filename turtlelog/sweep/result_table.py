@@ -244,10 +244,7 @@ def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
 
 
 def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
-    """Return a table whose row groups are read one by one.
-
-    Errors are those of `read_result_table`.
-    """
+    """Return a table whose row groups are read one by one; errors as in `read_result_table`."""
     stored = StoredTable(path)
     if stored.kind != kind:
         other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"

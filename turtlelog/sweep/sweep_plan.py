@@ -178,11 +178,7 @@ class SweepPlan:
 def build_plan(
     grid: Sequence[str], zipped: Sequence[str] = (), sampling: Sampling | None = None
 ) -> SweepPlan:
-    """Return the plan from texts such as `law.kp_linear=0.5:12:0.25`.
-
-    Raises:
-        SweepError: If a text cannot be parsed, or nothing varies.
-    """
+    """Return the plan from texts such as `law.kp_linear=0.5:12:0.25`; SweepError for others."""
     is_sampled = sampling is not None
     own = [parse_key_values(text, source="--grid", is_sampled=is_sampled) for text in grid]
     together = [parse_key_values(text, source="--zip") for text in zipped]

@@ -126,11 +126,7 @@ class SweptResults:
         return next((axis for axis in self.axes if key in axis.keys), None)
 
     def build_scenario(self, row: int) -> Scenario:
-        """Return the scenario of a row. No code is loaded, and the law is not trusted.
-
-        Raises:
-            ScenarioError: If the row's values are not a valid scenario.
-        """
+        """Return a row's scenario without loading code or trust; ScenarioError if it is invalid."""
         keys = [key for axis in self.axes for key in axis.keys]
         values = [value for axis in self.axes for value in axis.values[axis.places[row]]]
         number, source = self.row_numbers[row], f"{self.path}"

@@ -242,11 +242,7 @@ def fill_cells(view: SweptView, metric: SweptMetric) -> SweptCells:
 
 
 def require_values(view: SweptView) -> None:
-    """Refuse metrics without a value in any shown row.
-
-    Raises:
-        SweepError: If no metric has a value.
-    """
+    """Raise SweepError if no metric has a value in any shown row."""
     metrics, path = view.results.metrics, view.results.path
     if view.results.failed == view.results.row_count:
         raise SweepError(f"{path}: all rows failed")

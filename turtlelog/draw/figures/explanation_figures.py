@@ -109,10 +109,7 @@ def explain_for_figure(
 def draw_attribution(
     figure: Figure, runs: Sequence[Run], *, explained: Explained | None = None
 ) -> None:
-    """Draw the waterfall of one run's metric, with the run and its ghost.
-
-    The explanation is by default that of `explain_for_figure`.
-    """
+    """Draw one run's waterfall, by default that of `explain_for_figure`, with its ghost."""
     told = explained or explain_for_figure(runs)
     waterfall = attribution_steps.draw_up_attribution(told.found)
     width = figure.get_figwidth()

@@ -262,10 +262,7 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
 
 
 def label_runs(runs: Sequence[Run]) -> list[str]:
-    """Return a short printable name for each run; all names are different.
-
-    Letters that matplotlib's font lacks become `?`, and nothing in a name is a formula.
-    """
+    """Return a different short name for each run, without unprintable letters and formulas."""
     font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
     labels = []
     for name in name_runs(runs):

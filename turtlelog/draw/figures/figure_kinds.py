@@ -117,11 +117,7 @@ class FigureKind:
         return self.height * (1.0 + kept) / (1.0 + usual)
 
     def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
-        """Draw the figure for several runs.
-
-        Raises:
-            ShowError: If a pose is too far away for the limits of axes.
-        """
+        """Draw the figure for several runs; ShowError if a pose is too far away for axes."""
         curves.require_near(runs)
         if self.draw is not None:
             self.draw(figure, runs)

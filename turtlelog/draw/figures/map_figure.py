@@ -98,10 +98,7 @@ def draw_map_panel(
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side: all values, or every second, third ... value.
-
-    A few numbers are written at their positions; more numbers get a scale.
-    """
+    """Write an axis' values, or every second, third ...; more than a few numbers get a scale."""
     if axis.is_number and len(axis) > _FEW_NUMBERS:
         return
     places = range(0, len(axis), -(-len(axis) // _MOST_WORDS))
@@ -278,10 +275,7 @@ def build_scale(values: Values) -> ColorScale:
 
 
 def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:
-    """Return legend text and hatch for each reason for a missing value, most frequent first.
-
-    If there are more reasons than hatches, rare ones share the last hatch.
-    """
+    """Return legend text and hatch of each reason, most frequent first; rare ones share a hatch."""
     counts = Counter(reason for one in metrics for reason in one.reasons if reason is not None)
     order = [reason for reason, _ in counts.most_common()]
     few = order if len(order) <= len(_HATCHES) else order[: len(_HATCHES) - 1]

@@ -318,11 +318,7 @@ _AFTER_REST: Final = 0.15
 
 
 def require_window(runs: Sequence[Run], page: Page) -> None:
-    """Raise an error for a time window in which no run has data.
-
-    Raises:
-        ShowError: With the available times.
-    """
+    """Raise ShowError, with the available times, for a time window in which no run has data."""
     for name, bound_s in (("from", page.from_s), ("to", page.to_s)):
         if bound_s is None:
             continue

@@ -92,11 +92,7 @@ class RunGroups:
 
 
 def group_runs(runs: Sequence[Run]) -> RunGroups:
-    """Return runs grouped by gain, or by other differences of their scenarios except seeds.
-
-    Raises:
-        ShowError: If there are too many groups for one panel.
-    """
+    """Return runs by gain, or by other differences except seeds; ShowError for too many groups."""
     keys = [key for key in list_differing(runs) if not key.endswith("seed")]
     gains = [key for run in runs for key in run.declaration.list_gains()]
     of_gain = [key for key in keys if key in gains]
@@ -341,10 +337,7 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Place the ticks of the lower axis at the values that have enough room.
-
-    The smallest and largest values have ticks, and values between them whose labels do not touch.
-    """
+    """Place ticks at the smallest and largest values, and between them where labels have room."""
     values = sorted({*values})
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
     points = points * 72.0 / axes.figure.dpi

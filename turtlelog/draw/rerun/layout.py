@@ -121,10 +121,7 @@ def build_run_layout(content: Content) -> rrb.Blueprint:
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a comparison: the same views with all runs, and one legend.
-
-    A run keeps its colour in every view, so one legend is enough.
-    """
+    """Return the views of all runs; as a run has one colour in every view, one legend is enough."""
     if content.legend_names:
         return _build_blueprint(content, {})
     alone = ("along_track_error", "along_track")

@@ -132,10 +132,7 @@ def draw_close_up(
     *,
     lettering: Lettering = LETTERING,
 ) -> None:
-    """Draw the end of each run in its colour, with its distance from the goal.
-
-    The start of `run`, one of the runs, gives the direction of arrival.
-    """
+    """Draw each run's end with its distance from the goal; `run` gives the direction of arrival."""
     for end in close_up.ends:
         told = f"ends {format_length(end.miss_m)} from the goal"
         entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]

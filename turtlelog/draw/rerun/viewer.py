@@ -85,11 +85,7 @@ class ViewerProcess:
 
 
 def find_viewer() -> Path:
-    """Return the viewer's binary, because the `rerun` script would add another process.
-
-    Raises:
-        ShowError: If there is no such binary.
-    """
+    """Return the viewer's binary, as the `rerun` script adds a process; ShowError without one."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     package = find_spec("rerun_cli")
     binary = Path(package.origin).with_name(name) if package and package.origin else Path(name)
@@ -180,11 +176,7 @@ def build_url(port: int) -> str:
 
 
 def require_viewer(url: str) -> None:
-    """Refuse an address without a viewer.
-
-    Raises:
-        ShowError: If the text is not an address of a viewer, or nothing answers at the address.
-    """
+    """Raise ShowError if the text is not a viewer's address, or nothing answers there."""
     try:
         parts = urlsplit(url)
         is_address = bool(parts.hostname and parts.port) and parts.scheme in _SCHEMES
