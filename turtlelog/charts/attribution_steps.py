@@ -19,8 +19,7 @@ _DIGITS: Final = 4
 _MOST_PERCENT: Final = 1000.0
 """Largest part of a value that is printed [%]. Near 0, larger parts mean nothing."""
 
-_MOST_NAMED: Final = 2
-"""Largest number of causes that the last bar names; more would be wider than the picture."""
+_MOST_NAMED: Final = 2  # causes that the last bar names; more would be wider than the picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

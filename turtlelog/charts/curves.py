@@ -42,8 +42,7 @@ A page 181 mm wide has 4,275 columns at 600 dpi."""
 
 Command = Literal["speed", "turn_rate"]
 
-SENSED_SIGNALS: Final = ("x", "y", "heading")
-"""Signals that may have been sensed."""
+SENSED_SIGNALS: Final = ("x", "y", "heading")  # signals that may have been sensed
 
 
 def require_near(runs: Sequence[Run]) -> None:

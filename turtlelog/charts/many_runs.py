@@ -28,11 +28,8 @@ LONGEST_NAME: Final = 24
 
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
-_MOST_NAMED: Final = 2
-"""Largest number of runs that a title names; of more runs, it gives the number."""
-
-_MOST_KEYS: Final = 3
-"""Largest number of keys in a name; with more, the name would be as long as the replaced one."""
+_MOST_NAMED: Final = 2  # runs that a title names; of more runs, it gives the number
+_MOST_KEYS: Final = 3  # keys in a name; with more, the name would be as long as the replaced one
 
 _WORDS: Final[Mapping[str, str]] = {
     "loop.transport_delay_ticks": "delay",
@@ -255,8 +252,7 @@ OUTLINE_LABEL: Final = "90 % of the ends of a gain"
 
 MEDIAN_LABEL: Final = "median end"
 
-_LEAST_RUNS: Final = 10
-"""Smallest number of ends of a gain for an outline; of fewer ends, nine tenths are all."""
+_LEAST_RUNS: Final = 10  # ends of a gain for an outline; of fewer ends, nine tenths are all
 
 _INSIDE: Final = 0.9
 

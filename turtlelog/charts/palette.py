@@ -88,8 +88,7 @@ TRACKED: Final[Color] = (95, 95, 95)
 WALLS: Final[Color] = (118, 118, 118)
 """Colour of scans' end points, below the driven paths and still visible on the ground."""
 
-SCAN: Final[Color] = (232, 128, 52)
-"""Colour of the robot's present scan."""
+SCAN: Final[Color] = (232, 128, 52)  # colour of the robot's present scan
 
 OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (26 + shade, 26 + shade, 28 + shade, 255)
@@ -110,11 +109,8 @@ GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
 
-COMMAND: Final[Color] = _OKABE_ITO[2]
-"""Colour of the arrow of the command at a turtle."""
-
-SHAPED: Final[Color] = FEW[3]
-"""Colour of shaped commands, before the limits."""
+COMMAND: Final[Color] = _OKABE_ITO[2]  # colour of the arrow of the command at a turtle
+SHAPED: Final[Color] = FEW[3]  # colour of shaped commands, before the limits
 
 MEASURED: Final[Color] = FEW[2]
 """Colour of the robot's response to a command: the reported or applied rate."""
@@ -122,11 +118,8 @@ MEASURED: Final[Color] = FEW[2]
 MODEL: Final[Color] = FEW[1]
 """Colour of an identified model's response to a command, which is shown only for a single run."""
 
-SENSED: Final[Color] = (128, 128, 128)
-"""Colour of sensed poses."""
-
-DROPPED_OUT: Final[Color] = (128, 128, 128)
-"""Colour of poses that dropped out."""
+SENSED: Final[Color] = (128, 128, 128)  # colour of sensed poses
+DROPPED_OUT: Final[Color] = (128, 128, 128)  # colour of poses that dropped out
 
 GHOST: Final[Color] = (170, 170, 170)
 """Colour of ghosts: a run without the acting effects, or the ideal loop."""
@@ -137,23 +130,15 @@ IDEAL: Final[Color] = (128, 128, 128)
 DEAD_TIME: Final[Color] = _OKABE_ITO[4]
 """Colour of dead times: of the bar below the bars of the phases, and of spans in plots."""
 
-EVENT: Final[Color] = (176, 124, 64)
-"""Colour of events."""
-
-WALL_HIT: Final[Color] = _OKABE_ITO[3]
-"""Colour of a turtle's contacts with the wall."""
-
-PAUSED: Final[Color] = _OKABE_ITO[3]
-"""Colour of the start and end of a pause."""
-
-ERROR: Final[Color] = _OKABE_ITO[4]
-"""Colour of the arrow from the turtle to the goal."""
+EVENT: Final[Color] = (176, 124, 64)  # colour of events
+WALL_HIT: Final[Color] = _OKABE_ITO[3]  # colour of a turtle's contacts with the wall
+PAUSED: Final[Color] = _OKABE_ITO[3]  # colour of the start and end of a pause
+ERROR: Final[Color] = _OKABE_ITO[4]  # colour of the arrow from the turtle to the goal
 
 VIOLATION: Final[Color] = (208, 52, 44)
 """Colour of violations: 5:1 to white, 3.7:1 to dark. No run and no phase has this red."""
 
-FULFILLED: Final[Color] = (0, 103, 75)
-"""Colour of a check that holds, on white."""
+FULFILLED: Final[Color] = (0, 103, 75)  # colour of a check that holds, on white
 
 UNSTABLE: Final[Color] = (179, 38, 30)
 """Colour of unstable settings and of missing values, on white."""
@@ -245,8 +230,7 @@ def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
     return tuple(zip(reds, greens, blues, strict=True))
 
 
-MAIN: Final[Color] = choose_run_colors(1)[0]
-"""Colour of a single run."""
+MAIN: Final[Color] = choose_run_colors(1)[0]  # colour of a single run
 
 Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
 Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]
@@ -268,8 +252,7 @@ _DASHES: Final["Mapping[CurveKind, Dash]"] = {
 }
 """Dashes of all kinds of curves except the run's own."""
 
-LIMIT_DASH: Final[Dash] = "dashed"
-"""Dash of limits and tolerances; references are solid."""
+LIMIT_DASH: Final[Dash] = "dashed"  # dash of limits and tolerances; references are solid
 
 SUPPOSED_DASH: Final[Dash] = "dashed"
 """Dash of curves that did not happen: a run without some effects, the output of a model."""
@@ -301,8 +284,7 @@ def choose_dash(kind: "CurveKind") -> Dash:
     return _DASHES.get(kind, "solid")
 
 
-_FEW_TURTLES: Final = 4
-"""Largest number of turtles of full size; more are smaller."""
+_FEW_TURTLES: Final = 4  # largest number of turtles of full size; more are smaller
 
 _SMALLEST_TURTLE: Final = 0.3
 """Smallest share of a turtle's full size: a shell of 4 pixels, as large as the dot."""

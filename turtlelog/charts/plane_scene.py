@@ -204,8 +204,7 @@ _LEAST_NS: Final = 1_000_000_000
 """Length from which a gap always interrupts curves [ns], because a view can be zoomed. Shorter gaps
 in a long run are single poses that a busy computer lost."""
 
-_MOST_NAMED: Final = 5
-"""Largest number of gaps with text, the longest gaps; more text would cover the curves."""
+_MOST_NAMED: Final = 5  # gaps with text, the longest gaps; more text would cover the curves
 
 
 def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:

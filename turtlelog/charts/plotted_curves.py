@@ -164,14 +164,12 @@ def take_magnitude(curve: Curve) -> Curve:
     return replace(curve, values=np.where(sizes < _LEAST_MAGNITUDE, np.nan, sizes))
 
 
-_MOST_APART: Final = 3
-"""Largest number of views side by side; with more, each would be narrower than a legend."""
+_MOST_APART: Final = 3  # views side by side; with more, each would be narrower than a legend
 
 _LARGEST_RATIO: Final = 20.0
 """Largest ratio of magnitudes in one plot. Smaller curves, below a twentieth, look like zero."""
 
-_MOST_TOGETHER: Final = len(FEW)
-"""Largest number of curves in one plot; more curves would share hues."""
+_MOST_TOGETHER: Final = len(FEW)  # curves in one plot; more curves would share hues
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,8 +252,7 @@ def _add_unit(title: str, unit: str) -> str:
     return f"{title} [{unit}]" if unit else title
 
 
-HEADROOM: Final = 1.25
-"""End of a command's range, as a multiple of its most extreme value."""
+HEADROOM: Final = 1.25  # end of a command's range, as a multiple of its most extreme value
 
 _ROOM: Final = 0.08
 """Margin above and below measured values, as a share of their range, or else of the value."""
@@ -323,8 +320,7 @@ _LARGE: Final = 0.2
 _LEAST_HELD_S: Final = 0.15
 """Time from which a held command is a level [s]; commands come at 10 Hz and more, with jitter."""
 
-_MOST: Final = 60
-"""Largest number of changes that are drawn, the largest changes; more would be a grey block."""
+_MOST: Final = 60  # changes that are drawn, the largest changes; more would be a grey block
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -355,8 +355,7 @@ def label_error(quantity: Quantity) -> str:
 TIMELINE: Final = "sim_time"
 WALL_TIMELINE: Final = "wall_time"
 
-_MOST_PHASES: Final = 8
-"""Largest number of phase timelines of a run; each takes 8 bytes per row and entity in a view."""
+_MOST_PHASES: Final = 8  # phase timelines of a run; each takes 8 bytes per row and entity in a view
 
 
 def name_phase_timeline(phase: str) -> str:
@@ -387,11 +386,8 @@ def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     return xy_m, np.interp(time_s, own_s, heading_rad)
 
 
-_STILL_S: Final = 1.5
-"""Time without motion at the end [s], for reading the distances of the runs."""
-
-_MOST_STILL: Final = 0.3
-"""Largest share of this time in the movie."""
+_STILL_S: Final = 1.5  # time without motion at the end [s], for reading the distances of the runs
+_MOST_STILL: Final = 0.3  # largest share of this time in the movie
 
 _SLOWEST: Final = 0.25
 """Slowest motion: a run of half a second takes two seconds, so that each pose is visible."""

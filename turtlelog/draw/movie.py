@@ -151,8 +151,7 @@ def _encode_gif(pictures: Iterable[Picture], path: Path) -> None:
     )
 
 
-SHORTEST_S: Final = 1.0
-"""Shortest movie [s]; shorter movies would be a picture."""
+SHORTEST_S: Final = 1.0  # shortest movie [s]; shorter movies would be a picture
 
 LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
 """Longest movie [s]. An .mp4 takes 3 s of work per second, a .gif 22 MB of memory."""
@@ -176,8 +175,7 @@ _CURVES: Final = ((0.63, 0.725, 0.35, 0.16), (0.63, 0.49, 0.35, 0.16))
 _GOAL: Final = (0.63, 0.035, 0.35, 0.345)
 _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 
-_FAINT: Final = 0.22
-"""Opacity of the path that is not driven yet."""
+_FAINT: Final = 0.22  # opacity of the path that is not driven yet
 
 _BESIDE: Final = fix_style(color="0.5", linewidth=1.2, linestyle=":", zorder=1.5)
 """Style of ideal responses and references."""
@@ -189,14 +187,12 @@ _TURTLE_SIZE: Final = 0.045
 _NEAR: Final = 3.0
 """Distance in half-widths of the close-up from which a robot is near: about a second away."""
 
-_MOST_POINTS: Final = 2000
-"""Largest number of points of a trail: more than the picture is wide."""
+_MOST_POINTS: Final = 2000  # points of a trail: more than the picture is wide
 
 _LETTERS: Final = Lettering(letter=0.095, line=0.22, gap=0.16, reach=1.85)
 """Size of text at 13 points in the view of the goal, whose half-height is 90 points."""
 
-_USUAL: Final = ("heading", "speed")
-"""Default curves of a robot whose loops are unknown."""
+_USUAL: Final = ("heading", "speed")  # default curves of a robot whose loops are unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,8 +20,7 @@ from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 
-MOST_POINTS: Final = 2000
-"""Largest number of points of a curve: a screen has fewer columns."""
+MOST_POINTS: Final = 2000  # points of a curve: a screen has fewer columns
 
 
 _FAR: Final = 1e3
@@ -94,8 +93,7 @@ def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
     return figure
 
 
-_MOST_TOLD: Final = 4
-"""Largest number of ends with distances; with more ends, distances would hide each other."""
+_MOST_TOLD: Final = 4  # ends with distances; with more ends, distances would hide each other
 
 
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
@@ -235,8 +233,7 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
         )  # fmt: skip
 
 
-MOST_VIOLATIONS: Final = 6
-"""Largest number of failed checks with a plot; the table lists all failed checks."""
+MOST_VIOLATIONS: Final = 6  # failed checks with a plot; the table lists all failed checks
 
 RED: Final = to_hex(VIOLATION)
 

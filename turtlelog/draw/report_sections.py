@@ -21,11 +21,8 @@ from turtlelog.explain import Attribution, choose_named, write_sentences
 from turtlelog.measure import Metric
 from turtlelog.run import CUT_SHORT, Run
 
-_MOST_DIFFERING: Final = 8
-"""Largest number of keys in a table of differences; more keys would be wider than a page."""
-
-_LEAST_PERCENT: Final = 0.4
-"""Smallest visible width of a bar [% of the width]."""
+_MOST_DIFFERING: Final = 8  # keys in a table of differences; more keys would be wider than a page
+_LEAST_PERCENT: Final = 0.4  # smallest visible width of a bar [% of the width]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,8 +221,7 @@ def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
     )
 
 
-_MOST_NAMED: Final = 4
-"""Largest number of runs or checks that a sentence names; of more, it gives the number."""
+_MOST_NAMED: Final = 4  # runs or checks that a sentence names; of more, it gives the number
 
 
 def conclude_runs(

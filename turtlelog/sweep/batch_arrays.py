@@ -44,8 +44,7 @@ CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbe
 COURSES: Final = {name: kind for name, kind in RUN_METRICS.items() if kind.numbers is not None}
 """Metrics of the whole run by id, in column order, after those of all loops."""
 
-STATUSES: Final = tuple(Status)
-"""Statuses in the order of their numbers."""
+STATUSES: Final = tuple(Status)  # statuses in the order of their numbers
 
 OK: Final = STATUSES.index(Status.OK)
 
@@ -148,8 +147,7 @@ def find_coverage(scenario: Scenario) -> Coverage | None:
     return GOALS if is_goal and has_heading else None
 
 
-_MOST_PHASES: Final = 60
-"""Largest number of phases of a law: each has a bit of 64."""
+_MOST_PHASES: Final = 60  # phases of a law: each has a bit of 64
 
 
 def allocate_memory(

@@ -13,8 +13,7 @@ from turtlelog.processes import Watched
 
 T = TypeVar("T")
 
-_CONNECT_S: Final = 3.0
-"""Time limit for answers [s]: a wrong address gives an error within 10 s."""
+_CONNECT_S: Final = 3.0  # time limit for answers [s]: a wrong address gives an error within 10 s
 
 _SILENT_S: Final = 30.0
 """Time from which a silent scheduler counts as gone [s]; a busy one answers in 1 s."""

@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 
 
 _STATE: Final = Key("size", "whole", "B"), Key("mtime_ns", "whole", "ns"), Key("sha256")
-HEAD: Final = (FILE, *_STATE, ERROR)
-"""PartialColumns of every table of recordings."""
+HEAD: Final = (FILE, *_STATE, ERROR)  # columns of every table of recordings
 
 Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 

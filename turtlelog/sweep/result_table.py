@@ -18,11 +18,8 @@ from turtlelog.log.parquet_file import ParquetFile, list_cells
 ColumnType = Literal["whole", "real", "text", "truth"]
 """Type of the cells of a column, in addition to null: int64, float64, text or boolean."""
 
-FORMAT: Final = "1"
-"""Version of the file metadata. Readers refuse newer versions."""
-
-ROW: Final = "row"
-"""Name of the column with row numbers."""
+FORMAT: Final = "1"  # version of the file metadata. Readers refuse newer versions
+ROW: Final = "row"  # name of the column with row numbers
 
 STATUS: Final = ".status"
 """Suffix of the column next to a metric, which contains the reasons for missing values."""

@@ -35,8 +35,7 @@ from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
 
 Values = NDArray[np.float64]
 
-_MOST_DRAWN: Final = 48
-"""Largest number of places of a sampled key with theory: one per 2 mm of a figure."""
+_MOST_DRAWN: Final = 48  # places of a sampled key with theory: one per 2 mm of a figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

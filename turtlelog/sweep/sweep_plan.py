@@ -18,8 +18,7 @@ from turtlelog.sweep.result_table import ColumnType, choose_type
 MOST_DRAWN: Final = 10_000_000
 """Largest number of rows of a sample. A sample is drawn at once and takes 80 MB for each key."""
 
-KP: Final = "kp"
-"""Name that stands for all gains of the law together, as in `--kp`."""
+KP: Final = "kp"  # name that stands for all gains of the law together, as in `--kp`
 
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 

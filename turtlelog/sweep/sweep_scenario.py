@@ -231,11 +231,8 @@ def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
 _CHUNK_S: Final = 0.5
 """Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
 
-_MOST_IN_CHUNK: Final = 1024
-"""Largest number of rows in a chunk, of which a process keeps all results in memory."""
-
-_MOST_IN_BATCH: Final = 4096
-"""Largest number of rows in a compiled chunk: half a second of usual rows."""
+_MOST_IN_CHUNK: Final = 1024  # rows in a chunk, of which a process keeps all results in memory
+_MOST_IN_BATCH: Final = 4096  # rows in a compiled chunk: half a second of usual rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

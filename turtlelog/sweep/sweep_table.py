@@ -27,8 +27,7 @@ from turtlelog.sweep.sweep_plan import build_row_scenario
 
 Values = NDArray[np.float64]
 
-SEED: Final = "seed"
-"""Key whose values are repetitions of runs, not compared."""
+SEED: Final = "seed"  # key whose values are repetitions of runs, not compared
 
 _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
 """Metrics that are most often requested for maps, by the last part of their id, in this order."""
@@ -41,8 +40,7 @@ _BEYOND: Final = "beyond 1e150"
 _USUAL_METRICS: Final = 4
 """Default number of panels: two rows of two panels, each as wide as a column of a paper."""
 
-MOST_METRICS: Final = 12
-"""Largest number of panels in one picture; with more, text would be higher than the cells."""
+MOST_METRICS: Final = 12  # panels in one picture; with more, text would be higher than the cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -36,11 +36,8 @@ if TYPE_CHECKING:
 FOR_EACH_KEY: Final = 300
 """Candidates per key: the cover takes 32 (128 of one key alone), a generation 12."""
 
-FEWEST: Final = 8
-"""Smallest number of candidates of a search."""
-
-_MOST_STEPS: Final = 10_000
-"""Largest number of values of a key with a step, of which the nearest is searched."""
+FEWEST: Final = 8  # candidates of a search
+_MOST_STEPS: Final = 10_000  # values of a key with a step, of which the nearest is searched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -32,8 +32,7 @@ Point = tuple[float | int, ...]
 _CUTS: Final = 8
 """Smallest number of parts of a generation: several parts for each of a few processes."""
 
-_ROWS: Final = "grid: "
-"""Prefix of errors about the values of a row."""
+_ROWS: Final = "grid: "  # prefix of errors about the values of a row
 
 _CHUNK_S: Final = 0.5
 """Duration of a unit of work [s]: long beside its distribution, short for a waiting user."""

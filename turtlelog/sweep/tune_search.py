@@ -35,8 +35,7 @@ the sampling instants has narrow minima, and the evolution of one key needs few 
 _POPULATION: Final = 12
 """Population of the evolution per key: the authors of the method advise 10, scipy uses 15."""
 
-_FEWEST: Final = 16
-"""Smallest population of the evolution."""
+_FEWEST: Final = 16  # smallest population of the evolution
 
 _FIRST_STEP: Final = 1.0 / 16.0
 _LAST_STEP: Final = 1e-5
@@ -225,18 +224,14 @@ larger. A share of a best value of 0 would always be 0."""
 _POINTS: Final = 16
 """Number of candidates between the best value and each bound, denser near the best."""
 
-_ROUNDS: Final = 5
-"""Largest number of neighbourhoods, each of which may contain a better value."""
-
-_HALVINGS: Final = 8
-"""Number of halvings of the step, down to 1/256."""
+_ROUNDS: Final = 5  # largest number of neighbourhoods, each of which may contain a better value
+_HALVINGS: Final = 8  # number of halvings of the step, down to 1/256
 
 _SCAN: Final = 32
 """Number of candidates between the best value and each end of its range, at equal distances: a part
 of 1/32 of either side that is worse ends the range."""
 
-_SCANS: Final = 8
-"""Largest number of scans. A scan follows each one that makes the range smaller."""
+_SCANS: Final = 8  # largest number of scans. A scan follows each one that makes the range smaller
 
 NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS + _SCAN)
 """Usual number of candidates of a neighbourhood for each key."""

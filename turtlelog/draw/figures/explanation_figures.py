@@ -27,17 +27,13 @@ from turtlelog.run import Run
 from turtlelog.run.loops import SIGNAL_WORDS
 
 _WORDS_POINTS: Final = 7.0
-_BAR: Final = 0.62
-"""Height of a bar, as a share of its row."""
+_BAR: Final = 0.62  # height of a bar, as a share of its row
 
 _NEAR: Final = 0.1
 """Share of the step around the reference in which overshoot and settling are visible."""
 
-_GOAL_MM: Final = 1.6
-"""Half the size of the goal's cross in print [mm]."""
-
-_NOTE_LETTERS: Final = 42
-"""Longest line below the axis that fits a column [letters]."""
+_GOAL_MM: Final = 1.6  # half the size of the goal's cross in print [mm]
+_NOTE_LETTERS: Final = 42  # longest line below the axis that fits a column [letters]
 
 _GHOST: Final = fix_style(
     color="0.55", linestyle=pages.STROKES[palette.SUPPOSED_DASH], linewidth=1.3, zorder=1.9
@@ -45,8 +41,7 @@ _GHOST: Final = fix_style(
 _RING: Final = fix_style(fill=False, color="0.78", linewidth=0.5, linestyle=(0, (4, 2)), zorder=1.2)
 _CONNECTOR: Final = fix_style(color="0.5", linewidth=0.6)
 
-_BAR_INCH: Final = 0.27
-"""Height of a bar with its text [inch]."""
+_BAR_INCH: Final = 0.27  # height of a bar with its text [inch]
 
 _BARS: Final = 0.72
 """Width of the bars with the text next to them, as a share of the figure's width."""
@@ -278,15 +273,13 @@ _LABEL_INCH: Final = 1.25 * _WORDS_POINTS / 72.0
 _PANEL_INCH: Final = 2.4
 """Smallest height of the curves [inch]; five labels beside them take a quarter of it."""
 
-_AXIS_INCH: Final = 0.45
-"""Height of the axis below the curves with its text [inch]."""
+_AXIS_INCH: Final = 0.45  # height of the axis below the curves with its text [inch]
 
 _GHOST_COLOR: Final = (0.5, 0.5, 0.5)
 _GHOST_WORDS: Final = (0.35, 0.35, 0.35)
 """Colour of a ghost's text; a lighter grey would not be visible on paper."""
 
-_DOT_MM: Final = 1.2
-"""Half the size of the run's own mark in print [mm]."""
+_DOT_MM: Final = 1.2  # half the size of the run's own mark in print [mm]
 
 _DASHES: Final[tuple[Any, ...]] = ((0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
 """Dashes of the curves without one cause, such that coinciding curves are all visible."""

@@ -82,11 +82,8 @@ _ALIKE: Final = (
 )
 """Labels that share a style in different panels; each panel shows its own label."""
 
-_CURVES: Final = 2.0
-"""Order in which matplotlib draws lines by default; references are below."""
-
-_MOST_NAMED: Final = 12
-"""Largest number of theoretical lines with an entry each: six rows of two entries in a column."""
+_CURVES: Final = 2.0  # order in which matplotlib draws lines by default; references are below
+_MOST_NAMED: Final = 12  # theoretical lines with an entry each: six rows of two entries in a column
 _SOME: Final = 7
 """Number of entries of more lines, in even steps. Colours identify the lines in between."""
 
@@ -154,10 +151,8 @@ def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
     return min(len(labels), max(1, int(width_points / entry_points)))
 
 
-_BAR_INCH: Final = 0.42
-"""Height of a bar with its numbers and its name [inch]."""
-_MOST_TICKS: Final = 7
-"""Largest number of labels with three digits that fit a column."""
+_BAR_INCH: Final = 0.42  # height of a bar with its numbers and its name [inch]
+_MOST_TICKS: Final = 7  # labels with three digits that fit a column
 
 
 def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
@@ -190,8 +185,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     return frozenset(names)
 
 
-_MOST_BROAD: Final = 24
-"""Largest number of lines of usual width; more would touch in a column of 40 mm."""
+_MOST_BROAD: Final = 24  # lines of usual width; more would touch in a column of 40 mm
 
 _THIN: Final = 0.7
 
@@ -283,11 +277,8 @@ def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 
-NAMES_HEIGHT: Final = 0.935
-"""Height of the line's middle, as a share of the picture."""
-
-_MOST_ABOVE: Final = 7
-"""Largest number of names above the picture: as many as there are hues."""
+NAMES_HEIGHT: Final = 0.935  # height of the line's middle, as a share of the picture
+_MOST_ABOVE: Final = 7  # names above the picture: as many as there are hues
 
 _NAMES_END: Final = 0.66
 """End of the names, as a share of the width; the rest of the width is for the clock."""

@@ -23,20 +23,14 @@ from turtlelog.sweep.sweep_analysis import ColumnLimits, LoopLimits, choose_limi
 from turtlelog.sweep.sweep_table import SweptAxis, SweptMetric
 from turtlelog.sweep.sweep_views import SweptView, fill_cells
 
-_MOST_VECTORS: Final = 2_500
-"""Largest number of cells stored as shapes, 100 bytes each; more become pixels."""
-
-_MOST_WORDS: Final = 12
-"""Largest number of labels along a side: each takes 4 mm of a column."""
+_MOST_VECTORS: Final = 2_500  # cells stored as shapes, 100 bytes each; more become pixels
+_MOST_WORDS: Final = 12  # labels along a side: each takes 4 mm of a column
 
 _FEW_NUMBERS: Final = 6
 """Largest number of values with a label each; with so few, a scale would suggest values between."""
 
-_LONGEST: Final = 16
-"""Longest label [letters]."""
-
-_MOST_EDGED: Final = 1_000
-"""Largest number of dots with an edge; of more, smaller dots only edges would be visible."""
+_LONGEST: Final = 16  # longest label [letters]
+_MOST_EDGED: Final = 1_000  # dots with an edge; of more, smaller dots only edges would be visible
 
 _HALO: Final = 1.4
 """Width of the white border around a line, which separates it from any colour below [points]."""
@@ -50,10 +44,10 @@ DECADES: Final = 100.0
 """Ratio of largest to smallest value from which colours and axes are logarithmic. On a linear
 scale, the whole lower decade would share 3 of 256 shades, or be as thin as a line."""
 
+# Names of theory's limits in a legend.
 STABILITY: Final = "instability (theory)"
 GROWN: Final = "instability with the most dead time (theory)"
 OVERSHOOT: Final = "overshoot begins (theory)"
-"""Names of theory's limits in a legend."""
 
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {

@@ -33,8 +33,7 @@ _DPI: Final = 300.0
 
 _SLIDE_INCH: Final = (6.4, 3.6)
 """Size of a slide, 16:9 [inch]: projected, letters of 8 points have 17."""
-_PROJECTED_INCH: Final = 40.0 / 3.0
-"""Width of a slide in presentation programs [inch]."""
+_PROJECTED_INCH: Final = 40.0 / 3.0  # width of a slide in presentation programs [inch]
 _SLIDE_DPI: Final = 144.0
 _LOW_ROWS: Final = 3
 """Number of rows of panels from which units on a slide are on a line of their own."""
@@ -110,8 +109,7 @@ STROKES: Final[Mapping[palette.Dash, Any]] = MappingProxyType(
 )
 """Dashes of matplotlib, in multiples of the line's width."""
 
-REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)
-"""Style of goals, limits and zeros."""
+REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)  # style of goals, limits and zeros
 
 IDEAL_ENDS: Final = "ideal, first and last run"
 """Label of the ideal responses of the first and the last of many runs."""

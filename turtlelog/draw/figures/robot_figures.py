@@ -34,15 +34,13 @@ from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 _ROW_INCH: Final = 1.25
 _LEFT_INCH: Final = 0.75
 
-_BEFORE_S: Final = 0.25
-"""Time shown before the change [s]."""
+_BEFORE_S: Final = 0.25  # time shown before the change [s]
 
 _LEAST_AFTER_S: Final = 0.8
 _LENGTHS: Final = 6.0
 """Time shown after a step, in dead times plus time constants; after 5, 1 % is left."""
 
-_FINE: Final = 600
-"""Number of points of the model in the close-up."""
+_FINE: Final = 600  # number of points of the model in the close-up
 
 _SHOWN_MS: Final = 2.0
 """Smallest width of an interval that is drawn [ms]; a narrower interval is a single stroke."""
@@ -263,8 +261,7 @@ def tell_model(one: DrawnAxis, changes: int) -> str:
     return f"{told}, gain {identify.format_gain(model.gain)}\n{delays}\nin brackets: {one.brackets}"
 
 
-_EXACT_S: Final = 5e-5
-"""Largest width of an interval that tenths of a millisecond do not show [s]."""
+_EXACT_S: Final = 5e-5  # largest width of an interval that tenths of a millisecond do not show [s]
 
 
 def _tell_ms(found: identify.Estimate) -> str:
@@ -380,11 +377,8 @@ def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
     axes.margins(x=0.01)
 
 
-_PLANE_ROWS: Final = 2.2
-"""Height of the panel of paths, as a multiple of a panel over time."""
-
-_ROW_HEIGHT: Final = 0.26
-"""Height of a panel over time, as a share of the figure's width."""
+_PLANE_ROWS: Final = 2.2  # height of the panel of paths, as a multiple of a panel over time
+_ROW_HEIGHT: Final = 0.26  # height of a panel over time, as a share of the figure's width
 
 
 def write_trajectory_figure(

@@ -23,11 +23,8 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
 
-_MOST_GROUPS: Final = 12
-"""Largest number of groups side by side; in a column, each group has 6 mm."""
-
-_MOST_KEYS: Final = 2
-"""Largest number of keys in the name of a group; more keys would have no room below it."""
+_MOST_GROUPS: Final = 12  # groups side by side; in a column, each group has 6 mm
+_MOST_KEYS: Final = 2  # keys in the name of a group; more keys would have no room below it
 
 _MOST_LETTERS: Final = 22
 

@@ -37,8 +37,7 @@ from turtlelog.run import Run, list_runs
 _THIN_WIDTH: Final = 1.0
 _OF_MANY: Final = Look(color=palette.PATH_OF_MANY, width=0.75)
 """Style of the paths of very many runs; only their ends have colours."""
-_MOST_EXTREMES: Final = 3
-"""Largest number of runs that are named in the plane; more names would hide the paths."""
+_MOST_EXTREMES: Final = 3  # runs that are named in the plane; more names would hide the paths
 
 _EXTREME_SHARE: Final = 0.2
 """Smallest distance of a name from goal and names, in half a plane; nearer, it covers others."""

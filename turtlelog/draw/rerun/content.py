@@ -247,8 +247,7 @@ def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]
     return {entities.HEADING_ERROR: (-half_deg, half_deg)}
 
 
-_MOST_PHASE_ROWS: Final = 4
-"""Largest number of phase rows for more than seven runs; plots keep the larger part."""
+_MOST_PHASE_ROWS: Final = 4  # phase rows for more than seven runs; plots keep the larger part
 
 
 _LINE_LETTERS: Final = 46

@@ -35,8 +35,7 @@ _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
-_MOST_TOLD: Final = 2
-"""Largest number of ghosts with a value; more would be wider than the picture."""
+_MOST_TOLD: Final = 2  # ghosts with a value; more would be wider than the picture
 
 _LONGEST: Final = 36
 """Longest name in the key [letters], which takes 250 of the 480 pixels of the plane."""

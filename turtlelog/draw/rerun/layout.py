@@ -75,8 +75,7 @@ _ONE_PHASE_SHARE: Final = 0.18
 _STATE_SHARE: Final = 0.22
 """Share of the plots' height for states: slightly less than one of three rows."""
 
-_MOST_STATES_BESIDE: Final = 3
-"""Largest number of states side by side; more, narrower than legends, become tabs."""
+_MOST_STATES_BESIDE: Final = 3  # states side by side; more, narrower than legends, become tabs
 
 _WHOLE_TIME: Final = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()

@@ -50,8 +50,7 @@ LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
 SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
 """Size of text at 700 x 450, where half of the close-up is 73 pixels and a line of text 18."""
 
-_ABOVE: Final = 0.6
-"""Offset of text in lines, because the viewer writes text below its point."""
+_ABOVE: Final = 0.6  # offset of text in lines, because the viewer writes text below its point
 
 _END_RADIUS: Final = 4.0  # [points]
 _ENDS_RADIUS: Final = 2.0

@@ -28,16 +28,14 @@ from turtlelog.log import replace_when_complete
 from turtlelog.measure import Metric
 from turtlelog.run import Parameter, Run
 
-_PATIENCE_S: Final = 5.0
-"""Time without growth after which a file counts as stuck [s]."""
+_PATIENCE_S: Final = 5.0  # time without growth after which a file counts as stuck [s]
 
 _DISCONNECT_S: Final = 1.0
 _END: Final = b"RRF2FOOT"
 _END_BYTES: Final = 64
 _PROBE: Final = bytes(2**20)
 _STRICT_LOCK: Final = threading.Lock()
-_BEFORE_STRICT: Final[list[bool]] = []
-"""Earlier settings, one for each active block of strict mode."""
+_BEFORE_STRICT: Final[list[bool]] = []  # earlier settings, one for each active block of strict mode
 
 
 @contextmanager
@@ -254,8 +252,7 @@ The number is a hundred for each pixel of a wide screen. A million samples in fu
 as many bytes.
 """
 
-TRACE_ROWS: Final = 2**16
-"""Approximate number of poses of a trace in the plane."""
+TRACE_ROWS: Final = 2**16  # approximate number of poses of a trace in the plane
 
 MOST_BORDERS: Final = 2**14
 """Largest number of borders of phases and events that are kept exactly.

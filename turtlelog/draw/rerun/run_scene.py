@@ -36,8 +36,7 @@ from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Event, Run, require_run
 
 _RUN: Final = "the run"
-_EVENT_LINES: Final = f"{entities.LINES}/event"
-"""Entity of event lines, below that of a plot."""
+_EVENT_LINES: Final = f"{entities.LINES}/event"  # entity of event lines, below that of a plot
 
 
 def write_run_rrd(
@@ -238,8 +237,7 @@ _FILL_ALPHA: Final = 64
 _LONGEST_TITLE: Final = 110
 """Longest title [letters of 6.5 pixels]: in a window 1200 pixels wide, there are 850."""
 
-_LONGEST_NAME: Final = 28
-"""Longest name in the plane [letters]: about half of its width."""
+_LONGEST_NAME: Final = 28  # longest name in the plane [letters]: about half of its width
 
 
 def write_violation_rrd(

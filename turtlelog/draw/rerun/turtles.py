@@ -108,14 +108,12 @@ def _build_command(values: Values) -> rr.ComponentColumnList:
     return rr.Arrows2D.columns(origins=origins, vectors=vectors).partition(lengths)
 
 
-MOST_SEGMENTS: Final = 1000
-"""Largest number of segments of a trail; the viewer looks up each segment in every frame."""
+MOST_SEGMENTS: Final = 1000  # segments of a trail; the viewer looks up each segment in every frame
 
 _ALL_SEGMENTS: Final = 8000
 """Largest number of segments of all trails; more take longer than a frame of 1/30 s."""
 
-_FEWEST_SEGMENTS: Final = 40
-"""Smallest number of segments of a trail: a path across the window grows by 20 pixels."""
+_FEWEST_SEGMENTS: Final = 40  # segments of a trail: a path across the window grows by 20 pixels
 
 _FAINT: Final = 45
 """Opacity of the path that is not driven yet, of 255: visible, but different from the trail."""
@@ -252,11 +250,8 @@ def _build_transforms(values: Values) -> rr.ComponentColumnList:
 _MOST_GAPS: Final = 1000
 """Number of rows of the line between run and ghost: as many as a trail has segments."""
 
-_APART_M: Final = 5e-4
-"""Smallest distance that is written [m]; a smaller distance would be 0 mm."""
-
-_ONE_M: Final = 1.0
-"""Gap from which the plot is in m instead of mm [m]."""
+_APART_M: Final = 5e-4  # smallest distance that is written [m]; a smaller distance would be 0 mm
+_ONE_M: Final = 1.0  # gap from which the plot is in m instead of mm [m]
 
 _GAP_WIDTH: Final = 1.0  # [points]
 _GAP_ORDER: Final = 27.0  # above turtles

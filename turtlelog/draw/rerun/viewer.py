@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 _PATIENCE_S: Final = 5.0
 
-LOCAL: Final = "127.0.0.1"
-"""Loopback address, which other machines cannot reach."""
+LOCAL: Final = "127.0.0.1"  # loopback address, which other machines cannot reach
 
 _START_S: Final = 30.0
 _ANSWER_S: Final = 5.0
@@ -224,8 +223,7 @@ _NOTICE_S: Final = 3.5
 _TINY: Final = 16  # longest side of a picture that nobody sees [pixels]
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
-_ROUNDING_S: Final = 1e-3
-"""Rounding of times, which are printed in milliseconds."""
+_ROUNDING_S: Final = 1e-3  # rounding of times, which are printed in milliseconds
 _OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
 """Timelines that do not count seconds from an event of the run."""
 
