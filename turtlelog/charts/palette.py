@@ -65,16 +65,10 @@ _SHADES: Final[tuple[Color, ...]] = (
 )
 """Ramp of values in cells: with no required contrast, twice the range of lightness."""
 
-_OKABE_ITO: Final[tuple[Color, ...]] = (
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (213, 94, 0),
-    (204, 121, 167),
-    (230, 159, 0),
-    (0, 114, 178),
-)
-"""Palette of Okabe and Ito without its black, which is invisible on dark ground."""
+# Of the palette of Okabe and Ito.
+_YELLOW: Final[Color] = (240, 228, 66)
+_VERMILION: Final[Color] = (213, 94, 0)
+_PURPLE: Final[Color] = (204, 121, 167)
 
 GROUND: Final[Color] = (13, 13, 13)
 """Background of planes, also in a light theme. Plots follow the theme, like their cursor."""
@@ -98,7 +92,7 @@ OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
 tracked path."""
 
 COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
-    (*_OKABE_ITO[4], 0 if percent == 0 else 20 + percent) for percent in range(101)
+    (*_PURPLE, 0 if percent == 0 else 20 + percent) for percent in range(101)
 )
 """Colours of costmap cells: lower layers stay visible, and cells without cost have none."""
 
@@ -109,7 +103,7 @@ GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
 
-COMMAND: Final[Color] = _OKABE_ITO[2]  # colour of the arrow of the command at a turtle
+COMMAND: Final[Color] = _YELLOW  # colour of the arrow of the command at a turtle
 SHAPED: Final[Color] = FEW[3]  # colour of shaped commands, before the limits
 
 MEASURED: Final[Color] = FEW[2]
@@ -127,13 +121,13 @@ GHOST: Final[Color] = (170, 170, 170)
 IDEAL: Final[Color] = (128, 128, 128)
 """Colour of ideal responses and moving references: at least 3.9:1 to white and to `GROUND`."""
 
-DEAD_TIME: Final[Color] = _OKABE_ITO[4]
+DEAD_TIME: Final[Color] = _PURPLE
 """Colour of dead times: of the bar below the bars of the phases, and of spans in plots."""
 
 EVENT: Final[Color] = (176, 124, 64)  # colour of events
-WALL_HIT: Final[Color] = _OKABE_ITO[3]  # colour of a turtle's contacts with the wall
-PAUSED: Final[Color] = _OKABE_ITO[3]  # colour of the start and end of a pause
-ERROR: Final[Color] = _OKABE_ITO[4]  # colour of the arrow from the turtle to the goal
+WALL_HIT: Final[Color] = _VERMILION  # colour of a turtle's contacts with the wall
+PAUSED: Final[Color] = _VERMILION  # colour of the start and end of a pause
+ERROR: Final[Color] = _PURPLE  # colour of the arrow from the turtle to the goal
 
 VIOLATION: Final[Color] = (208, 52, 44)
 """Colour of violations: 5:1 to white, 3.7:1 to dark. No run and no phase has this red."""

@@ -26,18 +26,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from turtlelog.charts import plane_scene, plotted_curves
+from turtlelog.charts import plane_scene, plotted_curves, time_plots
 from turtlelog.charts.close_up import CloseUp, Lettering, format_length, list_miss_labels
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.plane_scene import part_path
-from turtlelog.charts.time_plots import (
-    TIME_PLOTS,
-    TIMELINE,
-    Film,
-    list_controlled,
-    locate_run,
-    plan_film,
-)
+from turtlelog.charts.time_plots import TIME_PLOTS, TIMELINE, Film
 from turtlelog.compare import order_by_gain
 from turtlelog.draw.figures.figure_curves import NAMES_HEIGHT, choose_run_lines, name_runs_above
 from turtlelog.draw.figures.page import LOOKS, fix_style, use_looks
@@ -90,7 +83,7 @@ def write_movie(
             f" {length_s:g}"
         )
     runs = order_by_gain(runs)
-    film = plan_film(
+    film = time_plots.plan_film(
         runs, timeline=timeline, length_s=length_s, pictures_per_s=PICTURES_PER_S[suffix]
     )
     pictures = draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture)
@@ -274,7 +267,7 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
     stage = _Stage(
         figure=figure,
         film=film,
-        places=[locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
+        places=[time_plots.locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
     )
     close_up = find_named_close_up(runs)
     _set_plane(stage, runs, looks)
@@ -327,7 +320,7 @@ def _start_trail(axes: Axes, run: Run, zero_ns: int, look: Look) -> _Growing:
 
 def _choose_plots(runs: Sequence[Run]) -> list[str]:
     """Return the names of two plots: signals of the loops, in declared order."""
-    controlled = [plot for run in runs for plot in list_controlled(run)]
+    controlled = [plot for run in runs for plot in time_plots.list_controlled(run)]
     found = dict.fromkeys([*controlled, *_USUAL])
     return [
         name for name in found if any(plotted_curves.has_own(run, TIME_PLOTS[name]) for run in runs)

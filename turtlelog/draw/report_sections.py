@@ -27,33 +27,19 @@ _LEAST_PERCENT: Final = 0.4  # smallest visible width of a bar [% of the width]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckLine:
-    """The result of a check, as text.
+    """The result of a check, as text."""
 
-    Attributes:
-        run: Name of the run, or of a file that could not be read.
-        check: Name of the check.
-        verdict: `PASS`, `FAIL` or `SKIPPED`.
-        value: Measured value with its unit; empty without a value.
-        limit: Limit with its unit; empty without a limit.
-        margin: Margin with its unit; empty without a margin.
-        expected: Expectation, as written.
-        first_violation_s: Time of the first violation [s]; None if it has no time.
-        reason: Reason why the check fails or is skipped, if values do not show the reason.
-        names: Names of the signals in the check.
-        signal: Violated signal with its band; None if no signal is violated.
-    """
-
-    run: str
-    check: str
-    verdict: str
-    value: str = ""
-    limit: str = ""
-    margin: str = ""
-    expected: str = ""
-    first_violation_s: float | None = None
-    reason: str = ""
-    names: tuple[str, ...] = ()
-    signal: ViolatedSignal | None = None
+    run: str  # name of the run, or of a file that could not be read
+    check: str  # name of the check
+    verdict: str  # `PASS`, `FAIL` or `SKIPPED`
+    value: str = ""  # measured value with its unit; empty without a value
+    limit: str = ""  # limit with its unit; empty without a limit
+    margin: str = ""  # margin with its unit; empty without a margin
+    expected: str = ""  # expectation, as written
+    first_violation_s: float | None = None  # first violation [s]; None if it has no time
+    reason: str = ""  # why the check fails or is skipped, if values do not show it
+    names: tuple[str, ...] = ()  # names of the signals in the check
+    signal: ViolatedSignal | None = None  # violated signal with its band; None without violation
 
 
 def show(text: object) -> str:

@@ -24,16 +24,8 @@ from turtlelog.processes import count_cores
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, many, simulate_run
+from turtlelog.simulate import compiled_loop, declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled_loop import (
-    CompiledRunner,
-    build_pieces,
-    compile_loop,
-    compile_rows,
-    draw_streams,
-    name_loop,
-)
 from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep import batch_arrays as arrays
@@ -66,14 +58,15 @@ class Batch(NamedTuple):
 @cache
 def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> many.CompiledCode:
     def load() -> Batch:
-        loop = compile_loop(*kind)
+        loop = compiled_loop.compile_loop(*kind)
         measure = many.call_beside(coverage.compiler)
-        return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
+        kind_of_rows = arrays.type_measurement(coverage)
+        return Batch(loop, compiled_loop.compile_rows(loop, measure, kind_of_rows))
 
     def is_batch_kept() -> bool:
         if not many.is_loop_kept(*kind):
             return False
-        names = f"rows_{name_loop(*kind)}", arrays.name_measurement(coverage)
+        names = f"rows_{compiled_loop.name_loop(*kind)}", arrays.name_measurement(coverage)
         return all(is_kept(many.ENTRY, name) for name in names)
 
     return many.CompiledCode(
@@ -247,7 +240,7 @@ class _Work:
             plain = simulate_run(scenario, step_budget_s=self._step_budget_s)
         except TurtlelogError:  # the row has the reason
             return
-        runner = CompiledRunner(self._step_budget_s)
+        runner = compiled_loop.CompiledRunner(self._step_budget_s)
         compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
             self.notes += many.describe_compiled_difference(scenario.law.kind, plain, compiled)
@@ -330,13 +323,13 @@ class _Work:
         has_rows = hasattr(local, "rows") and len(local.rows.ticks) >= ticks
         if not has_rows or len(local.rows.samples) < samples:
             rows = kernel.loop.kinds.allocate(ticks, samples)
-            pieces = build_pieces(prepared.path)
+            pieces = compiled_loop.build_pieces(prepared.path)
             local.rows = rows._replace(table=prepared.table, pieces=pieces)
             loops = len(self._declaration.loops)
             local.memory = arrays.allocate_memory(ticks, samples, loops, prepared.path)
             local.seed = None
         if local.seed != seed:
-            draw_streams(local.rows, prepared.streams, seed, ticks, samples)
+            compiled_loop.draw_streams(local.rows, prepared.streams, seed, ticks, samples)
             local.seed = seed
         return local.rows, local.memory
 

@@ -239,23 +239,16 @@ _MOST_IN_BATCH: Final = 4096  # rows in a compiled chunk: half a second of usual
 class SweepSummary:
     """Results of a sweep.
 
-    Attributes:
-        output: Path of the table.
-        rows: Number of rows.
-        failed: Number of failed rows.
-        samples: Total number of samples of all runs.
-        recorded: Number of recorded runs.
-        first_failure: Row and reason of the first failure; empty if no row failed.
-        valueless: Metrics without a value in any row, with their statuses.
+    The valueless metrics have no value in any row.
     """
 
-    output: Path
-    rows: int
-    failed: int
-    samples: int
-    recorded: int = 0
-    first_failure: str = ""
-    valueless: Mapping[str, str] = field(default_factory=dict)
+    output: Path  # path of the table
+    rows: int  # number of rows
+    failed: int  # number of failed rows
+    samples: int  # total number of samples of all runs
+    recorded: int = 0  # number of recorded runs
+    first_failure: str = ""  # row and reason of the first failure; empty if no row failed
+    valueless: Mapping[str, str] = field(default_factory=dict)  # statuses by metric
 
 
 def run_sweep(

@@ -78,10 +78,9 @@ class SweptAxis:
         """Return the values of a place in words."""
         return ", ".join(format_key_value(value) for value in self.values[place])
 
-    def tell_row(self, row: int) -> str:
-        """Return keys and values of a row, as in `law.kp_linear = 4`."""
-        values = self.values[self.places[row]]
-        pairs = zip(self.keys, values, strict=True)
+    def tell_keys(self, place: int) -> str:
+        """Return keys and values of a place, as in `law.kp_linear = 4`."""
+        pairs = zip(self.keys, self.values[place], strict=True)
         return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
@@ -132,7 +131,7 @@ class SweptResults:
 
     def tell_row(self, row: int) -> str:
         """Return the values of all varied keys in a row, in words."""
-        return ", ".join(axis.tell_row(row) for axis in self.axes)
+        return ", ".join(axis.tell_keys(axis.places[row]) for axis in self.axes)
 
 
 def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:

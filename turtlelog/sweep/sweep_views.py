@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError, suggest_names
 from turtlelog.measure import find_metric_kind
 from turtlelog.scenario import flatten_scenario
-from turtlelog.sweep.sweep_table import (
-    SEED,
-    SweptAxis,
-    SweptMetric,
-    SweptResults,
-    format_key_value,
-)
+from turtlelog.sweep.sweep_table import SEED, SweptAxis, SweptMetric, SweptResults, format_key_value
 
 Values = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -58,11 +52,7 @@ class SweptView:
 
     def tell_held(self) -> str:
         """Return the fixed values as text, as in `loop.transport_delay_ticks = 4`."""
-        return ", ".join(
-            f"{key} = {format_key_value(value)}"
-            for axis, place in self.held.items()
-            for key, value in zip(axis.keys, axis.values[place], strict=True)
-        )
+        return ", ".join(axis.tell_keys(place) for axis, place in self.held.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,8 +173,7 @@ def _hold_others(
         else:
             held[axis], how = find_usual_place(results, axis)
             if len(axis) > 1:
-                row = int((axis.places == held[axis]).argmax())
-                notes.append(f"{axis.tell_row(row)} ({how}); --at holds another")
+                notes.append(f"{axis.tell_keys(held[axis])} ({how}); --at holds another")
     chosen = np.ones(results.row_count, dtype=bool)
     for axis, place in held.items():
         chosen &= axis.places == place

@@ -19,7 +19,13 @@ from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import Values, find_steps, find_unit, list_levels, read_curve
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.draw.figures import page as pages
-from turtlelog.draw.figures.figure_curves import choose_lines, draw_curve, draw_thinned, label_runs
+from turtlelog.draw.figures.figure_curves import (
+    choose_lines,
+    draw_curve,
+    draw_thinned,
+    label_runs,
+    require_one,
+)
 from turtlelog.draw.figures.page import Page, fix_style, to_rgb, use_looks
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ExplainError, ShowError
@@ -78,11 +84,7 @@ def explain_for_figure(
         ShowError: If there is not exactly one run, or the run has no contributions. The message
             says why.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
-    (run,) = runs
-    chosen = metric or explain.choose_metric(run.declaration)
-    explain.require_causes(run, chosen, None)
+    run, chosen = _choose_explained("attribution", runs, metric)
     identified = explain.identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
@@ -99,6 +101,13 @@ def explain_for_figure(
     name = next(reversed([*ghosts]), "")
     ghost = ghosts.get(name)
     return Explained(run=run, found=found, ghost=ghost, ghost_name=name)
+
+
+def _choose_explained(figure: str, runs: Sequence[Run], metric: str | None) -> tuple[Run, str]:
+    run = require_one(figure, runs)
+    chosen = metric or explain.choose_metric(run.declaration)
+    explain.require_causes(run, chosen, None)
+    return run, chosen
 
 
 def draw_attribution(
@@ -293,11 +302,7 @@ def measure_luck_for_figure(
     Raises:
         ShowError: If there is not exactly one run, or nothing can be shown. The message says why.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure luck: expected one recording, found {len(runs)}")
-    (run,) = runs
-    chosen = metric or explain.choose_metric(run.declaration)
-    explain.require_causes(run, chosen, None)
+    run, chosen = _choose_explained("luck", runs, metric)
     try:
         return explain.measure_luck(run, metric=chosen, work=work)
     except ExplainError as err:

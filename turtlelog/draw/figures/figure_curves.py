@@ -20,6 +20,7 @@ from turtlelog.charts.many_runs import choose_colors_by_value, find_color_scale,
 from turtlelog.compare import name_runs
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
+from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 _MOST_SWINGS: Final = 8.0
@@ -253,6 +254,13 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
         return lines
     looks = {"linewidth": _THIN} if count > _MOST_BROAD else {}
     return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
+
+
+def require_one(figure: str, runs: Sequence[Run]) -> Run:
+    """Return the only run of a figure; ShowError for none or several."""
+    if len(runs) != 1:
+        raise ShowError(f"figure {figure}: expected one recording, found {len(runs)}")
+    return runs[0]
 
 
 def label_runs(runs: Sequence[Run]) -> list[str]:

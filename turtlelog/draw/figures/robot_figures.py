@@ -22,7 +22,13 @@ from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures import page as pages
-from turtlelog.draw.figures.figure_curves import add_legend, draw_curve, draw_thinned, label_runs
+from turtlelog.draw.figures.figure_curves import (
+    add_legend,
+    draw_curve,
+    draw_thinned,
+    label_runs,
+    require_one,
+)
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, fix_style, use_looks
 from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
@@ -79,9 +85,7 @@ def draw_rates(
     Raises:
         ShowError: If there is not exactly one run, or the run has no commands.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
-    (run,) = runs
+    run = require_one("rates", runs)
     model = identify.identify_robot([run]) if model is None else model
     drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
     if not drawn:

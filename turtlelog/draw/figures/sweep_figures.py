@@ -34,7 +34,6 @@ from turtlelog.sweep.sweep_table import (
     SweepTable,
     SweptAxis,
     SweptMetric,
-    format_key_value,
     read_swept_results,
     read_table_results,
 )
@@ -325,7 +324,7 @@ def draw_curves(
     is_one = found is not None and len({*found.columns}) == 1
     for color, place in zip(_color_series(series, len(places)), places, strict=True):
         mean, least, most = (part[place] for part in parts)
-        name = None if series is None else _name_value(series, place)
+        name = None if series is None else series.tell_keys(place)
         named |= _draw_line(axes, along, mean, color, name)
         if valueless[place].any():
             named |= _mark_valueless(axes, along.numbers[valueless[place]], color)
@@ -349,11 +348,6 @@ def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...
     # The ramp is that of more runs than hues; its ends are the least and the greatest value.
     ramp = choose_run_colors(256)
     return [to_rgb(ramp[row]) for row in np.linspace(0, len(ramp) - 1, count).round().astype(int)]
-
-
-def _name_value(series: SweptAxis, place: int) -> str:
-    pairs = zip(series.keys, series.values[place], strict=True)
-    return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:

@@ -333,8 +333,7 @@ def draw_violation(
     Raises:
         ShowError: If there is not exactly one run, or nothing was checked.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure violation: expected one recording, found {len(runs)}")
+    figure_curves.require_one("violation", runs)
     if violated is None:
         raise ShowError("figure violation needs a formula to check: --expect FORMULA")
     width = figure.get_figwidth()

@@ -349,13 +349,26 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
 
 
 def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
-    time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
-    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     for name, color, width in _CURVES:
-        entity = f"/{found.axis}/{name}"
-        style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]), widths=[width])
-        stream.log(entity, style, static=True)
-        stream.send_columns(entity, index, rr.Scalars.columns(scalars=getattr(found, name)))
+        values = getattr(found, name)
+        _draw_curve(stream, f"/{found.axis}", name, color, found.time_s, values, widths=[width])
+
+
+def _draw_curve(
+    stream: rr.RecordingStream,
+    origin: str,
+    name: str,
+    color: palette.Color,
+    time_s: Values,
+    values: Values,
+    **looks: Any,
+) -> None:
+    entity = f"{origin}/{name.replace(' ', '_')}"
+    style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]), **looks)
+    stream.log(entity, style, static=True)
+    time_ns = np.rint(time_s * 1e9).astype("timedelta64[ns]")
+    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
+    stream.send_columns(entity, index, rr.Scalars.columns(scalars=values))
 
 
 _PLANE: Final = "/plane"
@@ -416,17 +429,12 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
 
 def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:
     _, factor = SHOWN_UNITS[band.quantity]
-    time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
-    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     curves: list[tuple[str, Values | None, palette.Color]] = [
         ("recorded", band.recorded, palette.MEASURED),
         ("least simulated", band.low, palette.REFERENCE),
         ("largest simulated", band.high, palette.REFERENCE),
     ]
     for name, values, color in curves:
-        if values is None:
-            continue
-        entity = f"/errors/{band.quantity}/{name.replace(' ', '_')}"
-        colors = palette.pack_colors([color])
-        stream.log(entity, rr.SeriesLines(names=name, colors=colors), static=True)
-        stream.send_columns(entity, index, rr.Scalars.columns(scalars=factor * values))
+        if values is not None:
+            origin, time_s = f"/errors/{band.quantity}", band.time_s + start_s
+            _draw_curve(stream, origin, name, color, time_s, factor * values)

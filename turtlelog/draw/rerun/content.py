@@ -8,12 +8,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.charts import palette, plotted_curves, time_plots
-from turtlelog.charts.close_up import (
-    CloseUp,
-    WorstPlace,
-    find_close_up,
-    find_worst_place,
-)
+from turtlelog.charts.close_up import CloseUp, WorstPlace, find_close_up, find_worst_place
 from turtlelog.charts.curve_marks import SIGNS
 from turtlelog.charts.curves import Level, Values, find_end_of_turn
 from turtlelog.charts.many_runs import MANY

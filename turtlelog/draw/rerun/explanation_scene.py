@@ -11,14 +11,7 @@ from turtlelog.charts import attribution_steps, palette
 from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.compare import Column, Table
-from turtlelog.draw.rerun import (
-    entities,
-    pictures,
-    plane,
-    plots,
-    recording_stream,
-    turtles,
-)
+from turtlelog.draw.rerun import entities, pictures, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.layout import build_explanation_layout

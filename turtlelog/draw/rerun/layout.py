@@ -15,12 +15,7 @@ from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.pictures import (
-    view_explained,
-    view_legend,
-    view_picture,
-    view_scale,
-)
+from turtlelog.draw.rerun.pictures import view_explained, view_legend, view_picture, view_scale
 from turtlelog.draw.rerun.plane import Bounds
 
 Corners = Mapping[str, rrb.Corner2D]

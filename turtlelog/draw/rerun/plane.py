@@ -9,27 +9,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts import many_runs, palette, plane_scene
-from turtlelog.charts.close_up import (
-    CloseUp,
-    Label,
-    Lettering,
-    WorstPlace,
-    find_tolerance,
-    format_length,
-    label_worst_place,
-    list_miss_labels,
-    list_ring_labels,
-)
+from turtlelog.charts import close_up as close_ups, many_runs, palette, plane_scene
+from turtlelog.charts.close_up import CloseUp, Label, Lettering, WorstPlace
 from turtlelog.charts.curves import Values
 from turtlelog.charts.plane_scene import read_pace
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.recording_stream import (
-    RunStream,
-    Timelines,
-    choose_trace_rows,
-)
+from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, choose_trace_rows
 from turtlelog.log.ros2.bag_surroundings import CELL_M, UNKNOWN, OccupancyMap, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Event, Run
@@ -133,13 +119,13 @@ def draw_close_up(
 ) -> None:
     """Draw each run's end with its distance from the goal; `run` gives the direction of arrival."""
     for end in close_up.ends:
-        told = f"ends {format_length(end.miss_m)} from the goal"
+        told = f"ends {close_ups.format_length(end.miss_m)} from the goal"
         entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]
         log_points(
             stream, entity, [end.xy_m], [color], _END_RADIUS, labels=[told], show_labels=False
         )
-    misses = list_miss_labels(close_up, lettering)
-    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
+    misses = close_ups.list_miss_labels(close_up, lettering)
+    rings = close_ups.list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
     up_m = _ABOVE * LETTERING.line * close_up.half_m
     lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
     hues = [colors[one.runs[0]] if len(one.runs) == 1 else palette.START for one in lines]
@@ -173,7 +159,7 @@ def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: palet
     way = [worst.path_xy_m, worst.xy_m]
     log_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
-    label = label_worst_place(worst, LETTERING)
+    label = close_ups.label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
@@ -183,7 +169,8 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
         {
             (run.goal_xy_m, tolerance_m)
             for run in runs
-            if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None
+            if run.goal_xy_m is not None
+            and (tolerance_m := close_ups.find_tolerance(run)) is not None
         }
     )
     if squares:

@@ -226,15 +226,11 @@ def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 def _fill(values: Sequence[Parameter | None]) -> list[float] | list[str]:
     """Return one value per run: numbers and booleans as floats; texts, if any is not a number."""
-    floats = [
-        float("nan") if value is None else float(value)
-        for value in values
-        if value is None or isinstance(value, bool | int | float)
-    ]
-    if len(floats) == len(values):
-        return floats
-    texts = (float(one) if isinstance(one, bool | int | float) else one for one in values)
-    return ["" if value is None else str(value) for value in texts]
+    known = [float(one) if isinstance(one, bool | int | float) else one for one in values]
+    numbers = [one for one in known if one is None or isinstance(one, float)]
+    if len(numbers) == len(known):
+        return [float("nan") if one is None else one for one in numbers]
+    return ["" if one is None else str(one) for one in known]
 
 
 Times = NDArray[np.int64]

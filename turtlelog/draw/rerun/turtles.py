@@ -15,11 +15,7 @@ from turtlelog.charts.time_plots import locate_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plots import Series
-from turtlelog.draw.rerun.recording_stream import (
-    RunStream,
-    Timelines,
-    choose_trace_rows,
-)
+from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, choose_trace_rows
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
 
