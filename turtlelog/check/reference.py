@@ -102,7 +102,8 @@ class ReferenceFile:
             )
 
 
-def _load_reference(path: Path) -> Run | MetricsFile:
+def load_reference(path: Path) -> Run | MetricsFile:
+    """Return the run or the metrics in a file."""
     if not path.exists():
         raise CheckError(
             f"{path}: expected a reference, found no such file; --turtlelog-accept writes it"
@@ -222,7 +223,7 @@ def match_run(
     if isinstance(reference, ReferenceFile):
         reference = reference.path
     if isinstance(reference, str | Path):
-        reference = _load_reference(make_path(reference))
+        reference = load_reference(make_path(reference))
     if isinstance(tolerance, str | Path):
         tolerance = load_tolerances(tolerance)
     if isinstance(tolerance, Tolerances) and not tolerance:
