@@ -76,8 +76,8 @@ def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
     found = _find_signal(run, result)
     if found.signal is None or result.verdict is Verdict.FAIL:
         return found
-    signal = found.signal
-    return SignalSearch(signal=replace(signal, outside=np.zeros_like(signal.outside)))
+    outside = np.zeros_like(found.signal.outside)
+    return SignalSearch(signal=replace(found.signal, outside=outside))
 
 
 def _find_signal(run: Run, result: CheckResult) -> SignalSearch:
@@ -99,9 +99,9 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
     tube = trace_tube(
         judged.reference, run, judged.name, judged.tolerance, alignment=judged.alignment
     )
-    outside = None if tube is None else tube.excess > 0.0
-    if tube is None or outside is None or not outside.any():
+    if tube is None or not (tube.excess > 0.0).any():
         return SignalSearch(reason=f"{judged.name} is no number with a distance")
+    outside = tube.excess > 0.0
     kind = list_signals(run.declaration)[judged.name]
     unit, factor = find_scale(kind.unit)
     rows = _Rows(curve=_build_curve(run, kind, tube.time_ns, tube.values), outside=outside)
@@ -193,15 +193,13 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
     if window_ns is None:
         return SignalSearch(reason=f"the run has no phase {check.phase}")
     found = check_run(run, formula, window_ns=window_ns)
-    leaf = next(
-        (
-            leaf
-            for leaf in _list_leaves(formula.root)
-            for link in split_comparison(leaf.node)
-            if format_expression(link) == found.decided_by
-        ),
-        None,
+    leaves = (
+        leaf
+        for leaf in _list_leaves(formula.root)
+        for link in split_comparison(leaf.node)
+        if format_expression(link) == found.decided_by
     )
+    leaf = next(leaves, None)
     signals = read_signals(run, names)
     if leaf is None or not _names_signals(leaf.node, signals):
         of_metric = any(name in list_metrics(run.declaration) for name in names)
