@@ -35,8 +35,6 @@ _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
 _LARGEST: Final = 1e150
 """Largest value on an axis: squares of differences of larger values overflow."""
 
-_BEYOND: Final = "beyond 1e150"
-
 _USUAL_METRICS: Final = 4
 """Default number of panels: two rows of two panels, each as wide as a column of a paper."""
 
@@ -291,7 +289,13 @@ def _build_metric(
     told = list_cells(codes.take(without)) if len(without) else []
     for row, status in zip(without.tolist(), told, strict=True):
         why = "no such loop" if status is None else status.replace("_", " ")
-        why = _BEYOND if not math.isnan(values[row]) else "not a number" if why == "ok" else why
+        why = (
+            "beyond 1e150"
+            if not math.isnan(values[row])
+            else "not a number"
+            if why == "ok"
+            else why
+        )
         reasons[row] = "failed" if has_failed[row] else why
     values[~is_drawn] = math.nan
     return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)

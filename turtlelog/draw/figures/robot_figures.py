@@ -132,7 +132,7 @@ def _read_axis(axis: identify.AxisModel, model: identify.RobotModel, run: Run) -
     measured = None if traces is None else (traces.time_s - run.start_ns / 1e9, traces.measured)
     if traces is None:
         reported = read_measured(run, axis.axis)
-        curve = read_applied(run, axis.axis) if reported is None else reported.curve
+        curve = read_applied(run, axis.axis) if reported is None else reported[0]
         measured = None if curve is None else (curve.time_s, curve.values)
     return DrawnAxis(
         model=axis,

@@ -421,8 +421,7 @@ def _keep_scene(stream: GrowingStream, size: tuple[int, int] | None = None) -> I
 
 
 _READY_S: Final = 30.0
-"""Time for the page to load the viewer, compressed 17 MB, at 5 Mbit/s [s]. The data for a page that
-takes longer are kept and shown later."""
+"""Time for the page to load the viewer, 17 MB at 5 Mbit/s [s]; later data are kept and shown."""
 
 
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
