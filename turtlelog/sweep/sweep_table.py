@@ -409,12 +409,7 @@ class SweepTable(Tabular):
 
 
 def read_sweep_table(path: str | Path) -> SweepTable:
-    """Return the table of a sweep in a file.
-
-    Raises:
-        LogError: If the file is not a table of a sweep.
-        LibraryError: If pyarrow is not installed.
-    """
+    """Return the table of a sweep in a file; LogError for another file."""
     table = result_table.open_result_table(path, kind="sweep").load()
     name = parse_scenario(table.facts["base"]).name
     plan = json.loads(table.facts["plan"])

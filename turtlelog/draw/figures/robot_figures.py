@@ -82,8 +82,7 @@ def draw_rates(
 ) -> None:
     """Draw commands and measured rates of one run, with its model by `identify_robot`.
 
-    Raises:
-        ShowError: If there is not exactly one run, or the run has no commands.
+    ShowError if the run has no commands.
     """
     run = require_one("rates", runs)
     model = identify.identify_robot([run]) if model is None else model

@@ -138,10 +138,7 @@ def draw_strips(
 ) -> None:
     """Draw a panel for each metric: runs of each group as points, with a box if there are many.
 
-    The metrics are as in `measure_for_figure`.
-
-    Raises:
-        ShowError: If there are too many groups, or no run has a value.
+    The metrics are as in `measure_for_figure`. Too many groups are refused.
     """
     groups = group_runs(runs)
     found = measure_for_figure("strips", runs, metrics)
@@ -260,14 +257,10 @@ _LETTER_WIDTH: Final = 0.65
 def measure_for_figure(
     figure: str, runs: Sequence[Run], names: Sequence[str] | None
 ) -> list[MetricValues]:
-    """Return metrics for which at least one run has a value.
+    """Return metrics with a value in at least one run; ShowError, with a reason, if there are none.
 
     The names are ids, patterns, or names of metrics of any loop (`overshoot`); by default the usual
     metrics.
-
-    Raises:
-        ShowError: If no run has a value of any metric. The message has the first reason.
-        MeasureError: If a name is not a metric.
     """
     for patterns in [[*map(complete_name, names)]] if names else [USUAL, OF_TRACKING]:
         chosen = [choose_metrics(patterns, run.declaration) for run in runs]

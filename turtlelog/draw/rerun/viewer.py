@@ -192,13 +192,10 @@ def require_viewer(url: str) -> None:
 
 
 def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
-    """Return a client as soon as the viewer has drawn something.
+    """Return a client as soon as the viewer has drawn something; ConnectionError if it never does.
 
     An answer alone is not sufficient: without a graphics driver, the viewer listens first and ends
     when it begins to draw.
-
-    Raises:
-        ConnectionError: If the viewer ended, or never drew anything.
     """
     from rerun.experimental import ViewerClient
 
@@ -302,10 +299,7 @@ class Camera:
 def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
     """Start a headless viewer for any number of pictures, and end it after the block.
 
-    The arguments are as in `write_snapshot`.
-
-    Raises:
-        ShowError: If the viewer cannot start.
+    The arguments are as in `write_snapshot`. ShowError if the viewer cannot start.
     """
     port = find_free_port()
     width, height = size
