@@ -170,11 +170,14 @@ def _draw_plot(
                     line_color=drawing.RED, line_dash="dotted", line_width=2,
                 )
             )  # fmt: skip
+    drawing.add_cursor(plots, figure)
     value = f"$snap_y{{0.0000}} {plot.unit}"
     tips = [("", "@name"), ("time", "$snap_x{0.000} s"), (plot.title, value)]
     mode = "vline" if len(config["curves"]) <= _MOST_TIPS else "mouse"
-    hover = models.HoverTool(renderers=[lines], tooltips=tips, line_policy="nearest", mode=mode)
-    drawing.add_cursor(plots, figure, hover, models.CrosshairTool(overlay=plots.crosshair))
+    figure.add_tools(
+        models.HoverTool(renderers=[lines], tooltips=tips, line_policy="nearest", mode=mode),
+        models.CrosshairTool(overlay=plots.crosshair),
+    )
 
 
 def _list_plotted(
