@@ -81,6 +81,10 @@ class SweptAxis:
         pairs = zip(self.keys, self.values[place], strict=True)
         return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
+    def tell_row(self, row: int) -> str:
+        """Return keys and values of a row."""
+        return self.tell_keys(self.places[row])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptMetric:
@@ -129,7 +133,7 @@ class SweptResults:
 
     def tell_row(self, row: int) -> str:
         """Return the values of all varied keys in a row, in words."""
-        return ", ".join(axis.tell_keys(axis.places[row]) for axis in self.axes)
+        return ", ".join(axis.tell_row(row) for axis in self.axes)
 
 
 def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:
