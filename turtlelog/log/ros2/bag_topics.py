@@ -198,6 +198,7 @@ _RUN_WORDS: Final = frozenset(
 
 _POSE_LIKE: Final = re.compile(r"(?i)pose|odom|locali[sz]ation")
 _NUMBER: Final = re.compile(r"\d+")
+_SUFFIX: Final = re.compile(r"[_-]?\d+")
 
 
 def list_first(
@@ -236,10 +237,10 @@ def is_another_thing(topic: str) -> bool:
 
 
 def is_another_robots(topic: str, pose_topic: str) -> bool:
-    """Return whether a topic's namespace differs from the poses' only by a robot's number."""
+    """Return whether a topic's namespace differs from the poses' only by numbers: tb3 and tb3_1."""
     pairs = zip(topic.split("/")[1:-1], pose_topic.split("/")[1:-1], strict=False)
     return any(
-        own != home and _NUMBER.search(own) and _NUMBER.sub("#", own) == _NUMBER.sub("#", home)
+        own != home and len({_SUFFIX.sub("", one) for one in (own, home)}) == 1
         for own, home in pairs
     )
 
