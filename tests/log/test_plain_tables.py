@@ -11,9 +11,10 @@ import pytest
 from tests.log.runs import assert_same, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log import export_csv, export_tum
-from turtlelog.log.any_file import read_file_info, read_run
+from turtlelog.log.any_file import read_file_info, read_run, read_trajectory
 from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.table_files import require_same_poses
+from turtlelog.run import Clock, build_planar_trajectory
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
 
@@ -457,6 +458,27 @@ def test_headings_may_be_rounded_but_no_more(turned: float, tmp_path: Path) -> N
     else:
         with pytest.raises(LogError, match="other values in heading_rad"):
             require_same_poses(path, replace(run, poses=poses))
+
+
+@pytest.mark.parametrize(
+    ("start", "offset_s", "first"),
+    [
+        ("2023-11-14T22:13:20.500000001Z", None, "1700000000.500000001"),
+        ("2023-11-14T22:13:20.500000001Z", 0.003, "1700000000.497000001"),  # times are stamps
+        ("-0.100000000 s", None, "-0.100000000"),
+        ("2023-11-14T22:13:20", None, "0.000000000"),  # an unknown zone, as in the paper's logs
+    ],
+)
+def test_a_trajectory_has_the_times_of_its_source(
+    start: str, offset_s: float | None, first: str, tmp_path: Path
+) -> None:
+    clock = None if offset_s is None else Clock(used="stamp", ratio=1.0, offset_s=offset_s)
+    notes = {"original_timestamp": start}
+    run = replace(simulate_short_run(), notes=notes, clock=clock)
+    (path,) = export_tum(run, tmp_path / "kp4.tum")
+    assert path.read_text().startswith(f"{first} ")
+    require_same_poses(path, run)
+    assert read_trajectory(path).time_ns[0] == build_planar_trajectory(run).time_ns[0]
 
 
 @pytest.mark.parametrize("rows", [-1, 1])

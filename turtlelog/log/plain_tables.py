@@ -9,7 +9,7 @@ from typing import Final, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_utc, join_words
+from turtlelog.display import describe_count, format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file
@@ -144,7 +144,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     poses = {name: column[has_pose] for name, column in values.items()}
     whole = {name: column for name, column in poses.items() if not np.isnan(column).any()}
     absent = [*_NEVER, *(() if len(commands) else ("commands",))]
-    start = f"{start_ns / 1e9:.9f} s" if start_ns < 1e18 else format_utc(start_ns)
+    start = f"{format_seconds(start_ns)} s" if start_ns < 1e18 else format_utc(start_ns)
     pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses["heading"])
     plane = describe_height(poses.get("z"), poses.get("tilt"))

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, format_seconds
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
@@ -354,8 +354,9 @@ def require_few_columns(columns: int) -> None:
 def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
     """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
 
-    Each pose is one line, for programs such as evo: time [s], x y z [m], and the quaternion x y z w
-    of the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
+    Each pose is one line, for programs such as evo: time [s] on the clock of the run's source, x y
+    z [m], and the quaternion x y z w of the heading. Position and time can be read back exactly, the
+    heading to about 1e-15 rad.
 
     Raises:
         LogError: If the file cannot be written.
@@ -372,10 +373,14 @@ def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
 def _format_tum(run: Run) -> Iterator[str]:
     poses = run.poses
     half_rad = poses.heading_rad / 2.0
-    columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
+    columns = (
+        poses.time_ns + run.source_start_ns,
+        *poses.xy_m.T,
+        np.sin(half_rad),
+        np.cos(half_rad),
+    )
     for time_ns, x, y, qz, qw in list_rows(columns):
-        sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
-        yield f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
+        yield f"{format_seconds(time_ns)} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
 
 
 def require_same_poses(path: Path, run: Run) -> None:
@@ -386,7 +391,7 @@ def require_same_poses(path: Path, run: Run) -> None:
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
         rows = slice(first, first + len(time_ns))
-        if not np.array_equal(poses.time_ns[rows], time_ns):
+        if not np.array_equal(poses.time_ns[rows] + run.source_start_ns, time_ns):
             raise describe_mismatch(path, "time_ns")
         if not np.array_equal(poses.xy_m[rows], xy_m):
             raise describe_mismatch(path, "xy_m")
