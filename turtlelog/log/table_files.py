@@ -355,8 +355,8 @@ def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
     """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
 
     Each pose is one line, for programs such as evo: time [s] on the clock of the run's source, x y
-    z [m], and the quaternion x y z w of the heading. Position and time can be read back exactly, the
-    heading to about 1e-15 rad.
+    z [m], and the quaternion x y z w of the heading. Position and time can be read back exactly,
+    the heading to about 1e-15 rad.
 
     Raises:
         LogError: If the file cannot be written.
