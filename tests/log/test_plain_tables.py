@@ -460,6 +460,37 @@ def test_headings_may_be_rounded_but_no_more(turned: float, tmp_path: Path) -> N
             require_same_poses(path, replace(run, poses=poses))
 
 
+def write_robots(path: Path, *, rows: int, name: str = "id") -> Path:
+    """Write 40 poses of a robot 1 and `rows` of a robot 2, 5 m beside it, in order of time."""
+    poses = [(0.1 * row, 0.01 * row, 0.0, 0.0, 1) for row in range(40)]
+    poses += [(0.1 * row, 0.01 * row, 5.0, 0.0, 2) for row in range(rows)]
+    return write(path, f"t,x,y,yaw,{name}", *sorted(poses))
+
+
+@pytest.mark.parametrize(("rows", "is_mixed"), [(9, False), (10, True)])
+def test_rows_of_several_robots_are_not_one_path(
+    rows: int, *, is_mixed: bool, tmp_path: Path
+) -> None:
+    path = write_robots(tmp_path, rows=rows)
+    if not is_mixed:
+        assert len(read_run(path).poses) == 40 + rows
+        return
+    line = r"rows of several robots alternate: --robot 1 or --robot 2 chooses a robot"
+    with pytest.raises(LogError, match=line):
+        read_run(path)
+    run = read_run(path, robot="2")
+    assert (run.name, len(run.poses), run.poses.xy_m[0, 1]) == ("drive:2", rows, 5.0)
+    assert len(read_trajectory(path, ReadChoice(robot="1")).time_ns) == 40
+
+
+def test_other_numbers_of_rows_are_no_robots(tmp_path: Path) -> None:
+    assert len(read_run(write_robots(tmp_path, rows=30, name="battery")).poses) == 70
+    rows = [(0.1 * row, 0.01 * row, 0.0, 0.0) for row in range(40)]
+    for numbers in (range(40), [row // 10 % 2 for row in range(40)]):  # rows, and laps
+        numbered = [(*row, number) for row, number in zip(rows, numbers, strict=True)]
+        assert len(read_run(write(tmp_path, "t,x,y,yaw,id", *numbered)).poses) == 40
+
+
 @pytest.mark.parametrize(
     ("start", "offset_s", "first"),
     [

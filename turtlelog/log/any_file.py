@@ -271,7 +271,7 @@ def read_trajectory(
             columns = {**of_robot, **choice.columns}
             chosen = log.assign_columns(table.names, columns, table.units)
             if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
-                return _build_from_table(file, log.Cells(table, chosen))
+                return _build_from_table(file, log.Cells(table, chosen, choice.robot))
     bag = None
     if file.exists() and (file.is_dir() or is_bag_file(file)):
         with suppress(LogError):  # the reader of the run gives the error

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -40,8 +41,11 @@ from turtlelog.log.table_columns import (
     Choice,
     assign_columns,
     describe_units,
+    find_robot_column,
     find_runs,
     find_table_robots,
+    list_row_robots,
+    offer_robots,
     read_date,
     read_time,
     show_column,
@@ -87,7 +91,7 @@ def import_plain_table(
     Args:
         path: Text file with commas, semicolons, tabs or blanks between cells, or a Parquet file.
         columns: Columns by quantity, if names are not clear, as in `{"heading": "psi [deg]"}`.
-        robot: Name of one of several robots, as in `robot1_x`.
+        robot: Name of one of several robots, as in `robot1_x` or in a column `robot`.
         allow_partial: Whether to leave out a last row with too few cells.
 
     Raises:
@@ -100,8 +104,9 @@ def import_plain_table(
         asked = {**robots.get(robot or "", {}), **(columns or {})}
         chosen = assign_columns(table.names, asked, table.units)
         _require_columns(table, chosen, [*robots])
-        run = _build_run(path, Cells(table, chosen))
-        if robot not in robots:
+        cells = Cells(table, chosen, robot)
+        run = _build_run(path, cells)
+        if robot not in {*robots, *cells.robots}:
             return run
         return replace(run, name=f"{run.name}:{robot}", notes={**run.notes, ROBOT: robot})
 
@@ -121,10 +126,8 @@ def _require_columns(
             )
         found = ", ".join(table.names[:_SHOWN_NAMES])
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        option = f"--column {missing[0]}='NAME [UNIT]' says which"
-        if robots:
-            option = f"{' or '.join(f'--robot {robot}' for robot in robots[:3])} chooses a robot"
-        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {option}")
+        options = offer_robots(robots) or f"--column {missing[0]}='NAME [UNIT]' says which"
+        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:
@@ -300,14 +303,29 @@ class Cells:
         chosen: Chosen columns by quantity.
         time_ns: Times [ns], since 1970 or from another start, shape (n,).
         notes: Notes on rows that are left out.
+        robots: Robots whose rows alternate; empty for one robot.
     """
 
-    def __init__(self, table: PlainTable, chosen: Mapping[str, Choice]) -> None:
+    def __init__(
+        self, table: PlainTable, chosen: Mapping[str, Choice], robot: str | None = None
+    ) -> None:
         self.table, self.chosen = table, chosen
         self._guesses: dict[str, str] = {}
-        found = table.columns.read([choice.column for choice in chosen.values()])
-        self._cells = dict(zip(chosen, found, strict=True))
+        taken = [choice.column for choice in chosen.values()]
+        named = find_robot_column(table.names, {*taken})
+        found = table.columns.read([*taken, *named])
+        self._cells = dict(zip(chosen, found, strict=False))
+        self._lines, self.robots = table.columns.lines, list[str]()
         time_ns = self._read_times()
+        if named:
+            placed = np.isfinite(self._parse(self.chosen["x"]))
+            self.robots = list_row_robots([*compress(found[-1], placed)], time_ns[placed])
+        if self.robots:
+            if robot not in self.robots:
+                raise LogError(f"rows of several robots alternate: {offer_robots(self.robots)}")
+            rows = np.flatnonzero([str(name) == robot for name in found[-1]])
+            time_ns = time_ns[rows]
+            self._take_robot(rows)
         runs = self._find_runs(time_ns)
         self._rows = max(runs, key=lambda rows: rows.stop - rows.start)
         self.time_ns = time_ns[self._rows]
@@ -340,6 +358,13 @@ class Cells:
             if guess.endswith(_ASSUMED)
         }
 
+    def _take_robot(self, rows: NDArray[np.int64]) -> None:
+        self._cells = {
+            field: cells[rows] if isinstance(cells, np.ndarray) else [cells[row] for row in rows]
+            for field, cells in self._cells.items()
+        }
+        self._lines = [self._lines[row] for row in rows]
+
     def _find_runs(self, time_ns: NDArray[np.int64]) -> list[slice]:
         """Return the rows of each run, judged by rows with a position.
 
@@ -354,7 +379,7 @@ class Cells:
 
     def _describe_restart(self, runs: Sequence[slice]) -> str:
         """Return a sentence on a table with several runs, of which one is read."""
-        lines, word, rows = self.table.columns.lines, self.table.word, self._rows
+        lines, word, rows = self._lines, self.table.word, self._rows
         left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
         return (
             f"run {runs.index(rows) + 1} of {len(runs)} in the table is read, {word}s"
@@ -388,7 +413,7 @@ class Cells:
         """Raise an error for an invalid cell."""
         table, choice = self.table, self.chosen[field]
         found = repr(str(self._cells[field][row])[:40])
-        place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
+        place = f"{table.word} {self._lines[row]}, column {choice.name}"
         raise LogError(f"{place}: expected {expected}, found {found}")
 
     def _parse(self, choice: Choice) -> Values:

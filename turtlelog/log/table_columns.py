@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
+from itertools import islice
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -96,6 +97,11 @@ _WANTED: Final = frozenset(
 )
 """Words in names of columns without the robot's position or motion."""
 
+_ROBOTS: Final = frozenset(
+    f"{noun}{end}" for noun in ("robot", "agent", "vehicle") for end in ("", "_id", "_name")
+) | {"id", "name", "object_id", "track_id"}
+"""Names of columns that may contain the robot of each row."""
+
 _LONGEST_NAME: Final = 512
 """Longest name that is searched for a quantity [letters].
 
@@ -185,6 +191,34 @@ def find_table_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
         for robot, columns in found.items()
         if any(fields <= {*columns} for fields in needed)
     }
+
+
+def find_robot_column(names: Sequence[str], taken: set[int]) -> list[int]:
+    """Return the column that may contain the robot of each row, as a list of at most one index."""
+    short = ((place, name) for place, name in enumerate(names) if len(name) <= _LONGEST_NAME)
+    found = (place for place, name in short if place not in taken and _simplify(name) in _ROBOTS)
+    return [*islice(found, 1)]
+
+
+def list_row_robots(names: Sequence[str], time_ns: NDArray[np.int64]) -> list[str]:
+    """Return the robots whose rows alternate in time; empty for one robot.
+
+    The number of a lap or waypoint changes seldom, and that of a row is never repeated.
+    """
+    known, codes, counts = np.unique(
+        np.array(names, dtype=object).astype(str), return_inverse=True, return_counts=True
+    )
+    if len(known) < 2 or (second := int(np.sort(counts)[-2])) < _FEWEST_ROWS:
+        return []
+    codes = codes[np.argsort(time_ns, kind="stable")]
+    changes = int(np.count_nonzero(np.diff(codes)))
+    return known.tolist() if changes >= second else []
+
+
+def offer_robots(robots: Sequence[str]) -> str:
+    """Return the options that choose one of several robots; empty without robots."""
+    options = " or ".join(f"--robot {robot}" for robot in robots[:3])
+    return options and f"{options} chooses a robot"
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
