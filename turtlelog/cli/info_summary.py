@@ -137,7 +137,7 @@ def summarise(
     if info.format_version is not None:
         text = _summarise_own(info, NOTHING_LEFT if is_lost else "")
         return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
-    if not info.complete:
+    if not info.complete and (is_lost or not choice.allow_partial):
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
     if not is_asked and (large := _find_large(path, info)):
