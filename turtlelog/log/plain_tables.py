@@ -21,6 +21,7 @@ from turtlelog.log.planar_poses import (
     compute_tilt,
     describe_headings,
     describe_height,
+    describe_order,
     fits_degrees,
     lift_poses,
     separate_times,
@@ -44,6 +45,7 @@ from turtlelog.log.table_columns import (
     find_robot_column,
     find_runs,
     find_table_robots,
+    guess_time_unit,
     list_row_robots,
     offer_robots,
     read_date,
@@ -124,7 +126,8 @@ def _require_columns(
                 "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
                 " --reference FILE --ate compares two of them"
             )
-        found = ", ".join(table.names[:_SHOWN_NAMES])
+        shown = range(min(len(table.names), _SHOWN_NAMES))
+        found = ", ".join(show_column(table.names, place) for place in shown)
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
         options = offer_robots(robots) or f"--column {missing[0]}='NAME [UNIT]' says which"
         raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
@@ -228,6 +231,8 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
         empty = x**2 + y**2 + z**2 + w**2 == 0.0
     if empty.any():
         cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    names = [cells.chosen[name].name for name in _QUATERNION]
+    cells.notes |= describe_order(x, y, z, w, names=names)
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
 
 
@@ -351,12 +356,8 @@ class Cells:
 
     def find_assumed(self, *fields: str) -> dict[str, str]:
         """Return the names of columns in assumed standard units, by quantity."""
-        guesses = {field: self._guesses.get(field, "") for field in fields}
-        return {
-            field: self.chosen[field].name
-            for field, guess in guesses.items()
-            if guess.endswith(_ASSUMED)
-        }
+        guessed = [one for one in fields if self._guesses.get(one, "").endswith(_ASSUMED)]
+        return {field: self.chosen[field].name for field in guessed}
 
     def _take_robot(self, rows: NDArray[np.int64]) -> None:
         self._cells = {
@@ -392,7 +393,7 @@ class Cells:
         """Return a description of the columns: quantities, units, and unread columns."""
         told = []
         for field, choice in self.chosen.items():
-            unit = self._guesses.get(field, choice.unit)
+            unit = self._guesses.get(field, choice.unit or "ns")  # of nanoseconds without a unit
             # The unit is not repeated if the column's name ends with it.
             is_said = QUANTITIES[field] == "number" or (
                 unit == choice.unit and choice.name.endswith(("]", ")"))
@@ -465,7 +466,10 @@ class Cells:
                 self.refuse("t", row, "a time")
             times[row] = time_ns
         more = self.chosen.get("t_nanosec")
-        return times if more is None else times + self._parse(more).astype(np.int64)
+        if more is None:
+            return times
+        factor = np.int64(10 ** _POWERS[more.unit or "ns"])
+        return times + self._parse(more).astype(np.int64) * factor
 
     def _guess_time_unit(self, choice: Choice) -> str:
         numbers = self._parse(choice)
@@ -477,8 +481,8 @@ class Cells:
         if step > _LONGEST_STEP_S:
             raise LogError(
                 f"column {choice.name}: expected a time with its unit, found steps of {step:g},"
-                f" which are no seconds: --column t='{choice.name} [ns]' names the unit (s, ms, us,"
-                " ns)"
+                f" which are no seconds: --column t='{choice.name} [{guess_time_unit(step)}]' names"
+                " the unit (s, ms, us, ns)"
             )
         self._guesses["t"] = f"s{_ASSUMED}"
         return "s"

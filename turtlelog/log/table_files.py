@@ -108,8 +108,8 @@ def _parse_text(text: str, size: int, *, allow_partial: bool) -> PlainTable:
     header = _split_line(first, delimiter)
     has_header, units = True, dict[str, str]()
     is_first = all(map(_is_number, header))
-    if is_first:
-        has_header, header = _find_names(comments, delimiter, len(header))
+    if is_first or (is_first := _is_row(header, second, delimiter)):
+        has_header, header = _find_names(comments, delimiter, header)
         units = {} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"}
     elif is_row_of_units(cells := _split_line(second, delimiter) if _is_whole(second) else []):
         units = dict(zip(header, cells, strict=False))
@@ -148,8 +148,23 @@ def _find_delimiter(line: str) -> str:
     return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
 
 
-def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
-    """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
+def _is_row(first: Sequence[str], second: str, delimiter: str) -> bool:
+    """Return whether the first row has numbers and texts where the second row has them."""
+    kinds = [_is_number(cell) for cell in first if cell]
+    if not any(kinds) or not _is_whole(second):
+        return False
+    cells = _split_line(second, delimiter)
+    return [*map(_is_number, first)] == [*map(_is_number, cells)]
+
+
+def _find_names(
+    comments: Sequence[str], delimiter: str, first: Sequence[str]
+) -> tuple[bool, list[str]]:
+    """Return column names of a file without a header: from its last comment, or of TUM or KITTI.
+
+    Columns of numbers and texts, as by `ros2 topic echo --csv`, are numbered.
+    """
+    count = len(first)
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
             if _count_cells(comment, candidate) > MOST_COLUMNS:
@@ -160,6 +175,8 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
     for known in (_TUM_COLUMNS, KITTI_COLUMNS):
         if count == len(known):
             return False, [*known]
+    if not all(map(_is_number, first)):
+        return True, [f"#{place + 1}" for place in range(count)]
     raise LogError(
         "expected a header that names the columns, the 8 columns of a TUM trajectory"
         f" ({' '.join(_TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
@@ -286,7 +303,7 @@ def _read_parquet(path: Path) -> PlainTable:
         names=tuple(columns.names),
         columns=columns,
         word="row",
-        units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
+        units=dict.fromkeys(columns.list_times(), "ns"),
     )
 
 
@@ -302,6 +319,13 @@ class _StoredColumns:
         """Return the cells of some columns."""
         return [self._read_one(self.names[place]) for place in places]
 
+    def list_times(self) -> list[str]:
+        """Return the names of columns with the type of a time or duration, read in ns."""
+        kinds = zip(self._file.schema.names, self._file.schema.types, strict=True)
+        durations = [name for name, kind in kinds if str(kind).startswith("duration")]
+        leaves = self._file.leaves
+        return durations + [leaf.path for leaf in leaves if leaf.logical_type.type == "TIMESTAMP"]
+
     def _read_one(self, name: str) -> Sequence[Any]:
         """Return the cells of a column: numbers, times in ns, or else texts; null becomes empty."""
         table = self._file.read([name])
@@ -312,8 +336,8 @@ class _StoredColumns:
         column = table.column(0)
         if not str(column.type).startswith(("dictionary", "string", "large_string")):
             values = column.to_numpy()
-            if values.dtype.kind == "M":
-                found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
+            if values.dtype.kind in "mM":
+                found: Sequence[Any] = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
                 return found
             if values.dtype.kind in "iuf":
                 return values  # type: ignore[no-any-return]
