@@ -152,6 +152,19 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
     ]
 
 
+def describe_other_poses(topics: Iterable[TopicInfo]) -> dict[str, str]:
+    """Return a note on topics that may contain poses, for a bag of which none is read."""
+    held = [topic for topic in topics if topic.count]
+    parts = [
+        f"{topic.topic} ({topic.type}) is not read, as its fields have other names"
+        for topic in list_by_fields(held)
+        if _POSE_LIKE.search(take_last(topic.type))
+    ]
+    joints = [topic.topic for topic in held if topic.type == JOINTS]
+    parts = [*parts[:_MOST_UNREAD], *([f"{joints[0]}: {NEEDS_WHEELS}"] if joints else [])]
+    return {"poses": f"poses: {'; '.join(parts)}"} if parts else {}
+
+
 def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     """Return the unread topics of poses, commands, goals or paths with reasons; may be empty.
 
