@@ -158,6 +158,15 @@ def test_quaternions_give_the_heading_and_say_a_tilt(tmp_path: Path) -> None:
         read_run(path)
 
 
+def test_an_empty_rotation_in_the_second_run_is_found_in_its_line(tmp_path: Path) -> None:
+    rows = [(row / 10, row / 50, 0, 0, 0, 0, 0, int(row != 2)) for row in (*range(20), *range(40))]
+    path = write(tmp_path, "t,x,y,z,qx,qy,qz,qw", *rows)
+    message = "line 24, column qw: expected a rotation of a length other than 0, found '0'"
+    for reader in (read_run, read_trajectory):
+        with pytest.raises(LogError, match=message):
+            reader(path)
+
+
 def test_columns_are_mapped_by_the_user(tmp_path: Path) -> None:
     path = write(tmp_path, "clock,east,north,psi [deg],w", (0, 1, 2, 90, 3), (20, 1, 2, 180, 3))
     columns = {"t": "clock [ms]", "x": "east", "y": "north", "heading": "psi [deg]"}
@@ -294,6 +303,14 @@ def test_repeated_headers_are_left_out(tmp_path: Path) -> None:
         read_run(write(tmp_path, "t,x,y,yaw", "t,x,y,yaw"))
 
 
+@pytest.mark.parametrize("unit", ["UTC", "iso8601"])
+def test_dates_need_no_unit_in_a_row_of_units(unit: str, tmp_path: Path) -> None:
+    rows = [("2024-01-01T00:00:00.100", 1, 2, 0), ("2024-01-01T00:00:00.300", 1, 3, 0)]
+    run = read_run(write(tmp_path, "t,x,y,yaw", f"{unit},m,cm,rad", *rows))
+    assert run.poses.time_ns.tolist() == [0, 200_000_000]
+    assert run.poses.xy_m.tolist() == [[1.0, 0.02], [1.0, 0.03]]
+
+
 @pytest.mark.parametrize("units", ["ms,mm,cm,deg,", "[ms],(mm),[cm],[deg],-", "ms, mm, cm,°,V"])
 def test_a_row_of_units_is_read(units: str, tmp_path: Path) -> None:
     run = read_run(write(tmp_path, "t,x,y,yaw,battery", units, (0, 5, 5, 90, 1), (5, 6, 7, 90, 1)))
@@ -361,6 +378,13 @@ def test_one_of_several_robots_in_a_table_is_read(sign: str, tmp_path: Path) -> 
         read_run(path)
     with pytest.raises(LogError, match="--robot r1 or --robot r2 chooses a robot"):
         read_run(path, robot="r3")
+
+
+@pytest.mark.parametrize("robot", [None, "pose"])
+def test_a_robot_does_not_give_a_missing_time(robot: str | None, tmp_path: Path) -> None:
+    path = write(tmp_path, "clk,pose_x,pose_y,pose_yaw", (0, 0, 0, 0), (1, 1, 0, 0))
+    with pytest.raises(LogError, match=r"no column for t; .*: --column t='NAME \[UNIT\]' says wh"):
+        read_run(path, robot=robot)
 
 
 def test_own_tables_are_read_as_ever(tmp_path: Path) -> None:

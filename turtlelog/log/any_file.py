@@ -325,11 +325,8 @@ def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
 
 def _build_from_table(path: Path, cells: "Cells") -> "Trajectory":
     xyz_m = np.column_stack([cells.require(name) for name in "xyz"])
-    turns = np.column_stack([cells.require(name) for name in _QUATERNION])
-    with np.errstate(over="ignore"):
-        empty = (turns**2).sum(axis=1) == 0.0
-    if empty.any():
-        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    x, y, z, w = cells.require_turns()
+    turns = np.column_stack([w, x, y, z])
     notes = {CHOSEN: cells.describe()} if cells.table.has_header else {}
     notes |= cells.notes
     return runs.build_trajectory(path.stem, cells.time_ns, xyz_m, turns, notes=notes)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress
+from itertools import compress, islice
 from pathlib import Path
 from typing import Final, NoReturn
 
@@ -69,6 +69,9 @@ _NEEDED: Final = ("t", "x", "y", "heading")
 _SHOWN_NAMES: Final = 12
 """Largest number of columns that an error lists."""
 
+_MOST_UNREAD: Final = 160
+"""Largest number of letters that list the columns which are not read, at least one each."""
+
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
 
 _NORTH_RAD: Final = math.pi / 2.0
@@ -129,7 +132,8 @@ def _require_columns(
         shown = range(min(len(table.names), _SHOWN_NAMES))
         found = ", ".join(show_column(table.names, place) for place in shown)
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        options = offer_robots(robots) or f"--column {missing[0]}='NAME [UNIT]' says which"
+        offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
+        options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
         raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
 
 
@@ -226,11 +230,7 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    x, y, z, w = (cells.require(name) for name in _QUATERNION)
-    with np.errstate(over="ignore"):
-        empty = x**2 + y**2 + z**2 + w**2 == 0.0
-    if empty.any():
-        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    x, y, z, w = cells.require_turns()
     names = [cells.chosen[name].name for name in _QUATERNION]
     cells.notes |= describe_order(x, y, z, w, names=names)
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
@@ -401,14 +401,24 @@ class Cells:
             told.append(f"{field} from {choice.name}" + ("" if is_said else f" [{unit}]"))
         used = {choice.column for choice in self.chosen.values()}
         names = self.table.names
-        rest = [show_column(names, place) for place in range(len(names)) if place not in used]
+        rest = (show_column(names, place) for place in range(len(names)) if place not in used)
         text = ", ".join(told)
-        if rest:
-            text += f"; not read: {', '.join(rest)[:160]}"
+        if unread := ", ".join(islice(rest, _MOST_UNREAD))[:_MOST_UNREAD]:
+            text += f"; not read: {unread}"
         if self._guesses:
             field = [*self._guesses][-1]
             text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
         return text
+
+    def require_turns(self) -> Sequence[Values]:
+        """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
+        columns = [self.require(name) for name in _QUATERNION]
+        with np.errstate(over="ignore"):
+            empty = np.square(columns).sum(axis=0) == 0.0
+        if empty.any():
+            row = self._rows.start + int(empty.argmax())
+            self.refuse("qw", row, "a rotation of a length other than 0")
+        return columns
 
     def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
         """Raise an error for an invalid cell."""

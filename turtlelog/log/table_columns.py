@@ -59,6 +59,9 @@ _SPELLINGS: Final[Mapping[str, str]] = {
 }
 """Common spellings of units."""
 
+_DATES: Final = frozenset({"utc", "gmt", "date", "datetime", "iso", "iso8601", "iso 8601"})
+"""Texts in a row of units above times that need no unit."""
+
 _NAMES: Final[Mapping[str, str]] = {
     "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
     " stamp_sec stamp_secs elapsed elapsed_time sim_time ros_time sec secs seconds",
@@ -166,6 +169,8 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
     if choice.unit is not None or not text or QUANTITIES[choice.field] == "number":
         return choice
     unit = _read_unit(choice.field, text)
+    if unit is None and choice.field == "t" and text.lower() in _DATES:
+        return choice
     if unit is None:
         known = ", ".join(choice.units)
         raise LogError(
@@ -465,15 +470,19 @@ def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
     starts = np.append(0, np.flatnonzero(np.diff(time_ns) < 0) + 1)
     ends = np.append(starts[1:], len(time_ns))
     columns = (starts, ends, time_ns[starts], time_ns[ends - 1])
-    found, first = [], 0
+    found, first, head = [], 0, None
     low = high = int(time_ns[0])
     for start, end, begin, last in zip(*(column.tolist() for column in columns), strict=True):
-        is_long = start - first >= _FEWEST_ROWS <= end - start
-        if is_long and begin <= low + _FAR_BACK * (high - low):
+        if not begin <= low + _FAR_BACK * (high - low):
+            head = None
+        elif head is None or start - head >= _FEWEST_ROWS:
+            head = start  # late rows may divide the first rows of a run
+        if head is not None and head - first >= _FEWEST_ROWS <= end - start:
             part = time_ns[start:end]
             within = np.searchsorted(part, high, "right") - np.searchsorted(part, low)
             if within >= _FEWEST_ROWS:
-                found.append(slice(first, start))
-                first, low, high = start, begin, last
+                found.append(slice(first, head))
+                first, low, high = head, int(time_ns[head:start].min(initial=begin)), last
+        head = None if end - start >= _FEWEST_ROWS else head
         low, high = min(low, begin), max(high, last)
     return [*found, slice(first, len(time_ns))]
