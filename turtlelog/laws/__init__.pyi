@@ -2,6 +2,7 @@ from .base import (
     ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
     MAY_BE_INFINITE as MAY_BE_INFINITE,
     AnyLaw as AnyLaw,
+    AskedLaw as AskedLaw,
     Decision as Decision,
     Goal as Goal,
     Law as Law,

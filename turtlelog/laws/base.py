@@ -278,6 +278,11 @@ class AskedLaw:
         self._table = () if part.build_table is None else part.build_table(parameters)
         self._names = [*signature(part.step).parameters]
 
+    @property
+    def law(self) -> AnyLaw:
+        """The law without its parameters: the part, or a class that inherits from it."""
+        return self._part if type(self) is _build_class(self._part) else type(self)
+
     def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
         """Set the limits at which the loop clips the commands."""
         limits = SimpleNamespace(speed_m_s=speed_m_s, turn_rate_rad_s=turn_rate_rad_s)

@@ -17,7 +17,7 @@ from threading import Lock
 from typing import Any, Final, Generic, TypeVar
 
 from turtlelog.errors import LawError, describe_error
-from turtlelog.laws.base import Goal, Law, LawPart, Pose
+from turtlelog.laws.base import AskedLaw, Goal, Law, LawPart, Pose
 from turtlelog.laws.loading import LAWS
 from turtlelog.libraries import load_library
 from turtlelog.run.paths import Path
@@ -36,11 +36,13 @@ def name_given_law(law: Any) -> str:
     """Return the kind of a law: the built-in kind, `module:NAME` if importable, or `session:NAME`.
 
     Args:
-        law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`.
+        law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`;
+            of a part with its parameters, the part.
 
     Raises:
         LawError: If `law` is none of these.
     """
+    law = law.law if isinstance(law, AskedLaw) else law
     if isinstance(law, LawPart) and LAWS.get(law.name) is law:
         return law.name
     is_named = isinstance(law, type | LawPart) or inspect.isfunction(law)
@@ -192,9 +194,10 @@ def _complete_object(law: Any) -> type[Any]:
         def step(self, time_ns: int, pose: Pose) -> Any:
             return self._law.step(time_ns, pose)
 
-    for name in ("declare", "causes"):
+    for name in ("declare", "list_unused", "causes", "counts_samples"):
         if hasattr(law, name):
-            setattr(Given, name, staticmethod(law.declare) if name == "declare" else law.causes)
+            member = getattr(law, name)
+            setattr(Given, name, staticmethod(member) if callable(member) else member)
     _take_name(Given, type(law))
     return Given
 
