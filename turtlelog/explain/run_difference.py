@@ -251,7 +251,7 @@ def _stand_for(
     if not len(run.samples):
         return replace(side, note=_NO_SAMPLES), None
     if run.scenario_is_complete and length_s <= LONGEST_S:
-        recorded = check_recorded_scenario(run, mark_breaks(trace_run(run)), trust_law=trust_law)
+        recorded = check_recorded_scenario(mark_breaks(trace_run(run)), trust_law=trust_law)
         note = recorded.reach
         if recorded.scenario is not None:
             side = replace(side, basis="recorded", note=note, is_exact=True)

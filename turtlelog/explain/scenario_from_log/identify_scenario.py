@@ -106,10 +106,11 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
         reason = _find_other_law(run)
         if reason:
             return _identify_other_law(run, reason, trust_law=trust_law)
-        recorded, plant = _identify_recorded(run), find_plant(run).name
+        trace, plant = mark_breaks(trace_run(run, PHASES)), find_plant(run).name
+        recorded = _identify_recorded(trace)
         if recorded is None and plant != TURTLESIM.name:
             return _identify_other_law(run, f"its plant is {plant}: {_AROUND}", trust_law=trust_law)
-        return recorded or _prefer_recorded(run, _identify_samples(run))
+        return recorded or _prefer_recorded(trace, _identify_samples(trace))
 
 
 def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
@@ -130,17 +131,16 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
     )
 
 
-def _identify_recorded(run: Run) -> Identification | None:
+def _identify_recorded(trace: Trace) -> Identification | None:
     """Return the findings on a run whose scenario contains effects that cannot be identified.
 
     An effect may be invisible, or look like another setting. So the recorded settings are used if
     they reproduce every sample; None if they do not, or contain no such effect.
     """
-    unseen = identification.list_unseen(run)
+    run, unseen = trace.run, identification.list_unseen(trace.run)
     if not (unseen and run.scenario_is_complete):
         return None
-    trace = mark_breaks(trace_run(run, PHASES))
-    recorded = check_recorded_scenario(run, trace, trust_law=False)
+    recorded = check_recorded_scenario(trace, trust_law=False)
     if recorded.scenario is None:
         return None
     rotation, turning = law_identification.identify_rotation(trace)
@@ -164,17 +164,17 @@ def _identify_recorded(run: Run) -> Identification | None:
     )
 
 
-def _prefer_recorded(run: Run, found: Identification) -> Identification:
+def _prefer_recorded(trace: Trace, found: Identification) -> Identification:
     """Return the recorded scenario if it reproduces the run and the identified one does not.
 
     If the identified scenario does, it gets the recorded settings that the samples do not show.
     """
     again = found.resimulation
-    if not run.scenario_is_complete:
+    if not trace.run.scenario_is_complete:
         return found
     if again is not None and again.is_exact:
-        return _add_recorded(run, found)
-    recorded = check_recorded_scenario(run, mark_breaks(trace_run(run, PHASES)), trust_law=False)
+        return _add_recorded(trace, found)
+    recorded = check_recorded_scenario(trace, trust_law=False)
     if recorded.scenario is None or recorded.resimulation is None:
         return found
     identified = "no scenario is identified" if again is None else "the identified one does not"
@@ -187,18 +187,19 @@ def _prefer_recorded(run: Run, found: Identification) -> Identification:
     )
 
 
-def _add_recorded(run: Run, found: Identification) -> Identification:
+def _add_recorded(trace: Trace, found: Identification) -> Identification:
     """Return findings with recorded settings of the law that the samples do not show, if exact."""
+    given = trace.run.parameters
     recorded = {
-        key: run.parameters[key]
+        key: given[key]
         for key in LAW_KEYS
-        if key in run.parameters and found.findings[key].certainty is Certainty.UNKNOWN
+        if key in given and found.findings[key].certainty is Certainty.UNKNOWN
     }
     changed = {key: value for key, value in recorded.items() if value != found.findings[key].used}
     if found.scenario is None or not changed:
         return found
     scenario = override_scenario(found.scenario, changed)
-    again = compare_samples(mark_breaks(trace_run(run, PHASES)), simulate_run(scenario))
+    again = compare_samples(trace, simulate_run(scenario))
     if not again.is_exact:
         return found
     findings = {
@@ -213,9 +214,8 @@ def _add_recorded(run: Run, found: Identification) -> Identification:
     )
 
 
-def _identify_samples(run: Run) -> Identification:
-    trace = mark_breaks(trace_run(run, PHASES))
-    motion = space_out(trace)
+def _identify_samples(trace: Trace) -> Identification:
+    run, motion = trace.run, space_out(trace)
     dead_times = identification.find_dead_times(motion, PHASES)
     findings = identification.describe_dead_times(dead_times, motion, run)
     findings |= loop_settings.describe_goal(trace)
@@ -393,7 +393,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
         reach = "the recorded scenario is not tested, as the code of its law is not trusted"
         recorded = RecordedScenario(reach=reach)
     else:
-        recorded = check_recorded_scenario(run, trace, trust_law=trust_law)
+        recorded = check_recorded_scenario(trace, trust_law=trust_law)
     fits, settings, plant = None, dict[str, Finding](), find_plant(run).name
     around = reason if plant == TURTLESIM.name else f"its plant is {plant}: {_AROUND}"
     if plant == TURTLESIM.name:  # only its motion shows the loop around it
