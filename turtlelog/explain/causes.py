@@ -11,7 +11,6 @@ The metric to explain is chosen and checked here as well, and its resolution is 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog import measure
@@ -53,9 +52,9 @@ LOOP_CAUSES: Final = (
 )
 """Causes between law and plant, for every law."""
 
-PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = MappingProxyType(
-    {kind: part.causes for kind, part in PLANTS.items() if part.causes}
-)
+PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = {
+    kind: part.causes for kind, part in PLANTS.items() if part.causes
+}
 """Causes in a plant, by kind of plant. Dead time and time constant of a robot are not among
 them."""
 
@@ -96,7 +95,7 @@ def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
                 f" found {cause.name!r}"
             )
         found[cause.name] = cause
-    return MappingProxyType(found)
+    return found
 
 
 def list_effects(table: Mapping[str, Cause]) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from html import escape
-from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
@@ -343,7 +342,7 @@ def _write_software(found: ExplainedDifference) -> str:
 _MS: Final = ("dead_time_s", "lag_s")
 """Fields of values that are printed in milliseconds."""
 
-_AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
+_AFTER: Final = {"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"}
 """Text after a value: instead of the axis's unit, or after this unit."""
 
 

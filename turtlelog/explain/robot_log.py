@@ -8,7 +8,6 @@ about its motion need no model.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -40,22 +39,20 @@ ROBOT: Final = "robot"
 CHANCE: Final = (NOISE, TIMES)
 """Parts that are chance instead of causes, because they do not belong to the robot."""
 
-MOTIONS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "driving", "turn_rate": "turning"})
+MOTIONS: Final[Mapping[Axis, str]] = {"speed": "driving", "turn_rate": "turning"}
 """Words for the motions of the axes, for names of parts."""
 
-FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "gain": ("gain", "reverse_gain"),
-        "dead time": ("dead_time_s",),
-        "time constant": ("lag_s", "lag_product_s2", "model"),
-        "limits": (
-            *("bound", "bound_acts", "bound_beside"),
-            *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
-        ),
-        "friction": ("friction", "deadband"),
-        "drift": ("drift",),
-    }
-)
+FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "gain": ("gain", "reverse_gain"),
+    "dead time": ("dead_time_s",),
+    "time constant": ("lag_s", "lag_product_s2", "model"),
+    "limits": (
+        *("bound", "bound_acts", "bound_beside"),
+        *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
+    ),
+    "friction": ("friction", "deadband"),
+    "drift": ("drift",),
+}
 """Fields of an axis that are exchanged together."""
 
 _MIXED: Final = ("gain", "dead time", "time constant and limits", "friction", "drift")

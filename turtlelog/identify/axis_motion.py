@@ -6,7 +6,6 @@ commands forever would mistake this for a slow robot.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -26,7 +25,7 @@ Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
 UNITS: Final = COMMAND_UNITS
 
-OTHER: Final[Mapping[Axis, Axis]] = MappingProxyType({"speed": "turn_rate", "turn_rate": "speed"})
+OTHER: Final[Mapping[Axis, Axis]] = {"speed": "turn_rate", "turn_rate": "speed"}
 NAMES: Final = COMMAND_WORDS
 """Names of the axes in sentences."""
 

@@ -6,7 +6,6 @@ widen the intervals until they cover the alternatives, and are reported.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -248,25 +247,23 @@ def describe_rivals(structures: Sequence[Structure]) -> str:
     return f"{join_words(shared)}, {join_words(sorted(ways, key='alone'.__ne__), 'or')}"
 
 
-_PARTS: Final = MappingProxyType(
-    {
-        "second_order": "a second time constant",
-        "limited_before": "a limit of the acceleration before the time constant",
-        "limited_softly": "limits of the acceleration and the jerk before the time constant",
-        "limited_within": "a limit of the acceleration within the velocity loop",
-        "limited_wheels": "a limit of the acceleration of each wheel",
-        "command": "a bound of the command",
-        "rate": "a bound of the rate",
-        "scaled": "a bound of the wheels that scales both axes",
-        "clipped": "a bound of each wheel",
-        "yielding": "a bound of the wheels that the other axis uses first",
-        "reduced": "a reduction by the other axis",
-        "has_reverse": "another gain backwards",
-        "has_friction": "friction",
-        "has_drift": "a drift",
-        "deadband": "a deadband",
-    }
-)
+_PARTS: Final = {
+    "second_order": "a second time constant",
+    "limited_before": "a limit of the acceleration before the time constant",
+    "limited_softly": "limits of the acceleration and the jerk before the time constant",
+    "limited_within": "a limit of the acceleration within the velocity loop",
+    "limited_wheels": "a limit of the acceleration of each wheel",
+    "command": "a bound of the command",
+    "rate": "a bound of the rate",
+    "scaled": "a bound of the wheels that scales both axes",
+    "clipped": "a bound of each wheel",
+    "yielding": "a bound of the wheels that the other axis uses first",
+    "reduced": "a reduction by the other axis",
+    "has_reverse": "another gain backwards",
+    "has_friction": "friction",
+    "has_drift": "a drift",
+    "deadband": "a deadband",
+}
 """Words for the further parameters: by order, by bound, and by field of a structure."""
 
 

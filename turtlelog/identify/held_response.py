@@ -10,7 +10,6 @@ import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -310,19 +309,17 @@ one is reduced: all that commands of one size show."""
 _STEP: Final = 1e-4
 """Step for derivatives with respect to a further parameter, in its unit."""
 
-_FINE_STEPS: Final = MappingProxyType({"product": 1e-7, "friction": 1e-5})
+_FINE_STEPS: Final = {"product": 1e-7, "friction": 1e-5}
 """The same for small parameters."""
 
-_OF_ORDER: Final = MappingProxyType(
-    {
-        "first_order": (),
-        "second_order": ("product",),
-        "limited_before": ("slowness",),
-        "limited_softly": ("slowness", "jerk_time"),
-        "limited_within": ("slowness",),
-        "limited_wheels": ("slowness", "slowness_beside"),
-    }
-)
+_OF_ORDER: Final = {
+    "first_order": (),
+    "second_order": ("product",),
+    "limited_before": ("slowness",),
+    "limited_softly": ("slowness", "jerk_time"),
+    "limited_within": ("slowness",),
+    "limited_wheels": ("slowness", "slowness_beside"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

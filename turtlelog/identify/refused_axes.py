@@ -7,7 +7,6 @@ explain the motion as well as the best delay, within the differences between par
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -61,12 +60,10 @@ it. Larger values come from bytes that are not numbers."""
 _NEGLIGIBLE: Final = 1e-9
 """Value below which commands do not move a robot [m/s] or [rad/s]: a millimetre in twelve days."""
 
-_OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
-    {
-        "speed": "its front and its back may be swapped",
-        "turn_rate": "its left and its right motor may be swapped",
-    }
-)
+_OPPOSITE_WHY: Final[Mapping[Axis, str]] = {
+    "speed": "its front and its back may be swapped",
+    "turn_rate": "its left and its right motor may be swapped",
+}
 
 
 def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:

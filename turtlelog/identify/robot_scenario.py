@@ -4,7 +4,6 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -49,17 +48,16 @@ may be two steps of one drive."""
 _EXACT: Final = 1e-6
 """Relative difference of equal commands: single precision, or sums of steps."""
 
-_RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = MappingProxyType(
-    {
-        "speed": ("limits.acceleration_m_s2", "limits.jerk_m_s3"),
-        "turn_rate": ("limits.turn_acceleration_rad_s2", "limits.turn_jerk_rad_s3"),
-    }
-)
+_RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = {
+    "speed": ("limits.acceleration_m_s2", "limits.jerk_m_s3"),
+    "turn_rate": ("limits.turn_acceleration_rad_s2", "limits.turn_jerk_rad_s3"),
+}
 """Keys of the limits before the time constant."""
 
-_DRIFT_KEYS: Final[Mapping[Axis, str]] = MappingProxyType(
-    {"speed": "disturbance.speed_m_s", "turn_rate": "disturbance.turn_rate_rad_s"}
-)
+_DRIFT_KEYS: Final[Mapping[Axis, str]] = {
+    "speed": "disturbance.speed_m_s",
+    "turn_rate": "disturbance.turn_rate_rad_s",
+}
 
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001

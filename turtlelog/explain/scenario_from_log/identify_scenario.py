@@ -7,7 +7,6 @@ found: dead times, limits and queues, from poses, commands and the clock.
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -125,7 +124,7 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
     unseen = dict.fromkeys(ends, miss("the end of the run is not looked at"))
     return replace(
         found,
-        findings=MappingProxyType({**found.findings, **unseen}),
+        findings={**found.findings, **unseen},
         scenario=None,
         notes=(reason, *found.notes),
     )
@@ -156,7 +155,7 @@ def _identify_recorded(trace: Trace) -> Identification | None:
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
     return Identification(
         name=run.name,
-        findings=MappingProxyType(findings),
+        findings=findings,
         resimulation=recorded.resimulation,
         scenario=recorded.scenario,
         is_recorded=True,
@@ -208,7 +207,7 @@ def _add_recorded(trace: Trace, found: Identification) -> Identification:
     }
     return replace(
         found,
-        findings=MappingProxyType({**found.findings, **findings}),
+        findings={**found.findings, **findings},
         scenario=scenario,
         resimulation=again,
     )
@@ -265,7 +264,7 @@ def _identify_samples(trace: Trace) -> Identification:
     resimulation = compare_samples(trace, again)
     return Identification(
         name=run.name,
-        findings=MappingProxyType(findings),
+        findings=findings,
         resimulation=resimulation,
         scenario=scenario,
         tried=fits.ranges,
@@ -416,7 +415,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
     }
     return Identification(
         name=run.name,
-        findings=MappingProxyType(findings),
+        findings=findings,
         resimulation=recorded.resimulation,
         scenario=recorded.scenario,
         is_recorded=recorded.scenario is not None,
