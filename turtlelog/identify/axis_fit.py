@@ -182,11 +182,7 @@ class AxisFit:
 
 
 def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
-    """Return the best first-order fit.
-
-    Raises:
-        NoGainError: If no gain above 0 explains any of the motion.
-    """
+    """Return the best first-order fit; NoGainError if no gain above 0 explains any motion."""
     model = StepModel(motions)
     return finish_fit(model, _search_start(motions))
 

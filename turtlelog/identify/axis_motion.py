@@ -435,11 +435,7 @@ def predict_axis(model: "AxisModel", run: Run, time_s: Values) -> tuple[Values, 
 def predict_response(
     model: "AxisModel", commands: HeldInput, time_s: Values, beside: HeldInput | None
 ) -> tuple[Values, Values]:
-    """Return displacement or turn, and rate, of a model for commands of both axes.
-
-    Raises:
-        IdentifyError: If the axis of the model is unknown.
-    """
+    """Return displacement or turn, and rate, of a model for commands; IdentifyError if unknown."""
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:
         raise IdentifyError(f"{model.axis}: not identified: {model.reason}")

@@ -120,11 +120,7 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
 
 
 def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> Noise | None:
-    """Return the growth of a model's error [m or rad per root of a second].
-
-    Returns:
-        The noise; None if the axis has no model, or no run is long enough.
-    """
+    """Return the growth of a model's error [m or rad per root of a second]; None if unknown."""
     if not getattr(model, axis).is_known:
         return None
     stretches = [stretch for run in runs for stretch in _list_errors(model, axis, run)]

@@ -63,11 +63,7 @@ class SequentialPIDParameters(SequentialPParameters):
 
 
 def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-    """Return the loops of `sequential-p` with the gains of this law, and the law's states.
-
-    Raises:
-        LawError: If the law must reorient and the goal has no heading.
-    """
+    """Return the loops of `sequential-p` with the gains of this law, and the law's states."""
     del path
     rotate, translate = DECLARATION.loops
     loops = (

@@ -255,11 +255,7 @@ class LimitedLoop(Generic[_Item]):
         self._hands_out = self._is_late = False
 
     def iterate(self) -> Iterator[_Item]:
-        """Yield the items.
-
-        Raises:
-            StepBudgetError: If a step takes longer than the budget, after the items before it.
-        """
+        """Yield the items, then raise StepBudgetError if a step takes longer than the budget."""
         worker, stdout = _Worker(self._advance, "loop"), sys.stdout
         is_over: bool | None = False
         error: BaseException | None = None

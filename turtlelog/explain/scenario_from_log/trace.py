@@ -130,11 +130,7 @@ class Trace:
 
 
 def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
-    """Return the samples of a run, one after another, and the lengths of two successive phases.
-
-    Raises:
-        ExplainError: If the run has no samples.
-    """
+    """Return the samples of a run, and the lengths of two phases; ExplainError without samples."""
     samples = run.samples
     if not len(samples):
         raise ExplainError(
