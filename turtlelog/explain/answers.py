@@ -10,8 +10,7 @@ from turtlelog.replay import Departure as Departure
 SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
-_ROUNDING: Final = 1e-12
-"""Share of a value by which sums in another order may differ."""
+_ROUNDING: Final = 1e-12  # share of a value by which sums in another order may differ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -260,8 +260,7 @@ def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> It
 
 Values = NDArray[np.float64]
 
-_COUNT: Final = 65
-"""Number of starts; every fourth start belongs to the range of an attribution."""
+_COUNT: Final = 65  # number of starts; every fourth start belongs to the range of an attribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -197,8 +197,7 @@ GAINS: Final = "gains"
 _NOT_SETTINGS: Final = ("name", "seed")
 """Keys that are not settings: a name changes nothing, and the seeds have their own line."""
 
-_WHOLE: Final = ("goal", "start", "path")
-"""Tables that are changed as a whole."""
+_WHOLE: Final = ("goal", "start", "path")  # tables that are changed as a whole
 
 _NAMES: Final[Mapping[str, str]] = {
     "saturation": "limits",
@@ -332,8 +331,7 @@ _SHARE: Final = 0.01
 """Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
 paper's runs has at least a hundred samples, so this is about one sample's effect on an integral."""
 
-_HALF_A_COUNT: Final = 0.5
-"""Negligible change of a count; counts change by at least one."""
+_HALF_A_COUNT: Final = 0.5  # negligible change of a count; counts change by at least one
 
 _COUNTS: Final = (
     *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),

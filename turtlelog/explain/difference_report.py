@@ -25,8 +25,7 @@ _TINY: Final = 1e-3
 """Share of the total below which a change appears only in the list, because no printed digit
 changes."""
 
-_DIGITS: Final = 4
-"""Number of digits of the largest value; all other values have as many decimals."""
+_DIGITS: Final = 4  # number of digits of the largest value; all other values have as many decimals
 
 _FEWEST: Final = 2
 """Smallest number of digits of the largest contribution, even if it is much smaller than the
@@ -339,8 +338,7 @@ def _write_software(found: ExplainedDifference) -> str:
     return f"No setting differs: both ran with {describe_software(first)}{code}."
 
 
-_MS: Final = ("dead_time_s", "lag_s")
-"""Fields of values that are printed in milliseconds."""
+_MS: Final = ("dead_time_s", "lag_s")  # fields of values that are printed in milliseconds
 
 _AFTER: Final = {"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"}
 """Text after a value: instead of the axis's unit, or after this unit."""

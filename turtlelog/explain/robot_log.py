@@ -61,8 +61,7 @@ _MIXED: Final = ("gain", "dead time", "time constant and limits", "friction", "d
 _MOSTLY: Final = 0.98
 """Share of the steps between poses that are used; the fastest steps have the largest noise."""
 
-_BEYOND: Final = 1.05
-"""Factor on a bound that noise of poses does not exceed."""
+_BEYOND: Final = 1.05  # factor on a bound that noise of poses does not exceed
 
 _LEAST: Final = 1e-3
 """Smallest random value as a share of the value, so that no parameter is negative, however wide its
@@ -283,8 +282,7 @@ def _move(one: Estimate | None, number: float) -> Estimate | None:
     return replace(one, value=max(value, _LEAST * one.value))
 
 
-_SPREAD: Final = (5.0, 95.0)
-"""Percentiles that bound the central 90 % of periods."""
+_SPREAD: Final = (5.0, 95.0)  # percentiles that bound the central 90 % of periods
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

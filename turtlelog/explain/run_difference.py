@@ -42,11 +42,8 @@ paper's runs."""
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the difference between runs."""
 
-_ROUNDING: Final = 1e-12
-"""Share of a value that a mean over equal values may differ by."""
-
-_NAMES: Final = ("the first run", "the second run")
-"""Names of runs that have equal names."""
+_ROUNDING: Final = 1e-12  # share of a value that a mean over equal values may differ by
+_NAMES: Final = ("the first run", "the second run")  # names of runs that have equal names
 
 _NO_SAMPLES: Final = (
     "without controller samples no scenario is known (turtlelog identify shows how a robot follows"

@@ -297,8 +297,7 @@ _JOINED_S: Final = 0.1
 """Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
 stop."""
 
-_STOPPED: Final = 0.1
-"""Share of the largest rate in a silence below which the robot is at rest."""
+_STOPPED: Final = 0.1  # share of the largest rate in a silence below which the robot is at rest
 
 _OBEYS: Final = 0.25
 """Share of the held command from which a robot still follows it: gains are at least 0.5. Before a
@@ -357,8 +356,7 @@ def _look_at_silence(
 
 # The rates of a robot's model for recorded commands, beside the robot's own rates.
 
-_SHOWN_S: Final = 0.1
-"""Time over which rates are averaged for display [s]."""
+_SHOWN_S: Final = 0.1  # time over which rates are averaged for display [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,15 +23,13 @@ from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
 
-_SHORTEST_STAND_S: Final = 1.0
-"""Shortest rest that is used [s]: 30 poses of a usual robot."""
+_SHORTEST_STAND_S: Final = 1.0  # shortest rest that is used [s]: 30 poses of a usual robot
 
 _SETTLED_S: Final = 0.5
 """Time until a robot is at rest, after dead time and five time constants of the last command
 [s]."""
 
-_FADED: Final = 5.0
-"""Time constants after which less than 1 % of a rate is left."""
+_FADED: Final = 5.0  # time constants after which less than 1 % of a rate is left
 
 _MOST_RATE: Final = 0.05
 """Mean rate above which a robot is not at rest, as a share of the largest command."""

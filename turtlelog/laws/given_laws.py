@@ -25,8 +25,7 @@ from turtlelog.run.paths import Path
 T = TypeVar("T")
 R = TypeVar("R")
 
-_SESSION: Final = "session:"
-"""Beginning of the kind of a law of a session."""
+_SESSION: Final = "session:"  # beginning of the kind of a law of a session
 
 _GIVEN: Final[dict[str, Any]] = {}
 _GIVING: Final = Lock()

@@ -14,8 +14,7 @@ from turtlelog.run import stop_reasons
 from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path
 
-_TICK_S: Final = 0.016
-"""One tick of turtlesim [s], the usual sampling period of the controller."""
+_TICK_S: Final = 0.016  # one tick of turtlesim [s], the usual sampling period of the controller
 
 _END_OF_SIGNAL: Final = 1
 

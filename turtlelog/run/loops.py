@@ -89,8 +89,7 @@ _STATE: Final = re.compile(STATE_PATTERN)
 _UNIT: Final = re.compile(r"[A-Za-z0-9%/^*. -]{1,20}")
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)+")
-_MOST_PHASES: Final = 250
-"""Largest number of phases: a sample records its phase in 8 bits."""
+_MOST_PHASES: Final = 250  # largest number of phases: a sample records its phase in 8 bits
 
 _MOST_NAMES: Final = 250
 """Largest number of loops or states of a law: each loop has dozens of metrics, each state a

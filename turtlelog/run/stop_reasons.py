@@ -74,8 +74,7 @@ _STAYS_S: Final = 1.0
 """Time for which a robot that a time limit stops must stay within the tolerances at its last speed
 [s]. A faster robot passes its goal."""
 
-_ROUNDING_M: Final = 1e-9
-"""Distance below which an error is rounding of numbers of 64 bits [m]."""
+_ROUNDING_M: Final = 1e-9  # distance below which an error is rounding of numbers of 64 bits [m]
 
 _SMALL: Final = 0.01
 """Share of the error below which a part of it, across or along the line to the goal, is left out:

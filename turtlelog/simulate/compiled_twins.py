@@ -277,8 +277,7 @@ _PLACES: Final = (
 )
 """Patterns for the place of an error; the default is numba's context."""
 
-_MEMORY: Final = "NRT required"
-"""Text of numba's error for code that allocates memory."""
+_MEMORY: Final = "NRT required"  # text of numba's error for code that allocates memory
 
 _HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are", "Overload")
 

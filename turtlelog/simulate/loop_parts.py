@@ -373,8 +373,7 @@ RANDOM_KEYS: Final[frozenset[str]] = frozenset(
 
 _READ: Final = {name: tuple(map(attrgetter, one.keys)) for name, one in STREAMS.items()}
 
-_BLOCK: Final = 256
-"""Number of events whose random numbers are drawn at once."""
+_BLOCK: Final = 256  # number of events whose random numbers are drawn at once
 
 
 def list_streams(scenario: Scenario) -> frozenset[str]:

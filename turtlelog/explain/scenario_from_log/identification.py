@@ -252,8 +252,7 @@ def give_up(
 
 _TABLES: Final = ("limits.", "loop.", "plant.", "sensing.", "shaping.", "disturbance.")
 
-_USUAL: Final = frozenset(flatten_scenario(Scenario()))
-"""Keys of every scenario."""
+_USUAL: Final = frozenset(flatten_scenario(Scenario()))  # keys of every scenario
 
 _NAMES: Final = {
     **{

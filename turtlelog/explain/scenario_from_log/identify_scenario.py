@@ -52,8 +52,7 @@ from turtlelog.run import Run, require_run, slice_run
 from turtlelog.scenario import DEFAULT_LAW, flatten_scenario, override_scenario
 from turtlelog.simulate import simulate_run
 
-_MOST_PHASES: Final = 6
-"""Largest number of listed phases: three runs in one file."""
+_MOST_PHASES: Final = 6  # largest number of listed phases: three runs in one file
 
 _BEGINNING_S: Final = 600.0
 """Length of the used beginning of a run that is too long to simulate [s]: forty times one of the

@@ -229,8 +229,7 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
 
 
-_LEADING: Final = "1528346790"
-"""First digits of a number, more common digits first."""
+_LEADING: Final = "1528346790"  # first digits of a number, more common digits first
 
 
 def find_round_number(low: float, high: float) -> float:
@@ -268,8 +267,7 @@ _SLACK_NS: Final = 1.5 * TICK_NS
 
 _ENDLESS_SAMPLES: Final = 1_000_000
 
-_ROUND_DIGITS: Final = 2
-"""Largest number of digits of a typed time or number."""
+_ROUND_DIGITS: Final = 2  # largest number of digits of a typed time or number
 
 
 class Ending(NamedTuple):

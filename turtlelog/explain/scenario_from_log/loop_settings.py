@@ -53,8 +53,7 @@ _JITTER_TICKS: Final = 0.75
 """Largest difference of a pause from the clock's pause without contradiction: a callback waits for
 less than a tick, and the paper's clocks are wrong by a tenth of a tick."""
 
-_QUICK: Final = 0.5
-"""Share of the usual time between answers below which answers belong to a burst."""
+_QUICK: Final = 0.5  # share of the usual time between answers below which answers belong to a burst
 
 _DEFAULTS: Final = LoopSettings()
 
