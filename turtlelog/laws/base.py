@@ -279,8 +279,8 @@ class AskedLaw:
         self._names = [*signature(part.step).parameters]
 
     @property
-    def law(self) -> AnyLaw:
-        """The law without its parameters: the part, or a class that inherits from it."""
+    def law_without_parameters(self) -> AnyLaw:
+        """The part, or the class that inherits from it."""
         return self._part if type(self) is _build_class(self._part) else type(self)
 
     def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:

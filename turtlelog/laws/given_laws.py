@@ -41,7 +41,7 @@ def name_given_law(law: Any) -> str:
     Raises:
         LawError: If `law` is none of these.
     """
-    law = law.law if isinstance(law, AskedLaw) else law
+    law = law.law_without_parameters if isinstance(law, AskedLaw) else law
     if isinstance(law, LawPart) and LAWS.get(law.name) is law:
         return law.name
     is_named = isinstance(law, type | LawPart) or inspect.isfunction(law)
