@@ -111,6 +111,21 @@ def test_a_built_in_law_with_its_parameters_drives_as_its_scenario_does(kind: st
     assert run.equals(tl.simulate_run("textbook", changes={**keys, **SHORT}))
 
 
+def test_an_object_that_inherits_from_a_built_in_law_declares_its_own_parameters() -> None:
+    kind: Any = LAWS["sequential-p"]
+
+    class Slower(kind):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__(kind.Parameters(kp_linear=0.5))
+
+    run, built_in = (
+        tl.simulate_run("textbook", law=law, changes=SHORT)
+        for law in (Slower(), kind(kind.Parameters(kp_linear=0.5)))
+    )
+    assert run.declaration == built_in.declaration
+    assert run.commands.speed_m_s.tolist() == built_in.commands.speed_m_s.tolist()
+
+
 def test_the_same_law_has_the_same_name_and_another_one_another() -> None:
     first, second = make_steering(1.0), make_steering(2.0)
     names = [name_given_law(law) for law in (first, second, first)]

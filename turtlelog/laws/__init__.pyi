@@ -2,12 +2,12 @@ from .base import (
     ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
     MAY_BE_INFINITE as MAY_BE_INFINITE,
     AnyLaw as AnyLaw,
-    AskedLaw as AskedLaw,
     Decision as Decision,
     Goal as Goal,
     Law as Law,
     LawPart as LawPart,
     Pose as Pose,
+    find_part as find_part,
 )
 from .given_laws import (
     WorkWithLaws as WorkWithLaws,

@@ -278,11 +278,6 @@ class AskedLaw:
         self._table = () if part.build_table is None else part.build_table(parameters)
         self._names = [*signature(part.step).parameters]
 
-    @property
-    def law_without_parameters(self) -> AnyLaw:
-        """The part, or the class that inherits from it."""
-        return self._part if type(self) is _build_class(self._part) else type(self)
-
     def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
         """Set the limits at which the loop clips the commands."""
         limits = SimpleNamespace(speed_m_s=speed_m_s, turn_rate_rad_s=turn_rate_rad_s)
@@ -334,6 +329,12 @@ class AskedLaw:
             ends_phase=row.ends_phase,
             stop_reason=self._part.stops[row.stop - 1] if row.stop else None,
         )
+
+
+def find_part(law: Any) -> LawPart | None:
+    """Return the part that a law with its parameters is; None for any other law."""
+    part: LawPart | None = getattr(type(law), "_part", None)
+    return part if part is not None and type(law) is _build_class(part) else None
 
 
 def _read_error(value: float) -> float | None:

@@ -11,13 +11,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from secrets import token_hex
 from threading import Lock
 from typing import Any, Final, Generic, TypeVar
 
 from turtlelog.errors import LawError, describe_error
-from turtlelog.laws.base import AskedLaw, Goal, Law, LawPart, Pose
+from turtlelog.laws.base import Goal, Law, LawPart, Pose, find_part
 from turtlelog.laws.loading import LAWS
 from turtlelog.libraries import load_library
 from turtlelog.run.paths import Path
@@ -41,7 +41,7 @@ def name_given_law(law: Any) -> str:
     Raises:
         LawError: If `law` is none of these.
     """
-    law = law.law_without_parameters if isinstance(law, AskedLaw) else law
+    law = find_part(law) or law
     if isinstance(law, LawPart) and LAWS.get(law.name) is law:
         return law.name
     is_named = isinstance(law, type | LawPart) or inspect.isfunction(law)
@@ -193,12 +193,25 @@ def _complete_object(law: Any) -> type[Any]:
         def step(self, time_ns: int, pose: Pose) -> Any:
             return self._law.step(time_ns, pose)
 
-    for name in ("declare", "list_unused", "causes", "counts_samples"):
-        if hasattr(law, name):
-            member = getattr(law, name)
-            setattr(Given, name, staticmethod(member) if callable(member) else member)
+    for name, member in _list_members(law).items():
+        setattr(Given, name, member)
     _take_name(Given, type(law))
     return Given
+
+
+def _list_members(law: Any) -> dict[str, Any]:
+    """Return what an object declares about itself, by name."""
+
+    def ask(name: str, parameters: object, *others: Any) -> Any:
+        return getattr(law, name)(getattr(law, "parameters", parameters), *others)
+
+    names = [name for name in ("declare", "list_unused") if hasattr(law, name)]
+    members: dict[str, Any] = {name: staticmethod(partial(ask, name)) for name in names}
+    if hasattr(law, "causes"):
+        members["causes"] = law.causes
+    if getattr(law, "counts_samples", None) == ():  # no scenario scales what an object counts
+        members["counts_samples"] = ()
+    return members
 
 
 @dataclass(frozen=True)
