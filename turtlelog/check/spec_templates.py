@@ -163,7 +163,8 @@ def _list_of_motion(run: Run) -> Iterator[str]:
         return
     for name in ("speed", "turn_rate"):
         signal = find_signal(run, name)
-        assert signal is not None
+        if signal is None:
+            continue
         largest, meaning = float(np.abs(signal.values).max()), ": as it was commanded, at any time"
         yield from _list_bound(name, name, largest, signal.kind.unit, meaning)
 

@@ -221,12 +221,12 @@ and 32 bits round a command of 5 by 5e-7."""
 
 
 def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
-    """Return the commands of an axis; None if no command was published.
+    """Return the commands of an axis; None if no command of it was recorded.
 
     Without rates, the first command is assumed to act before its time.
     """
     commands = run.commands
-    if not len(commands):
+    if run.lacks_commands(axis):
         return None
     values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
     time_s = (commands.time_ns - run.start_ns) / 1e9

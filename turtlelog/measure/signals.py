@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
+from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
@@ -185,6 +186,8 @@ def find_signal(run: Run, name: str) -> Signal | None:
     kind = kinds[name]
     if name in COMMANDED and not len(run.samples):
         kind = COMMANDED[name]
+        if run.lacks_commands(name):
+            return None
     values = kind.read(run)
     if values is None or not len(values):
         return None
@@ -197,8 +200,8 @@ def explain_no_signal(run: Run, name: str) -> str:
     kind = list_signals(run.declaration).get(name)
     if kind is not None and kind.source == "pose" and not len(run.poses):
         return "the recording holds no poses"
-    if name in COMMANDED and not len(run.samples):
-        return "the recording holds no commands"
+    if name in COMMANDED and not len(run.samples) and (missing := find_no_commands(run, name)):
+        return missing.reason
     if name in {"error_x", "error_y", "distance"}:
         return "the goal is not known"
     if name in {"measured_speed", "measured_turn_rate"}:
@@ -206,6 +209,14 @@ def explain_no_signal(run: Run, name: str) -> str:
     if kind is not None and kind.source == "sample" and not len(run.samples):
         return "no samples of a controller were read"
     return ""
+
+
+def find_no_commands(run: Run, axis: str) -> Missing | None:
+    """Return the reason why a run has no commands of an axis; None if it has commands."""
+    if not run.lacks_commands(axis):
+        return None
+    of = f" of the {axis.replace('_', ' ')}" if len(run.commands) else ""
+    return Missing(Status.ABSENT, f"the recording holds no commands{of}")
 
 
 @lru_cache(maxsize=64)

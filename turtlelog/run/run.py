@@ -257,6 +257,12 @@ class Run:
         """Whether the controller is unknown, as for a third-party bag: no samples and no loops."""
         return not len(self.samples) and not self.declaration.loops
 
+    def lacks_commands(self, axis: str) -> bool:
+        """Return whether no command of `speed` or `turn_rate` was recorded: its column is 0."""
+        return not len(self.commands) or any(
+            name.startswith(f"commands.{axis}_") for name in self.absent
+        )
+
     @property
     def duration_s(self) -> float:
         """The metric `run.duration` [s]: from the first sample, or else pose, to the last row."""

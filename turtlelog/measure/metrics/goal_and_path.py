@@ -12,7 +12,6 @@ from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.metric import (
     FOUND,
     GOAL_UNKNOWN,
-    NO_COMMANDS,
     NO_GOAL,
     REASONS,
     Found,
@@ -35,6 +34,7 @@ from turtlelog.measure.reductions import (
 )
 from turtlelog.measure.references import compute_straightness
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
+from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import (
     compute_rms,
     find_settling_time,
@@ -306,13 +306,13 @@ def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
 
 
 def _on_commands(
-    column: str, compute: Callable[[CommandStretch], Result]
+    axis: str, column: str, compute: Callable[[CommandStretch], Result]
 ) -> Callable[[RunContext], Result]:
     """Compute on one column of the published commands, until the end of the run."""
 
     def compute_on_commands(context: RunContext) -> Result:
-        if not len(context.run.commands):
-            return NO_COMMANDS
+        if missing := find_no_commands(context.run, axis):
+            return missing
         commands = CommandStretch(
             time_s=context.command_time_s,
             values=getattr(context.run.commands, column),
@@ -366,7 +366,7 @@ for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_r
             _meaning.format(_name.replace("_", " ")),
             grows=True,
             needs_poses=False,
-        )(_on_commands(_column, _compute))
+        )(_on_commands(_name, _column, _compute))
 
 
 def _moves_along(loop: ControlLoop) -> bool:
