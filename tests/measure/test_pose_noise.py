@@ -75,6 +75,27 @@ def test_a_robot_that_drives_to_and_fro_has_no_noise(
     assert (find_scatter(moved).path_m is not None) is (is_noise or period_s < 0.15)
 
 
+@pytest.mark.parametrize("jump_m", [0.0, 0.4, 2.0])
+def test_a_relocalisation_is_no_noise(jump_m: float) -> None:
+    time_s = np.arange(0.0, 22.0, 0.5)
+    run = make_driven_run(time_s, speed=(np.zeros(44), np.minimum(0.4 * time_s, 6.0)))
+    xy_m = run.poses.xy_m + np.where(time_s < 11.0, 0.0, jump_m)[:, None]
+    run = replace(run, poses=replace(run.poses, xy_m=xy_m))
+    assert measure_noise(run.poses).position_m < 1e-9
+    assert read(run, "run.rest_time") == pytest.approx(7.0, abs=0.5)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01])
+def test_a_marker_ahead_of_the_axle_has_only_its_noise(noise_m: float) -> None:
+    time_s = np.arange(0.0, 40.0, 0.2)
+    heading_rad = 0.3 * np.cumsum((time_s % 8.0 > 4.0) & (time_s % 8.0 < 5.2))
+    poses = make_driven_run(time_s).poses
+    xy_m = np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
+    poses = replace(poses, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
+    noise = measure_noise(scatter(replace(rest_half(time_s), poses=poses), noise_m).poses)
+    assert noise.position_m == pytest.approx(noise_m, rel=0.3, abs=1e-9)
+
+
 @pytest.mark.parametrize(("swing_rad", "hz"), [(0.1, 1.5), (0.3, 1.1)])
 def test_a_robot_that_swings_at_slow_poses_turns_as_it_is_told(swing_rad: float, hz: float) -> None:
     """A wall follower with odometry at 5 Hz."""
