@@ -158,7 +158,7 @@ def test_a_robot_that_swings_does_not_rest_when_it_is_back(
     table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
     answer = call("metrics", table).flat
     assert f"share of the time at rest {rest}" in answer
-    assert "creeping" not in answer
+    assert "judged over half a second" not in answer
 
 
 def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(

@@ -377,8 +377,8 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
             changes = one.notes["changes"]
             said.append(f"Most positions{which} repeat the one before: they change at {changes}.")
         if "crept" in one.notes:
-            crept = one.notes["crept"]
-            said.append(f"Rest{which} includes {crept} of creeping, slower than 0.01 m/s.")
+            crept = f"includes {one.notes['crept']} of slow or brief motion"
+            said.append(f"Rest{which}, judged over half a second, {crept}.")
         if "gaps" in one.notes:
             said.append(
                 f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path"
