@@ -142,6 +142,21 @@ def test_what_turns_slower_than_a_degree_a_second_stands(rate: float, share: flo
     assert read(run, "run.rest_share") == share
 
 
+@pytest.mark.parametrize(("stop_s", "is_known"), [(0.24, True), (0.26, False)])
+def test_rest_between_poses_of_a_robot_that_moved_is_not_guessed(
+    stop_s: float, *, is_known: bool
+) -> None:
+    """Localisation publishes after a quarter of a metre; each fifth leg ends with a stop."""
+    legs_s = np.tile([0.25, 0.25, 0.25, 0.25, 0.25 + stop_s], 20)
+    is_stop = legs_s > 0.25
+    time_s = np.append(0.0, np.cumsum(legs_s))
+    way_m = 0.25 * np.arange(len(time_s))
+    run = make_driven_run(time_s, speed=(np.zeros(len(time_s)), way_m))
+    status, reason = tell(run, "run.rest_time")
+    assert (status == "ok") is is_known
+    assert is_known or reason.endswith(f"up to {stop_s * is_stop.sum():.2g} s of rest")
+
+
 def test_rest_reaches_up_to_its_edges() -> None:
     run = drive(steps=[(5.0, 0.3), (10.0, 0.0)], lag_s=0.0, dead_s=0.0)
     assert read(run, "run.rest_time") == pytest.approx(14.95, abs=0.1)
