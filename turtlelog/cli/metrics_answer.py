@@ -329,7 +329,9 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
     if reporting and reporting == len(lawless):
         doubted = any(not _RATE_DOUBTS.isdisjoint(found.notes) for found in lawless)
         doubt = ", and the poses contradict them" if doubted else ""
-        yield f"Measured rates are those that the robot reports{doubt}."
+        own = dict.fromkeys(one.notes.get("differenced", "") for one in lawless)
+        other = "".join(f"; the {axis} is a difference of poses" for axis in own if axis)
+        yield f"Measured rates are those that the robot reports{doubt}{other}."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
         sizes = [one.notes["speed_noise"] for one in lawless if "speed_noise" in one.notes]

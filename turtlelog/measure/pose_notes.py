@@ -233,8 +233,11 @@ def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
     if path_m is None:
         return resolution
     sideways = describe_sideways(run)
+    reported = run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s
+    silent = [axis for axis, rate in zip(AXES, reported, strict=True) if rate is None]
     return {
         **resolution,
+        **({"differenced": silent[0].replace("_", " ")} if len(silent) == 1 else {}),
         **describe_travel(run),
         **({"sideways": sideways} if sideways else {}),
         **_describe_times(run),
