@@ -11,6 +11,7 @@ from tests.measure.driven import make_driven_run, respond
 from tests.measure.driven_robots import AT_20_HZ, drive, measure, read, tell
 from turtlelog.measure import Status
 from turtlelog.measure.metrics.travel import compute_spectral_arc_length
+from turtlelog.measure.pose_notes import sign_speeds
 from turtlelog.measure.rates import read_rates, thin_poses
 from turtlelog.run.angles import wrap_angle
 
@@ -50,6 +51,28 @@ def test_driving_backwards_is_a_negative_rate_and_a_positive_largest() -> None:
     assert rates.values.min() == pytest.approx(-0.2)
     assert read(run, "run.measured_speed_max") == pytest.approx(0.2)
     assert read(run, "run.speed_lag") == pytest.approx(0.05 + 0.1 * math.log(2.0), abs=0.02)
+
+
+@pytest.mark.parametrize(("back_s", "is_signed"), [(0.8, False), (1.2, True), (10.0, True)])
+@pytest.mark.parametrize("noise_m", [0.0, 0.002])
+def test_speeds_without_a_sign_get_that_of_the_poses(
+    back_s: float, noise_m: float, *, is_signed: bool
+) -> None:
+    """Twenty seconds are driven; where a twentieth leads back, nothing is told from noise."""
+    speed = 0.5 * np.where(back_s > AT_20_HZ, -1.0, 1.0)
+    way = np.cumsum(speed) * 0.05
+    run = make_driven_run(AT_20_HZ, speed=(np.abs(speed), way), reports=True, noise_m=noise_m)
+    rates = read_rates(run, "speed")
+    assert rates is not None
+    assert np.count_nonzero(rates.values < 0.0) == pytest.approx(20 * back_s * is_signed, abs=2)
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.02, 0.5])
+def test_noise_gives_reported_speeds_no_sign(noise_m: float) -> None:
+    speed = (np.full(400, 0.02), 0.02 * AT_20_HZ)
+    assert (
+        sign_speeds(make_driven_run(AT_20_HZ, speed=speed, reports=True, noise_m=noise_m)) is None
+    )
 
 
 def test_turtlesim_reports_what_it_applied_with_the_sign_of_the_motion() -> None:

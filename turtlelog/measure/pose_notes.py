@@ -24,6 +24,7 @@ from turtlelog.measure.breaks import (
 )
 from turtlelog.measure.rates import AXES, describe_repetition, space_poses
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
 
 if TYPE_CHECKING:
@@ -156,6 +157,41 @@ def describe_sideways(run: Run) -> str:
     return f"{commanded}; it moves {aside} sideways, {ahead} ahead or back"
 
 
+_BACK: Final = 0.05
+"""Smallest share of the reported way that leads back, and that leads ahead, if speeds have no sign.
+Where all leads back, the heading may be turned."""
+
+_DRIVEN: Final = 0.7
+"""Smallest share of the reported way back that the poses show, and of the shown way that is
+reported: noise shows less, or more."""
+
+
+def sign_speeds(run: Run) -> NDArray[np.float64] | None:
+    """Return the reported speeds with the sign of the motion, if they have none; else None."""
+    return recall(run, "signed_speeds", lambda: _sign_speeds(run.poses))
+
+
+def _sign_speeds(poses: PoseColumns) -> NDArray[np.float64] | None:
+    speed_m_s, time_s = poses.measured_speed_m_s, poses.time_ns / 1e9
+    if speed_m_s is None or len(poses) < _FEWEST or float(speed_m_s.min()) < 0.0:
+        return None
+    means_m_s = (speed_m_s[1:] + speed_m_s[:-1]) / 2.0
+    driven_m = np.append(0.0, np.cumsum(means_m_s * subtract_neighbours(time_s)))
+    x_m, y_m, way_m = (
+        np.interp(time_s + _CHORD_S / 2.0, time_s, at)
+        - np.interp(time_s - _CHORD_S / 2.0, time_s, at)
+        for at in (*poses.xy_m.T, driven_m)
+    )
+    ahead_m = x_m * np.cos(poses.heading_rad) + y_m * np.sin(poses.heading_rad)
+    is_back, whole_m = ahead_m < 0.0, float(way_m.sum())
+    back_m = float(way_m[is_back].sum())
+    if not _BACK * whole_m < back_m < (1.0 - _BACK) * whole_m:
+        return None
+    shown = -float(ahead_m[is_back].sum()) / back_m
+    is_driven = _DRIVEN <= shown <= 1.0 / _DRIVEN
+    return np.where(is_back, -speed_m_s, speed_m_s) if is_driven else None
+
+
 _JUMPED: Final = 0.1
 """Share of a jump from which the distance driven meanwhile is mentioned."""
 
@@ -220,6 +256,9 @@ _LARGE: Final = 0.05
 are. Wheel odometry is as wrong itself."""
 
 
+_DIFFERENCED: Final = "; the {} is a difference of poses"
+
+
 def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
     """Return notes on motion to the side, and on what metrics contain besides motion.
 
@@ -234,10 +273,13 @@ def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
         return resolution
     sideways = describe_sideways(run)
     reported = run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s
-    silent = [axis for axis, rate in zip(AXES, reported, strict=True) if rate is None]
+    silent = [
+        axis for axis, rate in zip(("speed", "turn rate"), reported, strict=True) if rate is None
+    ]
     return {
         **resolution,
-        **({"differenced": silent[0].replace("_", " ")} if len(silent) == 1 else {}),
+        **({} if sign_speeds(run) is None else {"unsigned": "the poses give the sign"}),
+        **({"differenced": _DIFFERENCED.format(*silent)} if len(silent) == 1 else {}),
         **describe_travel(run),
         **({"sideways": sideways} if sideways else {}),
         **_describe_times(run),

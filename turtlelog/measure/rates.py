@@ -1,6 +1,6 @@
 """Rates of a robot, their outliers, and its commands, one axis at a time.
 
-Rates are reported by the robot. turtlesim reports the applied speed without a sign; the sign comes
+Rates are reported by the robot. turtlesim and some robots report speeds without a sign, which comes
 from the poses. If no rates are reported, they are differences of poses: the forward speed is the
 displacement along the mean heading divided by the time. Differences of poses close in time are
 mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th pose is used if poses are fast.
@@ -117,6 +117,11 @@ def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates
             return rates
         time_s = (poses.time_ns - run.start_ns) / 1e9
         return replace(rates, time_s=time_s, values=applied, outliers=0)
+    if axis == "speed" and reported.min() >= 0.0:
+        from turtlelog.measure.pose_notes import sign_speeds  # which needs spaced poses
+
+        signed = sign_speeds(run)
+        reported = reported if signed is None else signed
     kept = np.delete(np.arange(len(poses)), find_outliers(poses.time_ns, reported))
     time_s, values = (poses.time_ns[kept] - run.start_ns) / 1e9, reported[kept]
     return Rates(
