@@ -75,6 +75,25 @@ def test_noise_gives_reported_speeds_no_sign(noise_m: float) -> None:
     )
 
 
+@pytest.mark.parametrize(("goal_m", "has_line"), [(0.0, False), (0.19, False), (0.21, True)])
+def test_no_line_leads_to_a_goal_at_the_start_of_laps(goal_m: float, *, has_line: bool) -> None:
+    way = 1.0 - np.cos(0.1 * np.pi * np.append(AT_20_HZ, 20.0))
+    time_s = np.append(AT_20_HZ, 20.0)
+    run = make_driven_run(time_s, speed=(np.zeros(401), way), goal_xy_m=(0.0, goal_m))
+    assert (run.goal_line is not None) is has_line
+    for name in ("run.cross_track_max", "run.cross_track_rms", "final.cross_track"):
+        assert tell(run, name)[0] == ("ok" if has_line else "absent")
+        assert has_line or "where the robot starts" in tell(run, name)[1]
+
+
+@pytest.mark.parametrize(("apart_m", "status"), [(2e-6, "no_motion"), (6e-6, "ok")])
+def test_a_closed_loop_has_no_straightness(apart_m: float, status: str) -> None:
+    way = 1.0 - np.cos(0.1 * np.pi * AT_20_HZ)
+    way[-1] = apart_m
+    run = make_driven_run(AT_20_HZ, speed=(np.zeros(400), way))
+    assert tell(run, "run.straightness")[0] == status
+
+
 def test_turtlesim_reports_what_it_applied_with_the_sign_of_the_motion() -> None:
     run = drive(steps=[(2.0, -0.2), (10.0, 0.0)], reports=True)
     poses = run.poses

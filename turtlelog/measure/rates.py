@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.measure.reductions import compute_median, subtract_neighbours
-from turtlelog.measure.signals import find_signal
+from turtlelog.measure.signals import find_no_commands, find_signal
 from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import unwrap_headings
@@ -231,7 +231,7 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommand
     Without rates, the first command is assumed to act before its time.
     """
     commands = run.commands
-    if run.lacks_commands(axis):
+    if find_no_commands(run, axis):
         return None
     values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
     time_s = (commands.time_ns - run.start_ns) / 1e9

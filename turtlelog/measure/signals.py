@@ -186,7 +186,7 @@ def find_signal(run: Run, name: str) -> Signal | None:
     kind = kinds[name]
     if name in COMMANDED and not len(run.samples):
         kind = COMMANDED[name]
-        if run.lacks_commands(name):
+        if find_no_commands(run, name):
             return None
     values = kind.read(run)
     if values is None or not len(values):
@@ -211,9 +211,12 @@ def explain_no_signal(run: Run, name: str) -> str:
     return ""
 
 
+_COLUMNS: Final = {"speed": "speed_m_s", "turn_rate": "turn_rate_rad_s"}
+
+
 def find_no_commands(run: Run, axis: str) -> Missing | None:
     """Return the reason why a run has no commands of an axis; None if it has commands."""
-    if not run.lacks_commands(axis):
+    if len(run.commands) and f"commands.{_COLUMNS[axis]}" not in run.absent:
         return None
     of = f" of the {axis.replace('_', ' ')}" if len(run.commands) else ""
     return Missing(Status.ABSENT, f"the recording holds no commands{of}")
