@@ -8,7 +8,7 @@ import pytest
 import turtlelog as tl
 from tests.measure.driven import Values, make_driven_run
 from tests.measure.driven_robots import read, tell
-from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_speed_noise
+from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_rate_noise
 from turtlelog.measure.pose_notes import describe_poses
 from turtlelog.run.angles import wrap_angle
 
@@ -57,7 +57,34 @@ def test_the_size_of_noise_is_found_while_the_robot_turns() -> None:
     found = measure_noise(noisy.poses)
     assert found.position_m == pytest.approx(0.01, rel=0.25)
     assert found.heading_rad == pytest.approx(0.005, rel=0.25)
-    assert measure_speed_noise(noisy) == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
+    assert measure_rate_noise(noisy)[0] == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
+
+
+@pytest.mark.parametrize("is_course", [True, False])
+def test_courses_that_scatter_slowly_are_noise_and_headings_may_not_be(*, is_course: bool) -> None:
+    """A satellite receiver at 5 Hz scatters by 2 cm, on a circle of 20 m."""
+    time_s = np.arange(0.0, 120.0, 0.2)
+    xy_m = 20.0 * np.column_stack([np.sin(time_s / 20.0), 1.0 - np.cos(time_s / 20.0)])
+    run = rest_half(time_s)
+    run = scatter(replace(run, poses=replace(run.poses, xy_m=xy_m)), 0.02)
+    x_m, y_m = np.diff(run.poses.xy_m[::3], axis=0).T
+    course_rad = np.interp(time_s, time_s[::3][1:], np.unwrap(np.arctan2(y_m, x_m)))
+    poses = replace(run.poses, heading_rad=wrap_angle(course_rad))
+    run = replace(run, poses=poses, notes={"heading": "the course"} if is_course else {})
+    turning_rad = find_scatter(run).turning_rad
+    assert (turning_rad is not None) is is_course
+    assert turning_rad is None or turning_rad < np.abs(np.diff(course_rad)).sum() / 2.0
+
+
+@pytest.mark.parametrize(
+    ("noise_rad", "spin_rad_s", "told"),
+    [(0.0, 6.0, None), (0.01, 0.0, "0.2 rad/s"), (0.01, 6.0, "0.2 rad/s"), (0.01, 12.0, None)],
+)
+def test_noise_of_turn_rates_is_told(noise_rad: float, spin_rad_s: float, told: str | None) -> None:
+    time_s = np.arange(0.0, 60.0, 0.05)
+    spin = np.where(time_s < 0.5, spin_rad_s, 0.0), spin_rad_s * np.minimum(time_s, 0.5)
+    run = scatter(make_driven_run(time_s, turn=spin), 0.0, noise_rad)
+    assert describe_poses(run, tl.measure_run(run)).get("rate_noise") == told
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.2])

@@ -333,7 +333,7 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
         yield f"Measured rates are those that the robot reports{doubt}{other}."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
-        sizes = [one.notes["speed_noise"] for one in lawless if "speed_noise" in one.notes]
+        sizes = [one.notes["rate_noise"] for one in lawless if "rate_noise" in one.notes]
         noise = ", and contain their noise" if sizes else ""
         size = f": about {sizes[0]}" if sizes and len(lawless) == 1 else ""
         yield f"Measured rates are differences of poses{which}{noise}{size}."

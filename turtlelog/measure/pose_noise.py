@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.breaks import measure_steps
+from turtlelog.measure.breaks import has_courses, measure_steps
 from turtlelog.measure.rates import find_changing_rows, space_poses
 from turtlelog.measure.reductions import compute_median
 from turtlelog.measure.references import recall
@@ -64,13 +64,14 @@ def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
     return noise
 
 
-def measure_speed_noise(run: Run) -> float:
-    """Return the noise of speeds that are differences of poses [m/s]."""
+def measure_rate_noise(run: Run) -> tuple[float, float]:
+    """Return the noise of speeds [m/s] and turn rates [rad/s] that are differences of poses."""
     if len(run.poses) < 2:
-        return 0.0
+        return 0.0, 0.0
     spaced = space_poses(run)
-    noise = measure_noise(take_rows(run.poses, spaced.rows))
-    return math.sqrt(2.0) * noise.position_m / compute_median(np.diff(spaced.time_s))
+    noise, step_s = find_noise(run, spaced.rows), compute_median(np.diff(spaced.time_s))
+    per_size = math.sqrt(2.0) / step_s
+    return per_size * noise.position_m, per_size * noise.heading_rad
 
 
 def _estimate(steps: Values) -> float:
@@ -116,20 +117,21 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(run, "scatter", lambda: _find_scatter(run.poses))
+    return recall(run, "scatter", lambda: _find_scatter(run.poses, is_course=has_courses(run)))
 
 
-def _find_scatter(poses: PoseColumns) -> Scatter:
+def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
     # The length of a step of white noise in the plane is sqrt(pi) times its standard deviation.
     noise_m = np.sqrt(np.pi) * measure_noise(poses).position_m
+    # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
     path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise_m)
     return Scatter(
         path_m=path_m,
         turning_rad=_measure_through_medians(
-            poses.time_ns, heading_rad, is_noisy=path_m is not None
+            poses.time_ns, heading_rad, is_noisy=path_m is not None or is_course
         ),
     )
 

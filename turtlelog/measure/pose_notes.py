@@ -245,7 +245,7 @@ _COUNTED: Final = 5e-3
 """Share of the time below which gaps do not change the share at rest, in whole per cent."""
 
 _NOISY: Final = 0.03
-"""Share of the largest measured speed from which noise is told: three standard deviations of it are
+"""Share of the largest measured rate from which noise is told: three standard deviations of it are
 a tenth."""
 
 _CREPT_M: Final = 0.02
@@ -317,19 +317,22 @@ def _describe_times(run: Run) -> dict[str, str]:
 
 
 def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
-    from turtlelog.measure.pose_noise import find_scatter, measure_speed_noise
+    from turtlelog.measure.pose_noise import find_scatter, measure_rate_noise
 
     notes, scatter = {}, find_scatter(run)
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    fastest_m_s = _get(metrics, "run.measured_speed_max")
-    if fastest_m_s is not None and run.poses.measured_speed_m_s is None:
-        noise_m_s = measure_speed_noise(run)
-        if noise_m_s > _NOISY * fastest_m_s:
-            notes["speed_noise"] = f"{noise_m_s:.1g} m/s"
-    return notes
+    reported = (run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s)
+    sizes = [
+        f"{noise:.1g} {unit}"
+        for (axis, unit), rate, noise in zip(
+            AXES.items(), reported, measure_rate_noise(run), strict=True
+        )
+        if rate is None and noise > _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
+    ]
+    return notes | ({"rate_noise": join_words(sizes)} if sizes else {})
 
 
 def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> dict[str, str]:
