@@ -450,6 +450,6 @@ def test_a_rate_that_is_not_reported_is_told_as_a_difference(
     ]
     table.write_text("\n".join([f"time,x,y,theta,{','.join(rates)}", *rows]), encoding="utf-8")
     said = "Measured rates are those that the robot reports"
-    other = {("v",): "; the turn rate is", ("w",): "; the speed is"}.get(rates)
+    other = {"v": "; the turn rate is", "w": "; the speed is"}.get("".join(rates))
     said += "." if other is None else f"{other} a difference of poses."
     assert said in call("metrics", table).flat

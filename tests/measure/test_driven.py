@@ -192,7 +192,7 @@ def test_rest_between_poses_of_a_robot_that_moved_is_not_guessed(
     legs_s = np.tile([0.25, 0.25, 0.25, 0.25, 0.25 + stop_s], 20)
     is_stop = legs_s > 0.25
     time_s = np.append(0.0, np.cumsum(legs_s))
-    way_m = 0.25 * np.arange(len(time_s))
+    way_m = 0.25 * np.arange(len(time_s), dtype=np.float64)
     run = make_driven_run(time_s, speed=(np.zeros(len(time_s)), way_m))
     status, reason = tell(run, "run.rest_time")
     assert (status == "ok") is is_known

@@ -115,7 +115,7 @@ def test_a_relocalisation_is_no_noise(jump_m: float) -> None:
 @pytest.mark.parametrize("noise_m", [0.0, 0.01])
 def test_a_marker_ahead_of_the_axle_has_only_its_noise(noise_m: float) -> None:
     time_s = np.arange(0.0, 40.0, 0.2)
-    heading_rad = 0.3 * np.cumsum((time_s % 8.0 > 4.0) & (time_s % 8.0 < 5.2))
+    heading_rad = np.cumsum(np.where((time_s % 8.0 > 4.0) & (time_s % 8.0 < 5.2), 0.3, 0.0))
     poses = make_driven_run(time_s).poses
     xy_m = np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
     poses = replace(poses, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
