@@ -11,8 +11,8 @@ from tests.measure.driven import make_driven_run, respond
 from tests.measure.driven_robots import AT_20_HZ, drive, measure, read, tell
 from turtlelog.measure import Status
 from turtlelog.measure.metrics.travel import compute_spectral_arc_length
-from turtlelog.measure.pose_notes import sign_speeds
 from turtlelog.measure.rates import read_rates, thin_poses
+from turtlelog.measure.signals import sign_speeds
 from turtlelog.run.angles import wrap_angle
 
 

@@ -15,18 +15,18 @@ from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
 from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.reductions import Values, subtract_neighbours
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
     read_heading_reference,
+    recall,
     trace_poses,
 )
-from turtlelog.run import Run, require_run
+from turtlelog.run import PoseColumns, Run, require_run
 from turtlelog.run.angles import subtract_headings, unwrap_headings
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import STATE_PATTERN, Declaration
-
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,11 +248,6 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
     return None if line is None else project_on_line(run.poses.xy_m, line, along=along)
 
 
-def _read_heading(run: Run) -> Values:
-    """Return the heading without jumps at full turns."""
-    return unwrap_headings(run.poses)
-
-
 def _read_sensed(run: Run, axis: int) -> Values | None:
     xy_m = run.poses.sensed_xy_m
     return None if xy_m is None else xy_m[~run.poses.dropped_out, axis]
@@ -260,11 +255,51 @@ def _read_sensed(run: Run, axis: int) -> Values | None:
 
 def _read_sensed_heading(run: Run) -> Values | None:
     """Return the sensed heading within half a turn of the true one, so that noise adds no turn."""
-    sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
-    if sensed_rad is None:
+    if run.poses.sensed_heading_rad is None:
         return None
     rows = ~run.poses.dropped_out
-    return heading_rad[rows] + subtract_headings(sensed_rad[rows], heading_rad[rows])
+    sensed_rad, heading_rad = run.poses.sensed_heading_rad[rows], unwrap_headings(run.poses)[rows]
+    return heading_rad + subtract_headings(sensed_rad, heading_rad)
+
+
+_SIGN_S: Final = 0.5
+"""Time over which the poses give the sign of a speed [s]: in it, noise of poses hardly adds."""
+
+_FEWEST_POSES: Final = 10
+
+_BACK: Final = 0.05
+"""Smallest share of the reported way that leads back, and that leads ahead, if speeds have no sign.
+Where all leads back, the heading may be turned."""
+
+_DRIVEN: Final = 0.7
+"""Smallest share of the reported way back that the poses show, and of the shown way that is
+reported: noise shows less, or more."""
+
+
+def sign_speeds(run: Run) -> Values | None:
+    """Return the reported speeds with the sign of the motion, if they have none; else None."""
+    return recall(run, "signed_speeds", lambda: _sign_speeds(run.poses))
+
+
+def _sign_speeds(poses: PoseColumns) -> Values | None:
+    speed_m_s, time_s = poses.measured_speed_m_s, poses.time_ns / 1e9
+    if speed_m_s is None or len(poses) < _FEWEST_POSES or float(speed_m_s.min()) < 0.0:
+        return None
+    means_m_s = (speed_m_s[1:] + speed_m_s[:-1]) / 2.0
+    driven_m = np.append(0.0, np.cumsum(means_m_s * subtract_neighbours(time_s)))
+    x_m, y_m, way_m = (
+        np.interp(time_s + _SIGN_S / 2.0, time_s, at)
+        - np.interp(time_s - _SIGN_S / 2.0, time_s, at)
+        for at in (*poses.xy_m.T, driven_m)
+    )
+    ahead_m = x_m * np.cos(poses.heading_rad) + y_m * np.sin(poses.heading_rad)
+    is_back, whole_m = ahead_m < 0.0, float(way_m.sum())
+    back_m = float(way_m[is_back].sum())
+    if not _BACK * whole_m < back_m < (1.0 - _BACK) * whole_m:
+        return None
+    shown = -float(ahead_m[is_back].sum()) / back_m
+    is_driven = _DRIVEN <= shown <= 1.0 / _DRIVEN
+    return np.where(is_back, -speed_m_s, speed_m_s) if is_driven else None
 
 
 _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyType(
@@ -330,7 +365,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = display.NamedValues(
         "heading": _pose(
             "rad",
             "Heading, counter-clockwise from the x axis, without jumps at a full turn.",
-            _read_heading,
+            lambda run: unwrap_headings(run.poses),
         ),
         "speed": _sample("m/s", "Commanded speed along the heading, after clipping.", "speed_m_s"),
         "turn_rate": _sample("rad/s", "Commanded turn rate, after clipping.", "turn_rate_rad_s"),
