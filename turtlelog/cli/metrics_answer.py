@@ -325,14 +325,15 @@ def _list_since(summary: "tl.compare.RunSummary") -> Iterator[str]:
 def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
     """Yield the sources of measured rates in bags, and their resolution."""
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
-    reporting = sum("rates" not in found.lacks for found in lawless)
+    reporting = sum("rates" not in one.lacks or "differenced" in one.notes for one in lawless)
     if reporting and reporting == len(lawless):
-        doubted = any(not _RATE_DOUBTS.isdisjoint(found.notes) for found in lawless)
+        doubted = any(_RATE_DOUBTS & {*found.notes} for found in lawless)
         doubt = ", and the poses contradict them" if doubted else ""
-        yield f"Measured rates are those that the robot reports{doubt}."
+        other = "".join(dict.fromkeys(one.notes.get("differenced", "") for one in lawless))
+        yield f"Measured rates are those that the robot reports{doubt}{other}."
     elif lawless:
         which = "" if not reporting else " where the robot reports none"
-        sizes = [one.notes["speed_noise"] for one in lawless if "speed_noise" in one.notes]
+        sizes = [one.notes["rate_noise"] for one in lawless if "rate_noise" in one.notes]
         noise = ", and contain their noise" if sizes else ""
         size = f": about {sizes[0]}" if sizes and len(lawless) == 1 else ""
         yield f"Measured rates are differences of poses{which}{noise}{size}."
@@ -362,28 +363,29 @@ def _list_travel(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield f"{told[0].upper()}{told[1:]}{own}."
 
 
+_OF_MOTION: Final = {
+    "jumps": "The path length{} counts as driven: {}.",
+    "sideways": "Speeds{} leave out motion to the side: {}.",
+    "unsigned": "Reported speeds{} have no sign: {}.",
+    "changes": "Most positions{} repeat the one before: they change at {}.",
+    "crept": "Rest{}, judged over half a second, includes {} of slow or brief motion.",
+    "gaps": "Rates and rest{} leave out {} without poses; the path length counts a straight line"
+    " there.",
+}
+"""Sentences on the motion, by note."""
+
+
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
     """Return sentences on gaps, and on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
         return []
     told: list[list[str]] = []
     for one in summaries:
-        which, said = "" if len(summaries) == 1 else f" of {one.name}", []
-        if "jumps" in one.notes:
-            said.append(f"The path length{which} counts as driven: {one.notes['jumps']}.")
-        if "sideways" in one.notes and len(summaries) > 1:
-            said.append(f"Speeds{which} leave out motion to the side: {one.notes['sideways']}.")
-        if "changes" in one.notes:
-            changes = one.notes["changes"]
-            said.append(f"Most positions{which} repeat the one before: they change at {changes}.")
-        if "crept" in one.notes:
-            crept = one.notes["crept"]
-            said.append(f"Rest{which} includes {crept} of creeping, slower than 0.01 m/s.")
-        if "gaps" in one.notes:
-            said.append(
-                f"Rates and rest{which} leave out {one.notes['gaps']} without poses; the path"
-                " length counts a straight line there."
-            )
+        which = "" if len(summaries) == 1 else f" of {one.name}"
+        notes = {name: one.notes[name] for name in _OF_MOTION if name in one.notes}
+        if len(summaries) == 1:  # the table's first line tells it
+            notes.pop("sideways", None)
+        said = [_OF_MOTION[name].format(which, note) for name, note in notes.items()]
         said.extend(list_scatter(one, which, shown))
         told.extend([said] if said else [])
     first = [sentence for said in told[:_MOST_SAID] for sentence in said]
