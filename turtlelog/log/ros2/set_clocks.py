@@ -30,9 +30,6 @@ from turtlelog.log.ros2.stamps import (
 )
 from turtlelog.run.angles import subtract_headings
 
-CLOCK_SET: Final = "clock_set"
-"""Name of the note on steps of the recorder's clock."""
-
 SILENCE: Final = "silence"
 """Name of the note on a silence that lasts most of a bag."""
 
