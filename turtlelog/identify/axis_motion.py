@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
-from turtlelog.measure.pose_notes import find_travel_direction
+from turtlelog.measure.pose_quality import find_travel_direction
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS

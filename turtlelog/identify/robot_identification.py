@@ -26,7 +26,7 @@ from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiti
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
 from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure
-from turtlelog.measure.pose_notes import describe_sideways, find_travel_direction
+from turtlelog.measure.pose_quality import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (

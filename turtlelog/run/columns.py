@@ -409,10 +409,10 @@ class Trajectory:
 
 
 def build_planar_trajectory(run: "Run") -> Trajectory:
-    """Return the poses of a run as a planar trajectory, with the run's times."""
+    """Return the poses of a run as a planar trajectory, with its source's times."""
     return Trajectory(
         name=run.name,
-        time_ns=run.poses.time_ns,
+        time_ns=run.poses.time_ns + run.source_start_ns,
         xyz_m=np.column_stack([run.poses.xy_m, np.zeros(len(run.poses))]),
         orientation_quat_wxyz=turn_headings(run.poses.heading_rad),
         space="plane",

@@ -275,14 +275,17 @@ def _compute_simc(design: LoopDesign, kind: str) -> PidGains | str:
     The tuning constant tau_c equals the dead time theta. By the half rule, half of the largest lag
     and all of the other lag count as dead time. Of PD the derivative time tau_D is the lag: the
     larger of two, plus half of the smaller one, whose other half is dead time. The paper recommends
-    a derivative only if the lag exceeds the dead time.
+    a derivative only if the lag exceeds the dead time. The rule knows no filter of the derivative:
+    the loop keeps the one that it has, and is measured with it.
     """
     theta_s, lag_s = _reduce(design, kept=int(kind == "PD"))
     kp = 0.5 / (design.process.gain * theta_s)
     if kind == "PD" and lag_s <= theta_s:
         found = f"{1e3 * lag_s:.4g} ms of lag and {1e3 * theta_s:.4g} ms of dead time with the hold"
         return f"the rule takes a derivative where the lag exceeds the dead time; here are {found}"
-    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s) if kind == "PI" else 0.0, kd=kp * lag_s)
+    if kind == "PD":
+        return PidGains(kp=kp, kd=kp * lag_s, filter_s=design.filter_s)
+    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s) if kind == "PI" else 0.0)
 
 
 def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:

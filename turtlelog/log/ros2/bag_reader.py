@@ -50,6 +50,7 @@ from turtlelog.log.ros2.bag_rows import (
 from turtlelog.log.ros2.bag_topics import (
     NoPosesError,
     Pick,
+    describe_other_poses,
     describe_robots,
     describe_unread_topics,
     select_robot,
@@ -169,6 +170,7 @@ def _name_once(bag: Bag) -> Iterator[None]:
 
 
 _MORE: Final = {
+    "poses": "{}",
     "commands": "{}",
     "robots": "robots {}",
     "path": "path {}",
@@ -362,6 +364,7 @@ def _read_commands_alone(
             "dropped_duplicates": str(rows.duplicates),
             **({"dropped_nan": describe_count(dropped, "command")} if dropped else {}),
             **times.notes,
+            **describe_other_poses(topics),
             **note_pick("command_topic", pick),
         },
     )
