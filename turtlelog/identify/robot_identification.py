@@ -174,8 +174,12 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     return found, _list_events(names, axis, fit)
 
 
+def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:
+    return np.concatenate([get_commands(run, axis) for run in runs])
+
+
 def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    sizes = np.abs(np.concatenate([get_commands(run, model.axis) for run in runs]))
+    sizes = np.abs(_join_commands(runs, model.axis))
     moving, name = sizes[sizes > 0.0], NAMES[model.axis]
     if model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max()):
         yield (
@@ -196,7 +200,7 @@ def _list_moving(
     """Return the magnitudes of moving commands of one sign, and whether they reach the bound."""
     # A command that reaches the bound within its interval fits any larger gain as well. The way to
     # a bound of the rate shows the gain anyway.
-    sizes = sign * np.concatenate([get_commands(run, model.axis) for run in runs])
+    sizes = sign * _join_commands(runs, model.axis)
     sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
     if model.gain is None or model.bound is None or model.bound_acts == "rate":
         return sizes, np.zeros(len(sizes), dtype=bool)
@@ -256,10 +260,7 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     # Wheels that reach their limit together show only this one gain; other commands may have a
     # larger gain.
     other = OTHER[model.axis]
-    own, beside = (
-        np.abs(np.concatenate([get_commands(run, axis) for run in runs]))
-        for axis in (model.axis, other)
-    )
+    own, beside = (np.abs(_join_commands(runs, axis)) for axis in (model.axis, other))
     beside = beside[own > 0.0]
     if not model.is_known or not len(beside):
         return

@@ -18,15 +18,13 @@ if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
 
-PAIRS: Final = MappingProxyType(
-    {
-        "xy_m": ("x_m", "y_m"),
-        "sensed_xy_m": ("sensed_x_m", "sensed_y_m"),
-        "error_xy_m": ("error_x_m", "error_y_m"),
-        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
-        "reference_xy_m": ("reference_x_m", "reference_y_m"),
-    }
-)
+PAIRS: Final = {
+    "xy_m": ("x_m", "y_m"),
+    "sensed_xy_m": ("sensed_x_m", "sensed_y_m"),
+    "error_xy_m": ("error_x_m", "error_y_m"),
+    "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
+    "reference_xy_m": ("reference_x_m", "reference_y_m"),
+}
 """Words for the two columns of a pair."""
 
 _WHOLE = frozenset({"time_ns", "sequence", "pose_sequence", "phase"})

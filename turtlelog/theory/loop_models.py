@@ -6,7 +6,6 @@ This module reads both runs and scenarios, because they have the same dotted key
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Final, TypedDict
 
 import numpy as np
@@ -207,14 +206,16 @@ _OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3"
 
 _OF_PLANT: Final = ("gain", "dead_time_s", "lag_s")
 
-_SLOPES: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "limits.turn_acceleration_rad_s2", "speed": "limits.acceleration_m_s2"}
-)
+_SLOPES: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_acceleration_rad_s2",
+    "speed": "limits.acceleration_m_s2",
+}
 """Keys of the limits on the rate of change, by command."""
 
-_JERKS: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "limits.turn_jerk_rad_s3", "speed": "limits.jerk_m_s3"}
-)
+_JERKS: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_jerk_rad_s3",
+    "speed": "limits.jerk_m_s3",
+}
 """Keys of the limits on the change of the acceleration, by command."""
 
 _DEFAULTS: Final = flatten_scenario(Scenario())

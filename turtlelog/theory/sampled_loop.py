@@ -38,8 +38,7 @@ _NEGLIGIBLE_DEVIATION: Final = 1e-20
 """Distance from the reference that counts as 0 [steps]: far below the last digit of a double near
 1, 2e-16."""
 
-_ROUNDING: Final = 1e-9
-"""Share of a response that is larger than any rounding error of an addition."""
+_ROUNDING: Final = 1e-9  # share of a response that is larger than any rounding error of an addition
 
 BAND: Final = 0.02
 """Settling band as a share of the step."""
