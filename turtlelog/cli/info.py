@@ -310,7 +310,7 @@ def _fill(head: str, text: str) -> str:
 def _write_head(answer: InfoAnswer) -> str:
     """Return the kind of a file, whether it is complete, and its duration."""
     length = "" if answer.duration_s is None else f", {answer.duration_s:.1f} s"
-    if answer.run is not None and _CLOCK_SET in answer.notes:
+    if answer.run is not None and tl.log.CLOCK_SET in answer.notes:
         length = f", {answer.run.duration_s:.1f} s"  # without the steps of the clock
     if answer.format_version is not None:
         state = "complete" if answer.complete else "not complete"
@@ -348,15 +348,12 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         yield from [("ended", told)] if told else []
 
 
-_CLOCK_SET: Final = "clock_set"
-
-
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     """Yield the duration of a file and, if its poses were read, the duration of its run."""
     if answer.duration_s is None:
         return
     what = "message of any topic" if answer.topics else "row"
-    how = ", by the clock that was set" if _CLOCK_SET in answer.notes else ""
+    how = ", by the clock that was set" if tl.log.CLOCK_SET in answer.notes else ""
     yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}{how}"
     if answer.run is None:
         return

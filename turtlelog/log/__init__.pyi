@@ -43,6 +43,7 @@ from .planar_poses import (
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
+    CLOCK_SET as CLOCK_SET,
     UNUSED as UNUSED,
     ReadChoice as ReadChoice,
     ReadOptions as ReadOptions,

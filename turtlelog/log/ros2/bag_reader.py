@@ -24,7 +24,7 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
+from turtlelog.log.read_choice import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions
 from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -57,7 +57,6 @@ from turtlelog.log.ros2.bag_topics import (
 )
 from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
 from turtlelog.log.ros2.set_clocks import (
-    CLOCK_SET,
     SILENCE,
     describe_clock_steps,
     describe_silence,

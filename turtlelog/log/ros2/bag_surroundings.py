@@ -13,6 +13,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Values
+from turtlelog.log.read_choice import CLOCK_SET
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names
@@ -24,7 +25,6 @@ from turtlelog.log.ros2.bag_transforms import (
     name_frame,
     place_points,
 )
-from turtlelog.log.ros2.set_clocks import CLOCK_SET
 from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
