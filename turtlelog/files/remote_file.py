@@ -30,12 +30,10 @@ _HEAD: Final = 2**14
 """Size of the first request [bytes]: enough for the kind and the header of a file."""
 
 _SLOWEST_BYTES_PER_S: Final = 1000.0
-"""Slowest accepted transfer, a line of 9600 baud: below this rate, 1 MB takes more than a quarter
-of an hour."""
+"""Slowest accepted transfer, a line of 9600 baud; 1 MB takes a quarter of an hour."""
 
 PATIENCE_S: float = 30.0
-"""Time for which a slower transfer is accepted [s]; a line that is lost for a moment recovers
-within this time."""
+"""Time for which a slower transfer is accepted [s]; a lost line recovers within it."""
 
 _PIECE: Final = 2**16
 _MARKS: Final = ("ETag", "Last-Modified")
@@ -49,8 +47,7 @@ _WINDOW: Final = 2**23
 """Largest size of one request [bytes]: the memory needed, and the loss when a request fails."""
 
 _GAP: Final = 2**16
-"""Largest gap between two ranges that are fetched together [bytes]: fetching the gap takes no
-longer than another request."""
+"""Largest gap between two ranges that are fetched together [bytes]; a request takes longer."""
 
 
 class RemoteFile:

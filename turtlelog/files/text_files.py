@@ -32,8 +32,7 @@ _PATIENCE_S: Final = 1.0
 """Time for which a pipe may have no writer, for example while both programs start [s]."""
 
 _DEEPEST: Final = 32
-"""Largest nesting depth of TOML tables and arrays. Files of turtlelog nest at most 4 deep; Python
-cannot follow a depth of a thousand."""
+"""Largest nesting depth of TOML tables and arrays; files of turtlelog nest at most 4 deep."""
 
 _KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY: Final = re.compile(

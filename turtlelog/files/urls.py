@@ -1,6 +1,6 @@
-"""URLs in place of files, such as `s3://bucket/run.mcap`: paths that can fetch their content.
+"""URLs in place of files, such as `s3://bucket/run.mcap`: paths that fetch their content.
 
-Local files never load fsspec. Printed URLs contain no password and no signature.
+Printed URLs contain no password and no signature.
 """
 
 import errno

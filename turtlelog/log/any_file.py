@@ -58,8 +58,7 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
         return _read(path, choice)
     choice = replace(choice, pose_topic=topic)
     run = _read(path, choice, names_topic=True)
-    # A topic in the name distinguishes two topics of one bag. A recording by turtlelog keeps its
-    # name.
+    # A topic in the name distinguishes two topics of one bag. A recording keeps its name.
     return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
 
 
@@ -233,10 +232,7 @@ _FRAME_NS: Final = 1_000_000_000
 kind."""
 
 _MOST_SKEW: Final = 0.01
-"""Largest entry of R^T R - 1 of a matrix that is accepted as a rotation.
-
-KITTI's files have six digits after the point, which gives 1e-5; another layout of twelve numbers
-gives about 1."""
+"""Largest entry of R^T R - 1 of a rotation. The six digits of KITTI's files give 1e-5."""
 
 _QUATERNION: Final = ("qw", "qx", "qy", "qz")
 _LONGEST_TIMES: Final = 64 * 2**20

@@ -195,10 +195,7 @@ def import_tables(path: str | Path) -> Run:
 
 
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
-    """Raise an error if the written files do not contain the rows of the run.
-
-    The run in a recording or bag was `read` back; tables are read here.
-    """
+    """Raise an error if written files, of which recordings were `read`, lack rows of the run."""
     if read is not None:
         for name in TABLES:
             _require_same(written[0], name, tabulate_run(run, name), tabulate_run(read, name))

@@ -39,9 +39,8 @@ class UnfinishedError(DamageError):
 def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
     """Convert errors during reading into a one-line LogError with the file's name.
 
-    For damaged files, libraries raise many kinds of errors: struct.error, KeyError, MemoryError,
-    OverflowError, UnicodeDecodeError, RecursionError and their own. Errors that no file content can
-    cause are defects of turtlelog and are not converted.
+    For damaged files, libraries raise many kinds of errors. Errors that no file content can cause
+    are defects of turtlelog and are not converted.
     """
     try:
         yield
@@ -160,11 +159,7 @@ def _name_beside(target: Path) -> Path:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of killed processes from a folder.
-
-    Use this only if no other process writes to the folder, because that process would lose its
-    temporary files.
-    """
+    """Remove temporary files of killed processes from a folder to which no other process writes."""
     for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
         with suppress(OSError):  # a folder, or a file that is being renamed
             leftover.unlink()
@@ -257,9 +252,9 @@ else:
     import fcntl
 
     def mark_live(stream: BinaryIO) -> None:
-        """Lock a file while it is open, so that `is_live` detects it, if the system can lock files.
+        """Lock a file while it is open, if the system can, so that `is_live` detects it.
 
-        Readers are not affected; only programs that test the lock see it.
+        Only programs that test the lock see it.
         """
         try:
             fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)

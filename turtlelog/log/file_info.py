@@ -1,7 +1,4 @@
-"""Contents of a file: from its summary if possible, otherwise by counting its messages.
-
-`describe_bag` writes the contents of the files of a bag as its metadata.yaml.
-"""
+"""Contents of a file: from its summary if possible, otherwise by counting its messages."""
 
 import json
 import re
@@ -231,8 +228,8 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
     """Return the fields of `Run` that third-party files do not have.
 
-    Only turtlelog's metadata contain the scenario and the stop reason. The topics of poses and
-    commands are known only after reading; if no message can be decoded, there are none.
+    The topics of poses and commands are known only after reading; if no message can be decoded,
+    there are none.
     """
     present = [found for found in topics if found.count]
     held = {found.topic for found in present}

@@ -1,8 +1,7 @@
 """Writing of topics or MCAP records: header, chunks with indexes, summary and checksums.
 
-Every chunk contains the schemas and channels of its messages, so that the chunk can be read alone.
-The mcap library's writer writes schemas and channels once, and takes messages one by one. Therefore
-chunks and summary are assembled here from the library's records.
+Every chunk contains the schemas and channels of its messages, so that it can be read alone. The
+mcap library's writer writes these once, and takes messages one by one.
 """
 
 import os
@@ -237,10 +236,7 @@ class McapFile:
         self._append(_pack_chunk(rows))
 
     def add_chunks(self, chunks: Iterable[ChunkRows]) -> None:
-        """Write chunks in order, with the same bytes as from `add_chunk`.
-
-        Threads compress the chunks.
-        """
+        """Write chunks in order, with the same bytes as from `add_chunk`. Threads compress them."""
         chunks = iter(chunks)
         few = list(islice(chunks, 2))
         # zstd and the checksum release the interpreter lock.
@@ -364,7 +360,7 @@ def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> byte
 def _cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
     """Yield chunks of all records in order of log time; at equal times, channel by channel.
 
-    The records of each channel are in order of log time. A record larger than a chunk gets its own.
+    A record larger than a chunk gets its own.
     """
     filled = [content for content in channels if len(content.sizes)]
     if not filled:

@@ -1,11 +1,11 @@
 """Reading of Parquet files as Arrow tables, checked before reading, without threads.
 
-By default pyarrow reads a Python stream in threads of its own. Such a thread may continue after the
-answer, and then ends the process with SIGABRT when Python exits.
+In a thread of its own, pyarrow may go on after the answer, and then ends the process with SIGABRT
+when Python exits.
 
-The footer and the headers of pages are counted before Arrow allocates memory. They are structs in
-Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which take 210 MB in Arrow.
-A page of 100 bytes can unpack to gigabytes, whatever the footer claims.
+The footer and the headers of pages, structs in Thrift's compact protocol, are counted before Arrow
+allocates memory. A footer of 900 kB can name 300,000 columns, which take 210 MB in Arrow. A page of
+100 bytes can unpack to gigabytes, whatever the footer claims.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,10 +45,8 @@ _FOOTER_PARTS: Final = (2**16, 1 / 128)
 takes 740 bytes in Arrow, and at least 100 in a file by other programs."""
 
 _REMOTE_FOOTER_BYTES: Final = 2**23
-"""Largest footer behind a URL, where the server may claim any file size [bytes].
-
-Reading, copying and decoding the footer takes up to 80 MB.
-"""
+"""Largest footer behind a URL [bytes]: a server may claim any file size, and reading takes 80
+MB."""
 _REMOTE_FOOTER_PARTS: Final = 2**17
 """Largest number of structs in a footer behind a URL; they take up to 100 MB in Arrow."""
 
@@ -237,10 +235,8 @@ _PAGE_HEAD: Final = 2**12
 _LONGEST_PAGE_HEAD: Final = 2**20
 
 _Wanted = Mapping[int, Any]
-"""Wanted fields of a struct by number.
-
-The value is None for a whole number, a mapping for a struct, and a list of one mapping for a list
-of structs."""
+"""Wanted fields of a struct by number: None for a whole number, a mapping for a struct, and a list
+of one mapping for a list of structs."""
 
 _FOOTER: Final[_Wanted] = {
     2: [{5: None}],  # the schema: children
@@ -269,10 +265,7 @@ def _damage(found: str) -> DamageError:
 def _read_footer(
     stream: BinaryIO, most_bytes: int, most_parts: int, advice: str
 ) -> Mapping[int, Any]:
-    """Return the wanted fields of a footer with limited bytes, and columns, groups and others.
-
-    `advice` ends the line about a footer of too many bytes.
-    """
+    """Return the wanted fields of a footer within limits; `advice` ends an error about them."""
     size = stream.seek(0, 2)
     stream.seek(max(size - _ENDING, 0))
     ending = stream.read(_ENDING)

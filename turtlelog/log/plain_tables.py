@@ -279,8 +279,7 @@ def _describe_gaps(
 
 
 _LONGEST_STEP_S: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown [s]: nobody
-records a drive every quarter of an hour."""
+"""Largest usual step between rows that is read as seconds if the unit is unknown [s]."""
 
 _WRAPS_DEG: Final = (330.0, 361.0)
 """Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
@@ -341,10 +340,7 @@ class Cells:
         }
 
     def _find_runs(self, time_ns: NDArray[np.int64]) -> list[slice]:
-        """Return the rows of each run, judged by rows with a position.
-
-        In joined tables, rows of commands alone may be below those of poses.
-        """
+        """Return the rows of each run, judged by positions: commands may stand below poses."""
         if "x" not in self.chosen or not (np.diff(time_ns) < 0).any():
             return [slice(0, len(time_ns))]
         placed = np.flatnonzero(np.isfinite(self._parse(self.chosen["x"])))

@@ -1,7 +1,4 @@
-"""Poses in the plane: from messages of any type and from quaternions, with what the plane loses.
-
-Headings are judged by the direction of travel.
-"""
+"""Poses in the plane, from messages and quaternions; headings judged by the direction of travel."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -112,8 +109,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
 def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
     """Return the fields of a pose in an unknown type, by their names; None without such fields.
 
-    Known fields are position and orientation, translation and rotation (quaternions), and x, y with
-    theta, heading or yaw. The name of an angle in degrees ends in `_deg`.
+    The name of an angle in degrees ends in `_deg`.
     """
     places = [name[:-1] for name in fields if name == "x" or name.endswith(".x")]
     for place in (place for place in places if f"{place}y" in fields):
@@ -229,8 +225,7 @@ def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]
 def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
     """Return the heading of the forward axis projected onto the plane, for any tilt [rad].
 
-    The result is NaN if the axis points up or down (`_LEAST_LEVEL`). The quaternions may have any
-    length except 0, each part has the shape (n,).
+    It is NaN if the axis points up or down (`_LEAST_LEVEL`). No quaternion has length 0.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
         left, ahead = 2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2
@@ -239,10 +234,7 @@ def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
 
 
 def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:
-    """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi].
-
-    The quaternions are as in `compute_heading`.
-    """
+    """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi]."""
     return 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
 
 
@@ -279,8 +271,7 @@ _PIECES: Final = 100
 """Number of pieces of a path whose directions are compared with headings."""
 
 _STRAIGHT: Final = 0.5
-"""Smallest distance between the ends of a piece, as a share of its length: less is noise of a robot
-at rest."""
+"""Smallest distance between the ends of a piece, as a share of its length, of a moving robot."""
 
 _STEADY: Final = 0.5
 """Smallest mean cosine of twice the change of direction between pieces; it is 0 for noise."""
@@ -304,10 +295,7 @@ class Travel:
 
 
 def find_travel(xy_m: Values) -> Travel | None:
-    """Return the directions of travel; None if the robot hardly moves, or scatters.
-
-    The finite positions have the shape (n, 2).
-    """
+    """Return the directions of travel; None if the robot hardly moves, or scatters."""
     with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
         along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
     if not np.isfinite(along_m[-1] * _PIECES):
@@ -345,12 +333,11 @@ _WELL_RAD: Final = 0.2
 """Largest misfit of headings that fit the travel [rad]: noise, and a robot that slips sideways."""
 
 _TURNED_DEG: Final = 30.0
-"""Smallest range of headings that shows degrees [deg]. A robot that drives sideways may turn by so
-many radians, but not along its path."""
+"""Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
 
 _TURNED_RAD: Final = 0.5
-"""Smallest range of directions that shows how headings count [rad]. On a straight path, any offset
-of the headings may be how the robot drives."""
+"""Smallest range of directions that shows how headings count [rad]. On a straight path, the robot
+may drive at any angle."""
 
 _BADLY_RAD: Final = 0.5
 """Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""

@@ -11,7 +11,7 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 
 TimeSource = Literal["auto", "log", "stamp"]
-"""Source of pose times: the recorder's clock, stamps mapped to this clock, or chosen from the bag
+"""Source of pose times: the recorder's clock, stamps mapped to it, or chosen from the bag
 (`auto`)."""
 
 

@@ -325,8 +325,8 @@ _BEFORE: Final = _LEAST - 1
 def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
     """Yield the readable rows of a damaged bag in sections of some thousand rows, and the losses.
 
-    A table is a tree of pages in order of row numbers, so with a page its rows are lost. The rows
-    after it are found by searching the smallest row number that SQLite can read again.
+    With a page of a table its rows are lost. The rows after it are found by searching the smallest
+    row number that SQLite can read again.
     """
     rows = SqliteRows()
 

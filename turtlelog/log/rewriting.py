@@ -21,10 +21,7 @@ _CHANNEL: Final = 9  # offset of the channel number in a message record, u16
 _MOST_FAULTS: Final = 100  # errors reported for one segment
 _SMALL_CHUNK: Final = 2**16  # bytes of records
 _MOST_NOTES: Final = 2000
-"""Largest number of metadata records and attachments.
-
-Together with their index entries, a file of any size may have twice as many.
-"""
+"""Largest number of metadata records and attachments, of which a file may have twice as many."""
 
 Numbers = NDArray[np.int64]
 
@@ -153,10 +150,7 @@ class Rewriter:
         self._small_size = 0  # bytes of the small chunks' records
 
     def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
-        """Write the records at an offset of the source, and return their errors.
-
-        A later description of an id is valid from there on.
-        """
+        """Write the records at an offset of the source, and return their errors."""
         faults = [] if stretch.fault is None else [stretch.fault]
         first = 0
 

@@ -97,10 +97,7 @@ _WANTED: Final = frozenset(
 """Words in names of columns without the robot's position or motion."""
 
 _LONGEST_NAME: Final = 512
-"""Longest name that is searched for a quantity [letters].
-
-The topic before the quantity may take 255 letters. The time to find a unit grows with the square of
-the length."""
+"""Longest name that is searched for a quantity [letters]; the topic in it may take 255."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -339,8 +336,7 @@ _LONGEST_STEP_S: Final = 5.0
 every few seconds. In milliseconds, this is 200 Hz."""
 
 _FASTEST_M_S: Final = 100.0
-"""Largest usual speed that is not doubted if metres are assumed [m/s]: that of a racing car. In
-millimetres, this is 0.1 m/s."""
+"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
 
 
 def describe_units(
@@ -388,10 +384,7 @@ def read_time(cell: Any, power: int) -> int | None:
 
 
 def read_date(cell: str) -> int | None:
-    """Return an ISO 8601 time as nanoseconds since 1970; None for other texts.
-
-    The default time zone is UTC.
-    """
+    """Return an ISO 8601 time, by default of UTC, as nanoseconds since 1970; None for others."""
     match = DATE.match(cell)
     if match is None:
         return None
@@ -404,12 +397,10 @@ def read_date(cell: str) -> int | None:
 
 
 _FAR_BACK: Final = 0.5
-"""Largest share of a run's time at which the next run starts. A late row goes back by a few steps,
-and a new run to the start."""
+"""Largest share of a run's time at which the next run starts; a late row goes back by few steps."""
 
 _FEWEST_ROWS: Final = 10
-"""Smallest number of rows of a run, and of rows within the times of the run above. Rows of several
-threads are late by fewer rows."""
+"""Smallest number of rows of a run, and of rows within the times of the run above."""
 
 
 def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:

@@ -30,10 +30,7 @@ _TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 KITTI_COLUMNS: Final = (
     *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
 )
-"""Columns of a KITTI trajectory, which has neither header nor times.
-
-The columns contain the first three rows, one after another, of the matrix from the robot's frame to
-the world frame."""
+"""Columns of a KITTI trajectory, without header and times: three rows of the robot's matrix."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 
@@ -48,8 +45,8 @@ _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
 
 LONGEST_HEAD: Final = 64 * 1024
-"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
-of 60 letters, and the other columns, fit."""
+"""Longest first line with column names, or comments above it [bytes]: 250 states of 60 letters
+fit."""
 
 MOST_COLUMNS: Final = 10_000
 """Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
@@ -379,10 +376,7 @@ def _format_tum(run: Run) -> Iterator[str]:
 
 
 def require_same_poses(path: Path, run: Run) -> None:
-    """Raise an error if the written trajectory does not contain the poses of the run.
-
-    The headings of the file are computed from its quaternions.
-    """
+    """Raise an error if the written trajectory does not contain the poses of the run."""
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
         rows = slice(first, first + len(time_ns))

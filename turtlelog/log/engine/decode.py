@@ -157,7 +157,7 @@ def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
 def _unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tuple[Block, Offsets]:
     """Decompress messages that rosbag2 compressed one by one; return others unchanged.
 
-    The first byte shows whether a message is compressed: it is 0 for plain CDR, and not 0 for zstd.
+    The first byte of a message is 0 for plain CDR, and not 0 for zstd.
     """
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
@@ -229,10 +229,7 @@ class FixedColumns:
                 self._columns[name] = np.empty(shapes[name], kind)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
-        """Copy messages into the rows from `first` on; return whether there was enough room.
-
-        Several threads may fill different rows at the same time.
-        """
+        """Copy messages into the rows from `first` on; return whether there was room."""
         end = first + len(starts)
         if end > self._count:
             return False

@@ -63,8 +63,7 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = {
     CHANNEL_BYTES: (80 * 2**20, 1),
     # Fields of different types, about 1 kB each in memory; 200 types of 50 fields are many.
     FIELDS: (50_000, 1 / 1000),
-    # Includes the entries of the summary for them; recordings have few, and each attachment
-    # costs 200 us in every pass.
+    # With their entries in the summary. Each attachment costs 200 us in every pass.
     NOTES: (2**12, 1 / 1000),
     # Each damage is noted with its reason.
     DAMAGES: (10_000, 1 / 1000),

@@ -1,8 +1,8 @@
 """Messages as objects: JSON by the JSON schema in the file, and protobuf in the same form.
 
-A FileDescriptorSet defines a protobuf type and is a protobuf message itself. The necessary parts of
-both (protobuf.dev/programming-guides/encoding, descriptor.proto) are read within limits and without
-a library. A stamp has the names of Foxglove's JSON: `sec` and `nsec`.
+A FileDescriptorSet defines a protobuf type and is a protobuf message itself. Both
+(protobuf.dev/programming-guides/encoding, descriptor.proto) are read without a library. A stamp has
+the names of Foxglove's JSON: `sec` and `nsec`.
 """
 
 import json

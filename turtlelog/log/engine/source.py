@@ -1,7 +1,4 @@
-"""An MCAP file: its ends and summary, and its chunks by the index or record by record.
-
-The mcap library checks chunks and the data section, but not the summary.
-"""
+"""An MCAP file: its ends and summary, and its chunks by the index or record by record."""
 
 import io
 import os
@@ -261,10 +258,7 @@ def check_sum(stream: BinaryIO, start: int, end: int, expected: int, expecting: 
 
 
 def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
-    """Return the offsets of footer and summary, and the summary's checksum; 0 without a checksum.
-
-    An empty summary starts at the footer.
-    """
+    """Return the offsets of footer and summary, and the summary's checksum (0: none)."""
     size = stream.seek(0, io.SEEK_END)
     place = size - _FOOTER.size - len(MCAP0_MAGIC)
     stream.seek(max(place, 0))
@@ -337,8 +331,8 @@ def _find_lone_records(
 ) -> tuple[Place, ...] | None:
     """Return the records between the chunks; None if the index is incomplete.
 
-    The index is complete under two conditions. There is no message and no further chunk between its
-    chunks. Every chunk has message indexes with known channels and schemas.
+    A complete index has all chunks, each with message indexes of known channels and schemas, and no
+    message is between the chunks.
     """
     schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
     known = {channel.id for channel in summary.channels if channel.schema_id in schemas}

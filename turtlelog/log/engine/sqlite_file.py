@@ -1,12 +1,11 @@
 """Opening of SQLite files without writing next to them, after counting their pages.
 
 A row claims its length and the pages of the part that does not fit into its own page. In a valid
-file each page belongs to one tree, and rows have no more bytes than the file. In other files rows
-may share pages: if thousands of rows refer to the same megabyte, SQLite would copy it thousands of
-times.
+file each page belongs to one tree. In other files thousands of rows may refer to the same megabyte,
+which SQLite would copy for each.
 
-The format is described at https://www.sqlite.org/fileformat2.html. Numbers are read as SQLite reads
-them, so that every row is counted: offsets in a page wrap around, lengths have 32 bits.
+Numbers are read as SQLite reads them (https://www.sqlite.org/fileformat2.html), so that every row
+is counted: offsets in a page wrap around, lengths have 32 bits.
 """
 
 import os
@@ -170,8 +169,7 @@ _MOST_DEFINED: Final = 2**16
 
 _MOST_TABLES: Final = 2**10
 _DAMAGED_SHARE: Final = 64
-"""Total size of rows that a recovery accepts, as a multiple of the file's size; a damaged row may
-claim any length."""
+"""Total size of rows in a recovery, as a multiple of the file's; a row may claim any length."""
 
 _INTEGERS: Final = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 """Size of a whole number in a row, by its kind [bytes]; NULL, 0 and 1 take no space."""

@@ -1,7 +1,6 @@
 """Reading of requested messages from a SQLite bag, block by block as from an MCAP file.
 
-The blobs of a batch are joined, with space for the header of an MCAP message record before each
-blob. All headers are written at once. After that, decoding is the same as for MCAP files.
+The blobs of a batch are joined, each after the header of an MCAP message record.
 
 A recording cannot run code: only tables are read, never views, and no function of the schema is
 called. Reading a file whose pages form a loop stops after a limited number of steps.
@@ -69,8 +68,7 @@ _SHORTENED: Final = (
 class SqliteRows:
     """Rows of `topic_id`, `timestamp` and `data`, column by column.
 
-    Only few rows are taken at a time. SQLite and Python then reuse memory that stays in the
-    processor's cache, so a million rows take half as long.
+    With few rows at a time, memory stays in the processor's cache: rows take half as long.
     """
 
     def __init__(self) -> None:
@@ -254,10 +252,7 @@ class SqliteSource:
 def open_sqlite(
     path: Path, stored_size: int, *, is_damaged: bool = False
 ) -> Iterator[SqliteSource]:
-    """Open a SQLite bag, as `open_connection` opens its file.
-
-    The size of the file, packed if it was compressed [bytes], sets the limits.
-    """
+    """Open a SQLite bag; the size of the file before unpacking [bytes] sets the limits."""
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
         yield SqliteSource(connection, size, stored_size)
 

@@ -1,8 +1,4 @@
-"""Reading of a file record by record from its start, even if damaged.
-
-Finished files are read by their indexes. This module is for files without an index, and for
-unfinished or damaged files.
-"""
+"""Reading of a file without an index, or a damaged one, record by record from its start."""
 
 import struct
 import zlib
@@ -32,11 +28,9 @@ _AFTER_DATA: Final = _SUMMARY_ONLY | {Opcode.FOOTER, Opcode.SCHEMA, Opcode.CHANN
 _CHAIN: Final = 4
 """Number of consecutive records that are accepted without a checksum.
 
-The worst case is messages half of zeros: a megabyte contains a thousand places that look like a
-record's head. One in a hundred of these is followed by another such place. By chance, three in a
-row occur once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if
-this number of them are consecutive.
-"""
+In the worst case, messages half of zeros, a megabyte contains a thousand places that look like a
+record's head; one in a hundred is followed by another. By chance, three in a row occur once in a
+gigabyte, four once in 100 GB. Fewer consecutive messages are not found after damage."""
 
 _PRIVATE: Final = 0x80  # first opcode for private use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
@@ -144,8 +138,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
 def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
     """Yield complete records from `place`, the start of a record, and the place to continue.
 
-    This function reads files that are being written, so it ends before the first incomplete record.
-    After the end of the data, the place to continue is the end of the file.
+    The file may be growing: reading ends before the first incomplete record. After the end of the
+    data, the place to continue is the end of the file.
     """
     window = FileWindow(stream)
     while place < window.size:
@@ -205,8 +199,8 @@ def _read_record(
     if window.read(place, 1)[0] == Opcode.ATTACHMENT:
         return _read_attachment(window, place)
     opcode, end = _find_record_end(window, place)
-    # A wrong bit can turn a header or a message index into a message. No writer mixes chunks and
-    # single messages.
+    # A wrong bit can turn another record into a message. No writer mixes chunks and single
+    # messages.
     if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
         raise LogError("expected messages in chunks, found one that stands alone")
     # A wrong bit can turn metadata or an attachment into one of these.
@@ -386,9 +380,9 @@ def _measure_record(window: FileWindow, place: int, opcode: int, end: int) -> in
 def _is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
     """Return whether the bytes from `start` to `end` belong to the record before them.
 
-    The known fields of the record end at `start`; the record ends at `end`, according to its
-    length. A later version may append fields, which readers ignore. The length is accepted if a
-    valid record begins at `end`. If valid records begin at `start`, the length is damaged.
+    A record's known fields end at `start`, and the record, by its length, at `end`. A later version
+    may append fields. A valid record at `end` confirms the length; valid records from `start` on
+    show that it is damaged.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 
@@ -448,7 +442,7 @@ def _find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int |
     """Return the offset of the next record that can be confirmed, if any.
 
     Schemas, channels and messages outside chunks are searched only in files with such messages:
-    within a damaged uncompressed chunk such records would look valid without any confirmation.
+    they would look valid within a damaged uncompressed chunk.
     """
     is_wanted = np.zeros(256, dtype=bool)
     is_wanted[[*_BOUND, Opcode.DATA_END, *(_RUNS if is_lone else ())]] = True

@@ -56,10 +56,7 @@ _REQUIRED: Final = object()
 """Value of entries that every record has."""
 
 _LONGEST_DECLARATION: Final = _LONGEST // 2
-"""Largest declaration as JSON [bytes]; the record has other entries too.
-
-250 names of 60 letters take 16 KiB.
-"""
+"""Largest declaration as JSON [bytes]; 250 names of 60 letters take 16 KiB."""
 
 _OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
 """Declaration of another law in format 1: the phases that every law had then."""

@@ -1,7 +1,4 @@
-"""Live recording: a file that is readable up to the last second.
-
-Ticks are encoded as the message records of a chunk, with one packing call per message.
-"""
+"""Live recording: a file that is readable up to the last second."""
 
 import struct
 import sys
@@ -56,13 +53,12 @@ class Recorder:
 
     Ticks are buffered until 64 KiB are full or a second has passed, and then written to the
     operating system as one self-contained chunk. A killed process therefore loses about the last
-    second; a power failure may also lose data not yet written to disk. Nothing runs in the
-    background: if the loop blocks, buffered ticks are written with the next tick.
+    second; a power failure may lose more. Nothing runs in the background: if the loop blocks,
+    buffered ticks are written with the next tick.
 
     As a context manager, the recorder finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP
-    or SIGQUIT. An existing file is refused, also if another recorder is writing it. If the file is
-    deleted, moved or replaced, the recording ends with the next chunk, because later data would be
-    lost.
+    or SIGQUIT. An existing file is refused. If the file is deleted, moved or replaced, the
+    recording ends with the next chunk, because later data would be lost.
     """
 
     def __init__(

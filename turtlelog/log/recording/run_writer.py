@@ -232,10 +232,7 @@ def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
 
 
 def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
-    """Yield the sensed poses by pose number, and their exact values if 32-bit floats lose digits.
-
-    A sensor gives no velocity.
-    """
+    """Yield the sensed poses by pose number, exact too if 32-bit floats lose digits."""
     xy_m, heading_rad = poses.sensed_xy_m, poses.sensed_heading_rad
     if xy_m is None or heading_rad is None:
         return
@@ -284,10 +281,7 @@ def _build_states(run: Run) -> list[TopicColumns]:
 
 
 def _build_references(run: Run) -> list[TopicColumns]:
-    """Return the reference poses, for other tools and in exact form, one per sample with one.
-
-    Messages for other tools contain a quaternion.
-    """
+    """Return the reference poses of samples, for other tools (as quaternions) and exact."""
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
     if xy_m is None or heading_rad is None or not run.declaration.has_reference:
@@ -430,8 +424,8 @@ def list_unshared(run: Run) -> list[str]:
 def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return forward speed [m/s] and turn rate [rad/s] of every pose; NaN if unknown.
 
-    The values are measured by the robot, or else applied by turtlesim. turtlesim publishes the
-    magnitude of its speed; the sign comes from the motion along the heading.
+    They are measured by the robot, or else applied by turtlesim, which publishes the magnitude of
+    its speed; the sign comes from the motion along the heading.
     """
     poses = run.poses
     unknown = np.full(len(poses), np.nan)

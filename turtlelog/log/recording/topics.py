@@ -45,8 +45,7 @@ class Topic:
 # The turtle's goal, with one message.
 GOAL: Final = Topic("/turtle1/goal", "geometry_msgs/msg/PoseStamped")
 
-# One message per pose; exact poses and their applied velocities only if 32-bit floats would lose
-# digits. Readers prefer exact topics.
+# One message per pose. Exact topics, if 32-bit floats would lose digits, are preferred by readers.
 POSE: Final = Topic("/turtle1/pose", "turtlesim/msg/Pose")
 POSE64: Final = Topic("/turtle1/pose64", "geometry_msgs/msg/Pose2D")
 VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
@@ -80,8 +79,7 @@ CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
 # The law's own numbers, with one message per sample. The law determines the type.
 LAW_STATE: Final = "/turtle1/law_state"
 
-# Reference poses of samples, for other tools; exact for readers, because a quaternion does not give
-# the exact heading.
+# Reference poses of samples, for other tools as quaternions, and exact for readers.
 REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
 REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
 
@@ -93,8 +91,7 @@ COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
 PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
 
-# Poses for other programs: as odometry, as transforms from the world to the robot, and all poses in
-# one message at the time of the last.
+# Poses for other programs: odometry, transforms from the world to the robot, and one path.
 ODOMETRY: Final = Topic("/odom", "nav_msgs/msg/Odometry")
 TRANSFORMS: Final = Topic("/tf", "tf2_msgs/msg/TFMessage")
 PATH: Final = Topic("/path", "nav_msgs/msg/Path")
@@ -177,9 +174,7 @@ TYPE_HASHES: Final[Mapping[str, str]] = {
 }
 """Hash by message type, for every key of `SCHEMAS`. Text and hash must change together.
 
-RIHS01 is the SHA-256 of a type's description (REP 2011). ROS 2 compares it with the hash of the
-installed type.
-"""
+RIHS01 is the SHA-256 of a type's description (REP 2011), which ROS 2 compares."""
 
 _FLOAT64: Final = {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
 """Description of a float64 field's type (REP 2011)."""

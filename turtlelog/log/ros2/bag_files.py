@@ -1,8 +1,7 @@
 """The files of a bag, as its metadata.yaml or the folder names them, and their contents.
 
-Four entries of metadata.yaml are needed, so single lines are read. A YAML library takes 50 times as
-long: 4 s for 2,000 topics. Anchors, and lists in brackets over several lines, are refused with the
-line number; neither rosbag2 nor rosbags writes them.
+Single lines of metadata.yaml are read, because a YAML library takes 50 times as long: 4 s for 2,000
+topics. Anchors, and lists in brackets over several lines, are refused; no recorder writes them.
 """
 
 import re
@@ -225,17 +224,14 @@ _MOST_NAMED: Final = 6
 """Largest number of files that an error names: one line of a terminal."""
 
 _MOST_OVERLAP: Final = 0.5
-"""Largest overlap of two parts, as a share of the shorter part. Queued messages overlap by seconds,
-two recordings completely."""
+"""Largest overlap of two parts, as a share of the shorter; two recordings overlap completely."""
 
 _MOST_APART_NS: Final = 10_000_000_000
-"""Longest time from the end of a part to the next part [ns]. rosbag2 begins a part with the next
-message, and a running robot publishes transforms, diagnostics or odometry at least every few
-seconds."""
+"""Longest time from the end of a part to the next part [ns]. A running robot publishes transforms,
+diagnostics or odometry at least every few seconds."""
 
 _MOST_APART_STEPS: Final = 100.0
-"""The same limit as a multiple of the mean time between messages, because slow topics alone may be
-silent for longer."""
+"""The same limit as a multiple of the mean time between messages, for slow topics alone."""
 
 _UNITS_S: Final = (("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("s", 1.0))
 
@@ -391,10 +387,7 @@ def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
 
 
 def _find_break(files: tuple[Path, ...]) -> str | None:
-    """Return why numbered files are not parts of one bag; None if each part continues another part.
-
-    Every recording by turtlelog begins at 0, and no recording has parts.
-    """
+    """Return why numbered files are not parts of one bag; None if each continues another."""
     found: list[tuple[tuple[int, int], int, str]] = []
     is_whole = True
     for file in files:
@@ -421,10 +414,7 @@ def _find_break(files: tuple[Path, ...]) -> str | None:
 
 
 def _require_sound(files: tuple[Path, ...]) -> None:
-    """Refuse SQLite beside MCAP files, which no recorder writes, and a file with two names.
-
-    The messages of a file with two names would be duplicated.
-    """
+    """Refuse SQLite beside MCAP files, which no recorder writes, and a file with two names."""
     if len({".db3" in file.suffixes for file in files}) > 1:
         names = ", ".join(file.name for file in files)
         raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")

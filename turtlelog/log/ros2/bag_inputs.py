@@ -55,8 +55,7 @@ _AT_ROBOT_SHARE: Final = 0.1
 """The same distance as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
 
 _ONE_GOAL_M: Final = 0.5
-"""Largest distance between the ends of successive paths to one goal [m]: Nav2 lets a plan end up to
-this tolerance away from the goal."""
+"""Largest distance between the ends of successive paths to one goal [m]; Nav2's tolerance."""
 
 _MOST_PATHS: Final = 1000
 """Largest number of path messages that are read without request. A trace that grows point by point
@@ -71,8 +70,7 @@ def choose_commands(
 ) -> tuple[bag_topics.Pick | None, str]:
     """Return the topic of the commands, or the reason why there is none, which may be empty.
 
-    Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
-    rate.
+    Ackermann commands need a wheelbase, and have priority if one is given.
     """
     asked, steering = choice.command_topic, bag_topics.ACKERMANN_TYPES
     choose = partial(choose_command_topic, topics, pose_topic=pose_topic)
@@ -245,8 +243,7 @@ def _choose_path_topics(
 ) -> list[TopicInfo]:
     """Return the requested path topic, or all topics that may contain plans, in order.
 
-    A controller's short local plan (local_plan) and topics with the name of a trace are not
-    references.
+    A controller's short local plan and topics with the name of a trace are no references.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -290,8 +287,8 @@ _Goal = tuple[dict[str, Any], str, int]
 def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
     """Return the last goal that was set while the robot was recorded, and when it was first given.
 
-    A goal in another frame is converted to the frame of the poses by the transforms at the time of
-    the goal. Without such transforms, there is no goal, and the note gives the reason.
+    A goal in another frame is converted by the transforms at its time; without such transforms,
+    there is no goal.
     """
     rows = _sort_rows(messages)
     known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
@@ -356,10 +353,9 @@ def find_path(
 ) -> tuple[list[list[float]] | None, str, int]:
     """Return the points of the path that counts [m], in the frame of the poses, a note and a time.
 
-    It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock).
-    If later paths end elsewhere, they lead to another goal, and the first path to the last goal
-    counts. The time is when it was published [ns]. If there is no reference, for example as the
-    topic has the robot's own trace, the points are None.
+    It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock),
+    or, if later paths end elsewhere, the first to the last goal. The time is when it was published
+    [ns]. The points are None without a reference, as if the topic has the robot's own trace.
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))

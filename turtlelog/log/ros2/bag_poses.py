@@ -185,10 +185,7 @@ robot."""
 def _pick_moving(
     bag: Bag, topics: Collection[TopicInfo], pick: bag_topics.Pick
 ) -> tuple[bag_topics.Pick, Found | None]:
-    """Return a moving topic instead of one that never moves, with its messages if they were read.
-
-    Some robots publish an odometry of zeros next to a computed odometry.
-    """
+    """Return a moving topic instead of one that never moves, with its messages if read."""
     if not pick.others or pick.topic.type not in POSITIONS:
         return pick, None
     first = _read_moving(bag, pick.topic)
@@ -318,8 +315,7 @@ def _choose_times(
 ) -> tuple[NDArray[np.int64], str]:
     """Return the times of poses and the name of their clock.
 
-    If the clock was set while recording, stamps jump too; mapped to the recorder's clock they do
-    not.
+    If the clock was set while recording, only stamps mapped to it do not jump.
     """
     log_ns, stamp_ns = join_arrays([columns.log_time_ns for columns in found]), join_stamps(found)
     if choice.time == "log" or stamp_ns is None:

@@ -307,8 +307,7 @@ def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, 
 def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> Values | None:
     """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
 
-    The result is None if there are no sensed poses, or their times do not identify the poses, as
-    with a wall clock.
+    The result is None without sensed poses whose times identify the poses.
     """
     if moved or not any(SENSED.name in of_file for of_file in found):
         return None
@@ -443,10 +442,7 @@ def _join(found: list[TopicColumns]) -> tuple[NDArray[np.int64], dict[str, Any]]
 
 
 def _require_fit(run: Run, written: int, time_ns: TimesNs, columns: Mapping[str, Any]) -> None:
-    """Refuse samples whose pose numbers are not rows of the run's poses.
-
-    The file has `written` poses; `time_ns` is when each sample was answered, on the run's clock.
-    """
+    """Refuse samples, answered at `time_ns`, whose pose numbers are not rows of the run's poses."""
     read, poses = columns["pose_sequence"], run.poses
     if written != len(poses):
         raise LogError(f"expected the {written} poses as they are numbered, found {len(poses)}")

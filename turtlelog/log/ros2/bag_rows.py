@@ -1,10 +1,10 @@
 """The rows of a bag's topics: sorted, without duplicates, with finite numbers, and on one clock.
 
-A message has two times: its stamp, set by the publisher, and its log time, when the recorder
-received it. The two times differ by the offset of two clocks and the transport delay. Stamps have
-less jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed
-by their stamps, mapped to the recorder's clock by the messages with the shortest transport delay.
-The shortest delay is unknown, so all pose times are late by this delay.
+A message has its stamp, set by the publisher, and its log time, when the recorder received it. They
+differ by the offset of two clocks and the transport delay. Stamps have less jitter, but commands
+without stamps have only the recorder's clock. Poses are therefore timed by their stamps, mapped to
+the recorder's clock by the messages with the shortest transport delay. This delay is unknown, so
+all pose times are late by it.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -249,8 +249,7 @@ CLOSE_ROWS: Final = "close_rows"
 """Name of the note on dropped poses at nearly equal times."""
 
 _CLOSEST_NS: Final = 1_000_000
-"""Smallest time between two poses that gives a usable rate [ns]: noise of 0.2 mm becomes 0.2 m/s
-and more."""
+"""Smallest time between two poses that gives a usable rate [ns]: 0.2 mm of noise become 0.2 m/s."""
 
 _CLOSEST_SHARE: Final = 0.25
 """Share of the usual step below which poses count as close, because a motion capture may run at 2

@@ -32,8 +32,7 @@ from turtlelog.run.angles import wrap_angle
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
 MOST_SCANS: Final = 400
-"""Largest number of scans, evenly selected: a minute at 7 Hz, or one in seven scans of ten minutes
-at 5 Hz."""
+"""Largest number of scans, evenly selected: a minute at 7 Hz."""
 
 MOST_RAYS: Final = 360
 """Largest number of points per scan, evenly selected: one per degree."""
@@ -45,8 +44,7 @@ _MOST_CELLS: Final = 20_000
 """Largest number of cells of scans, and of cells of a map that determine a view: walls of 1 km."""
 
 _MOST_MESSAGES: Final = 20_000
-"""Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays would take over
-100 MB."""
+"""Largest number of scans that are read: an hour at 5 Hz, which takes 100 MB with 360 rays."""
 
 _LONGEST_RAY_M: Final = 10_000.0
 """Range that no scanner on a robot reaches [m]; `range_max` may be infinite."""

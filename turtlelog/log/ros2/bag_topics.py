@@ -153,10 +153,7 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
 
 
 def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
-    """Return the unread topics of poses, commands, goals or paths with reasons; may be empty.
-
-    Topics of other types do not matter for a run.
-    """
+    """Return the unread topics of poses, commands, goals or paths with reasons; may be empty."""
     unread = [topic for topic in topics if topic.count and topic.reason]
     return _join_reasons(filter(_is_of_a_run, unread))
 
@@ -342,8 +339,8 @@ class BagRobot:
 def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
     """Return the robots that topic names distinguish; empty for a bag of one robot.
 
-    Several robots have topics of one type whose namespaces differ in one word. These words differ
-    only by number, or both poses and commands have them.
+    Topics of one type have namespaces that differ in one word: only by number, or for poses and
+    commands alike.
     """
     held = [topic for topic in topics if topic.count]
     kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))

@@ -77,8 +77,7 @@ class Link:
     def interpolate(self, stamp_ns: int) -> tuple[Values, Values] | None:
         """Return place and turn at a stamp, between its neighbours; None if stamps are unusable.
 
-        A stamp before the first or after the last message has the values of that message, up to 1 s
-        away.
+        A stamp up to 1 s beyond the first or last message has the values of that message.
         """
         order = np.argsort(self.stamp_ns, kind="stable")
         stamps = self.stamp_ns[order]
@@ -195,10 +194,8 @@ def choose_frames(
 ) -> FrameChoice:
     """Return the requested frames, completed by the most likely ones.
 
-    Frames of a robot and of the world have well-known names. Without such names, the only moving
-    link is chosen. A link below a robot's frame is a joint and is never chosen.
-
-    The frames of several robots may begin with their names.
+    Frames of a robot and of the world have well-known names, perhaps after the robot's. Without
+    such names, the only moving link is chosen. A link below a robot's frame is a joint.
     """
     frames = {frame for names in tree for frame in names}
     robot, world = (None if one is None else one.lstrip("/") for one in (robot, world))
@@ -361,8 +358,7 @@ def locate_frame(
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
-    At log times [ns], shape (n,), links are used as last recorded. At the stamp of a single time
-    [ns], links with stamps are interpolated.
+    At log times [ns], shape (n,), links are as last recorded, at a stamp [ns] interpolated.
     """
     try:
         place_m, turn = _compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)

@@ -71,8 +71,7 @@ _LEAST_WAY_M: Final = 0.5
 """Smallest distance over which a course is computed [m], suitable for noise up to 5 cm."""
 
 _NOISES: Final = 10.0
-"""The same distance in standard deviations of the noise, which then turns the course by sqrt(2) /
-10 rad, 8 deg."""
+"""The same distance in standard deviations of the noise, which turns the course by up to 8 deg."""
 
 _LONGEST_S: Final = 10.0
 """Longest time in which a moving receiver covers this distance [s]: half a metre at 0.05 m/s. A
@@ -82,20 +81,15 @@ _FEWEST: Final = 3
 """Number of fixes needed for a course: its own, one before and one after."""
 
 _MEDIAN_OF_SECOND: Final = 2.884
-"""Median length of second differences of positions in the plane, in standard deviations of the
-noise of one axis.
-
-The factor is sqrt(6) for a second difference, times sqrt(2 ln 2) for the median of a Rayleigh
-distribution.
-"""
+"""Median length of second differences of positions, in standard deviations of one axis's noise:
+sqrt(6) for the differences, times sqrt(2 ln 2) for the median of a Rayleigh distribution."""
 
 
 def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
     """Return the poses from fixes of sensor_msgs/NavSatFix, and notes on them.
 
-    x, y and z are the distances east, north and up from the first fix. While the receiver moves,
-    the heading is its course; at rest, the heading is held. Before the first course, the heading
-    equals that course.
+    x, y and z are the distances east, north and up from the first fix. The heading is the course
+    while the receiver moves, held at rest, and before the first course equal to it.
     """
     messages = _join_messages(found, _FIX_FIELDS)
     latitude_deg, longitude_deg, altitude_m, status = (

@@ -38,15 +38,14 @@ _STRIDE_NS: Final = 200_000_000
 """Time over which poses are differenced [ns]; in this time, 1 mm of noise is 7 mm/s."""
 
 _JUMP_M: Final = 0.05
-"""Excess of a step over the reported speed from which it is a jump [m]: the length of a step at 20
-Hz and 1 m/s."""
+"""Excess of a step over the reported speed from which it is a jump [m]: a step at 20 Hz and 1
+m/s."""
 
 _MOST_JUMPS: Final = 0.1
 """Largest share of jumps among the steps. More jumps would be the usual motion."""
 
 _NEARER: Final = 2.0
-"""Ratio of two paths' distances from the path of the commands, from which the farther path is
-probably wrong."""
+"""Ratio of two paths' distances from that of the commands, from which the farther is wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,23 +209,20 @@ def describe_leaps(xy_m: Values) -> str | None:
 
 
 _LEAST_LEAP_M: Final = 0.01
-"""Smallest leap of a driving robot [m]. Positions are rounded to a centimetre at most, and the
-noise of a filter is smaller."""
+"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
 
 _ROWS: Final = 4
 """Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
 
 _OPPOSITE: Final = 0.9
-"""Cosine of the angle between a leap and the reverse of the next leap (26 deg), from which they are
-opposite."""
+"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
 
 _MOST_LEAPS: Final = 0.8
 """Smallest share of leaps that the next leap reverses; for noise in any direction it is below
 0.5."""
 
 _FAR: Final = 5.0
-"""Smallest motion as a multiple of the leap: a robot at rest may alternate between two rounded
-positions."""
+"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
 
 
 def describe_small_leaps(xy_m: Values) -> str | None:
@@ -273,8 +269,7 @@ _SLOWEST_M_S: Final = 0.05
 """Difference between twists and path up to which it may be noise (rms) [m/s]."""
 
 _MUCH_BETTER: Final = 3.0
-"""Ratio of fits from which twists count as along the world's axes. Twists of a robot that never
-turns away from the x axis fit both axes equally."""
+"""Ratio of fits from which twists count as along the world's axes; both fit a robot along x."""
 
 
 def judge_rates(
@@ -282,9 +277,9 @@ def judge_rates(
 ) -> tuple[dict[str, Values], dict[str, str]]:
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
-    Twists that were never set are all zeros; such rates are left out if the poses move. Twists
-    along the axes of the world are a common fault; they are rotated into the robot's axes. The
-    times [ns] do not decrease; columns are x, y [m], heading [rad] and rates [m/s or rad/s].
+    Rates that are all zeros are left out if the poses move. Twists along the axes of the world are
+    a common fault; they are rotated into the robot's axes. The times [ns] do not decrease; columns
+    are x, y [m], heading [rad] and rates [m/s or rad/s].
     """
     left = {name: column for name, column in columns.items() if name != LATERAL}
     lateral = columns.get(LATERAL)
@@ -419,8 +414,7 @@ def _propose(field: str, column: str, ratio: float) -> str:
 
 
 _CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]: the fastest motion capture takes a
-pose every 100 us."""
+"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
 
 
 def note_crowded(time_ns: TimesNs) -> dict[str, str]:

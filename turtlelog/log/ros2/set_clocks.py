@@ -1,9 +1,8 @@
 """Steps of the recorder's clock: it was set while recording, by NTP or by hand.
 
 A small computer without a battery starts with a wrong date, and NTP sets its clock when the network
-is there. If it also records, log times and stamps jump together. The motion shows what happened: it
-goes on as if no time had passed. Messages are stored as they came, so a clock that was set back
-leaves later messages with earlier times.
+is there. Log times and stamps jump together, but the motion goes on as if no time had passed. A
+clock that was set back leaves later messages with earlier times.
 """
 
 from collections.abc import Sequence
@@ -36,12 +35,10 @@ SILENCE: Final = "silence"
 """Name of the note on a silence that lasts most of a bag."""
 
 _RIM_M: Final = 0.2
-"""Distance of a point of the robot from its centre [m], half a robot's width: its way shows driving
-and turning on the spot alike."""
+"""Distance of a point of the robot from its centre [m]: its way shows turning on the spot, too."""
 
 _SILENT_STEPS: Final = 10.0
-"""Shortest silence in usual steps after which motion shows that no time passed. In less time a
-robot can brake and speed up again."""
+"""Shortest silence in usual steps that motion judges; in less, a robot can brake and speed up."""
 
 _STRAIGHT: Final = 0.5
 """Smallest displacement over some poses as a share of the way between them: noise alone leads
@@ -144,8 +141,8 @@ def undo_clock_steps(
 ) -> list[TopicColumns]:
     """Return a topic, by file, with log times as if the clock was never set.
 
-    A topic whose own messages do not step back with the clock has a silence there. Its messages
-    count as before the step while their times are between those of the poses before it.
+    Messages of a topic that does not step back itself count as before the step while their times
+    are between those of the poses before it.
     """
     if not steps or not files:
         return list(files)
@@ -221,10 +218,7 @@ def _list_stored(columns: TopicColumns) -> NDArray[np.int64]:
 
 
 def _read_rim(files: Sequence[TopicColumns]) -> Values | None:
-    """Return x, y and heading times the robot's radius [m], in the order of storage, shape (n, 3).
-
-    The result is None if the messages are not poses that can be read.
-    """
+    """Return x, y [m] and heading times radius [m] as stored, shape (n, 3); None if unreadable."""
     parts = []
     for columns in files:
         try:
@@ -295,8 +289,8 @@ def _is_stored_in_order(way: Values, log_ns: TimesNs, back: NDArray[np.int64]) -
     """Return whether the order of storage, not that of time, is that of the motion.
 
     It is not if blocks of messages are only stored late, and in order of time follow each other
-    without overlap or silence. Nor is it if the robot jumps where the times step back, and jumps
-    less in order of time.
+    without overlap or silence, or if the robot jumps where the times step back, and less in order
+    of time.
     """
     order = np.argsort(log_ns, kind="stable")
     is_new = np.diff(order) != 1

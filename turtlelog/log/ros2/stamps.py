@@ -60,8 +60,8 @@ _LEAST_STAMPED: Final = 0.5
 """Smallest share of messages with a stamp; otherwise most times would be interpolated."""
 
 _LEAST_ADVANCES: Final = 0.25
-"""Smallest share of messages with a stamp of their own. Some programs publish each pose several
-times; other programs never update the time."""
+"""Smallest share of messages with a stamp of their own: programs may publish a pose several
+times."""
 
 STRETCH_ROWS: Final = 20
 """Smallest mean number of messages between two jumps; a clock that is set more often is not
@@ -301,8 +301,7 @@ def _is_other_pace(late_ns: Values, parted_ns: float, slope: float, *, is_wall: 
 def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:
     """Return recorder seconds per stamp second, from the fastest messages.
 
-    The line is the closest one below all messages: the edge of the lower hull at their mean (Moon,
-    Skelly and Towsley, 1999).
+    The line is the edge of the lower hull at the mean (Moon, Skelly and Towsley, 1999).
     """
     passed = (stamp_ns - stamp_ns[0]).astype(np.float64)
     late = (log_ns - log_ns[0]) - passed
