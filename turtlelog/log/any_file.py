@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from turtlelog import log, run as runs
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
+from turtlelog.files.text_files import iterate_lines
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log import recording, ros2
 from turtlelog.log.engine.opening import is_bag_file
@@ -64,17 +65,14 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
 
 def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run":
     has_tables, is_log = _recognise(path)
-    if names_topic and (has_tables or is_log):
-        found = "tables" if has_tables else "a log"
-        raise LogError(
-            f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
-        )
     if has_tables or is_log:
-        is_own = has_tables and not (is_log and choice.columns)
-        run = _aim(path, _import_tables(path, choice, is_own=is_own), choice)
-        return _note_unused(run, _drop_used(choice, run), "table")
-    # A recording by turtlelog contains more than poses and commands: asking for these loses
-    # nothing.
+        if names_topic:
+            found = "tables" if has_tables else "a log"
+            raise LogError(
+                f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
+            )
+        return _aim(path, _import_tables(path, choice, is_own=has_tables), choice)
+    # Asking for the poses and commands of turtlelog's recordings loses none of their contents.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
     is_usual = all(name is None or match_topic(name, {usual}) == usual for name, usual in pairs)
     frames = choice.pose_frame, choice.world_frame
@@ -90,19 +88,18 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
 
 def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
     """Return the run in tables by turtlelog, or else in a log of the paper or a plain table."""
-    if is_own:
-        return log.import_tables(path)
-    # With the user's mapping of columns, a file is no log of the paper.
-    if path.suffix.lower() == ".json" or (not choice.columns and log.is_papers(path)):
-        return log.import_log(path)
-    return log.import_plain_table(
-        path, choice.columns, robot=choice.robot, allow_partial=choice.allow_partial
-    )
-
-
-def _drop_used(choice: ReadChoice, run: "Run") -> ReadChoice:
-    """Return a choice without the robot whose columns were read from a table."""
-    return replace(choice, robot=None) if ROBOT in run.notes else choice
+    # With the user's mapping of columns, a file is a plain table.
+    is_mapped = bool(choice.columns) and not path.is_dir()
+    if is_own and not is_mapped:
+        run = log.import_tables(path)
+    elif path.suffix.lower() == ".json" or (not is_mapped and log.is_papers(path)):
+        run = log.import_log(path)
+    else:
+        run = log.import_plain_table(
+            path, choice.columns, robot=choice.robot, allow_partial=choice.allow_partial
+        )
+    choice = replace(choice, robot=None) if ROBOT in run.notes else choice
+    return _note_unused(run, choice, "table")
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -171,8 +168,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
             return found  # what a bag does not use depends on its topics, which only reading shows
         unused = describe_unused(choice, "recording")
         return replace(found, notes={**found.notes, UNUSED: unused}) if unused else found
-    run = _import_tables(path, choice, is_own=has_tables and not (is_log and choice.columns))
-    unused = describe_unused(_drop_used(choice, run), "table")
+    run = _import_tables(path, choice, is_own=has_tables)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),
@@ -185,9 +181,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
         parameters=run.parameters,
         topics=(),
         absent=run.absent,
-        notes={"rows": rows}
-        | {name: text for name, text in run.notes.items() if name != CHOSEN}
-        | ({UNUSED: unused} if unused else {}),
+        notes={"rows": rows} | {name: text for name, text in run.notes.items() if name != CHOSEN},
     )
 
 
@@ -234,7 +228,6 @@ kind."""
 _MOST_SKEW: Final = 0.01
 """Largest entry of R^T R - 1 of a rotation. The six digits of KITTI's files give 1e-5."""
 
-_QUATERNION: Final = ("qw", "qx", "qy", "qz")
 _LONGEST_TIMES: Final = 64 * 2**20
 """Largest file of times [bytes]: 2 million lines of 32 bytes, more than 50 hours at 10 Hz."""
 
@@ -266,7 +259,7 @@ def read_trajectory(
             of_robot = log.find_table_robots(table.names).get(choice.robot or "", {})
             columns = {**of_robot, **choice.columns}
             chosen = log.assign_columns(table.names, columns, table.units)
-            if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
+            if {"t", "x", "y", "z", "qx", "qy", "qz", "qw"} <= {*chosen}:
                 return _build_from_table(file, log.Cells(table, chosen))
     bag = None
     if file.exists() and (file.is_dir() or is_bag_file(file)):
@@ -299,11 +292,7 @@ def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
 
 def _build_from_table(path: Path, cells: "Cells") -> "Trajectory":
     xyz_m = np.column_stack([cells.require(name) for name in "xyz"])
-    turns = np.column_stack([cells.require(name) for name in _QUATERNION])
-    with np.errstate(over="ignore"):
-        empty = (turns**2).sum(axis=1) == 0.0
-    if empty.any():
-        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    turns = np.roll(cells.read_quaternions(), 1, axis=1)  # w first
     notes = {CHOSEN: cells.describe()} if cells.table.has_header else {}
     notes |= cells.notes
     return runs.build_trajectory(path.stem, cells.time_ns, xyz_m, turns, notes=notes)
@@ -351,10 +340,7 @@ def _read_times(path: Path, count: int) -> NDArray[np.int64]:
         data = stream.read(_LONGEST_TIMES + 1)
         if len(data) > _LONGEST_TIMES:
             raise LogError(f"a file of times has at most {_LONGEST_TIMES // 2**20} MiB")
-        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
-        kept = [
-            (number, line) for number, line in lines if line.strip() and line.lstrip()[0] != "#"
-        ]
+        kept = [*iterate_lines(data.decode("utf-8", errors="replace"), comments=False)]
         if len(kept) != count:
             raise LogError(
                 f"expected a time for each of {describe_count(count, 'pose')}, found"

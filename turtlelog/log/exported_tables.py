@@ -235,7 +235,7 @@ def _read_csv(path: Path) -> Table:
         rows = filter(None, csv.reader(text))
         head, count = [*chain(*_take_rows(rows, 0, most=1))], 0
         require_few_columns(len(head))
-        known = _list_known(_find_table(head), head)
+        known = _list_known(head)
         # Rows are parsed in parts and stored as arrays: cells as texts take ten times as much
         # memory.
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
@@ -301,7 +301,7 @@ def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
         for key, text in (file.schema.metadata or {}).items()
         if key.startswith(b"turtlelog.")
     }
-    known = _list_known(_find_table(file.schema.names), file.schema.names)
+    known = _list_known(file.schema.names)
     file.require_rows()
     file.require_cells(len(known))
     return _ParquetTable(path, file, [name for name in file.schema.names if name in known]), facts
@@ -330,12 +330,12 @@ class _ParquetTable(Mapping[str, NDArray[Any]]):
         return len(self._names)
 
 
-def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:
+def _list_known(columns: Sequence[str]) -> set[str]:
     """Return the existing columns of a table that will be read."""
-    if table is None or table not in _CLASSES:
+    kind = _CLASSES.get(_find_table(columns) or "")
+    if kind is None:
         return {*columns}
-    names = _CLASSES[table].__dataclass_fields__
-    return {column for name in names for column in PAIRS.get(name, (name,))}
+    return {column for name in kind.__dataclass_fields__ for column in PAIRS.get(name, (name,))}
 
 
 def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path) -> Run:

@@ -220,12 +220,8 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    x, y, z, w = (cells.require(name) for name in _QUATERNION)
-    with np.errstate(over="ignore"):
-        empty = x**2 + y**2 + z**2 + w**2 == 0.0
-    if empty.any():
-        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
-    return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
+    turns = np.ascontiguousarray(cells.read_quaternions().T)
+    return {"heading": compute_heading(*turns), "tilt": compute_tilt(*turns)}
 
 
 def _order_rows(
@@ -329,6 +325,16 @@ class Cells:
         values = self.read(field)
         assert values is not None
         return values
+
+    def read_quaternions(self) -> Values:
+        """Return the rotations x, y, z, w, shape (n, 4); refuse a rotation of length 0."""
+        turns = np.column_stack([self.require(name) for name in _QUATERNION])
+        with np.errstate(over="ignore"):
+            empty = (turns**2).sum(axis=1) == 0.0
+        if empty.any():
+            row = self._rows.start + int(empty.argmax())
+            self.refuse("qw", row, "a rotation of a length other than 0")
+        return turns
 
     def find_assumed(self, *fields: str) -> dict[str, str]:
         """Return the names of columns in assumed standard units, by quantity."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal, TypedDict
 
@@ -76,13 +76,12 @@ class ReadChoice:
 
     def override(self, other: "ReadChoice") -> "ReadChoice":
         """Return this choice with the settings of another choice added; columns are merged."""
-        usual = ReadChoice()
-        asked = {
-            one.name: getattr(other, one.name)
-            for one in fields(other)
-            if getattr(other, one.name) != getattr(usual, one.name)
-        }
+        asked = {name: getattr(other, name) for name in other.list_given()}
         return replace(self, **asked | {"columns": {**self.columns, **other.columns}})
+
+    def list_given(self) -> list[str]:
+        """Return the names of the options that differ from their defaults."""
+        return [name for name, usual in _USUAL.items() if getattr(self, name) != usual]
 
 
 CHOSEN: Final = "chosen"
@@ -100,7 +99,6 @@ UNUSED: Final = "unused"
 FileKind = Literal["table", "recording", "bag"]
 
 _USUAL: Final = {name: getattr(ReadChoice(), name) for name in ReadOptions.__annotations__}
-"""Options that are not given."""
 
 _OF_TABLES: Final = ("columns",)
 _OF_EVERY_FILE: Final = ("goal", "allow_partial", "allow_no_poses")
@@ -116,7 +114,7 @@ def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> s
             commands.
         commands: Topic and type of the commands that were read from a bag; empty without commands.
     """
-    given = [name for name, usual in _USUAL.items() if getattr(choice, name) != usual]
+    given = choice.list_given()
     of_recording = (*_OF_TABLES, "time", "wheelbase")
     never = {"table": _OF_BAGS, "recording": of_recording, "bag": _OF_TABLES}[kind]
     reasons = {"table": "this is a table", "recording": "this is a turtlelog recording"}

@@ -213,16 +213,12 @@ class _TextColumns:
         for line, row in islice(rows, self._head, None):
             if len(row) != len(self._header):
                 self._note_cut(line, row, is_last=next(rows, None) is None)
-            elif row[0].strip() == self._header[0] and self._is_header(row):
-                repeated += 1
+            elif row[0].strip() == self._header[0] and [*map(str.strip, row)] == self._header:
+                repeated += 1  # as in files that were joined
             else:
                 yield line, row
         if repeated:
             self.notes["repeated_headers"] = f"{describe_count(repeated, 'row')} left out"
-
-    def _is_header(self, row: Sequence[str]) -> bool:
-        """Return whether a row repeats the header, as in files that were joined."""
-        return [cell.strip() for cell in row] == self._header
 
     def _note_cut(self, line: int, row: Sequence[str], *, is_last: bool) -> None:
         """Note that the last row is left out; raise an error if rows may not be cut."""

@@ -180,10 +180,7 @@ class Source:
             self.catalogue.check(block.rest, block.byte)
             return work(replace(block, before=before))
 
-        expect_reads(
-            self._stream,
-            ((entry.start, entry.start + entry.length + entry.index_length) for entry in wanted),
-        )
+        expect_reads(self._stream, ((entry.start, entry.end) for entry in wanted))
         jobs = self._read_chunks(wanted)
         # Starting threads takes longer than reading one chunk.
         if len(wanted) <= 1:

@@ -235,20 +235,22 @@ def _encode(value: object) -> str:
     return msgspec.json.encode(value).decode()
 
 
-def _get(record: Mapping[str, str], key: str) -> str:
+def _get(record: Mapping[str, str], key: str, of: str = HEAD) -> str:
     if key not in record:
-        raise LogError(f"metadata {HEAD}: the entry {key} is missing")
+        raise LogError(f"metadata {of}: the entry {key} is missing")
     return record[key]
 
 
-def _decode(record: Mapping[str, str], key: str, kind: Any, absent: Any = _REQUIRED) -> Any:
+def _decode(
+    record: Mapping[str, str], key: str, kind: Any, absent: Any = _REQUIRED, of: str = HEAD
+) -> Any:
     if key not in record and absent is not _REQUIRED:
         return absent
-    text = _get(record, key)
+    text = _get(record, key, of)
     try:
         return msgspec.json.decode(text, type=kind)
     except msgspec.MsgspecError as err:
-        raise LogError(f"metadata {HEAD}: {key}: {err}, found {text[:60]!r}") from err
+        raise LogError(f"metadata {of}: {key}: {err}, found {text[:60]!r}") from err
 
 
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
@@ -314,8 +316,8 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
 def _describe(record: Mapping[str, str]) -> str:
     if record.get(CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {RECOVERY}: damaged, its checksum does not match")
-    lost = _decode_loss(record, "lost", tuple[Loss, ...])
-    missing = _decode_loss(record, "missing", dict[str, int] | None)
+    lost = _decode(record, "lost", tuple[Loss, ...], of=RECOVERY)
+    missing = _decode(record, "missing", dict[str, int] | None, of=RECOVERY)
     if missing is None:
         count = "the number of lost messages is unknown"
     elif missing:
@@ -326,10 +328,3 @@ def _describe(record: Mapping[str, str]) -> str:
     if len(lost) > 1:
         places.append(describe_count(len(lost) - 1, "more place"))
     return f"{count} ({', and '.join(places)})" if places else count
-
-
-def _decode_loss(record: Mapping[str, str], key: str, kind: Any) -> Any:
-    try:
-        return msgspec.json.decode(record[key], type=kind)
-    except (KeyError, msgspec.MsgspecError) as err:
-        raise LogError(f"metadata {RECOVERY}: {key}: expected its JSON, found {err}") from err

@@ -22,7 +22,7 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
 from turtlelog.log.file_access import name_place
 from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
-from turtlelog.log.planar_poses import ROWS_AT_ONCE, Fields, Values
+from turtlelog.log.planar_poses import Fields, Values
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.bag_files import find_bag_files
 from turtlelog.log.ros2.set_clocks import ClockStep, undo_clock_steps
@@ -143,7 +143,8 @@ class OrderedRows:
         self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: TimesNs | None = None
     ) -> "OrderedRows":
         """Return some of the rows in any order, with given new times, if any."""
-        if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
+        is_full = rows.dtype != np.bool_ and len(rows) == len(self.time_ns)
+        if is_full and (rows[1:] > rows[:-1]).all():  # all rows in order
             return self if time_ns is None else replace(self, time_ns=time_ns)
         return replace(
             self,
@@ -151,16 +152,6 @@ class OrderedRows:
             columns={name: column[rows] for name, column in self.columns.items()},
             stamp_ns=None if self.stamp_ns is None else self.stamp_ns[rows],
         )
-
-
-def _is_whole(rows: NDArray[Any]) -> bool:
-    """Return whether row numbers are those of all rows in order."""
-    parts = (rows[first : first + ROWS_AT_ONCE] for first in range(0, len(rows), ROWS_AT_ONCE))
-    firsts = range(0, len(rows), ROWS_AT_ONCE)
-    return all(
-        np.array_equal(part, np.arange(first, first + len(part)))
-        for first, part in zip(firsts, parts, strict=True)
-    )
 
 
 def order_rows(

@@ -102,10 +102,12 @@ def find_clock_steps(
     back = back[[log_ns[row + 1 :][:JUMP_ROWS].max() < highest[row] for row in back.tolist()]]
     silent = np.flatnonzero(step_ns > max(least_ns, _SILENT_STEPS * usual_ns))
     silent = silent[(silent >= JUMP_ROWS) & (silent < len(log_ns) - 1 - JUMP_ROWS)]
+    # After a network or a recorder that stalled, messages that waited come in a burst.
+    rows_ns = log_ns[silent + 1 + JUMP_ROWS] - log_ns[silent + 1]
+    silent = silent[rows_ns > JUMP_ROWS * usual_ns / 2.0]
+    # In a paused simulation, or if only the recorder's clock was set, stamps have no silence.
     late_ns = _measure_delays(files, log_ns)
-    is_steady = [_is_steady(log_ns, row, usual_ns) for row in silent.tolist()]
-    silent = silent[np.array(is_steady, dtype=bool)]
-    is_behind = np.array([_falls_behind(late_ns, log_ns, row) for row in silent.tolist()], bool)
+    is_behind = np.diff(late_ns)[silent] > step_ns[silent] / 2
     behind = silent[is_behind & _has_wall_clock(files)]
     silent = silent[~is_behind]
     heard_ns = join_arrays([columns.log_time_ns for columns in others] or [log_ns[:0]])
@@ -205,11 +207,8 @@ def _tell_s(seconds: float) -> str:
 
 def _restore(columns: TopicColumns) -> TimesNs:
     """Return log times in the order of storage [ns]."""
-    return (
-        columns.log_time_ns
-        if columns.stored is None
-        else columns.log_time_ns[_list_stored(columns)]
-    )
+    log_ns = columns.log_time_ns
+    return log_ns if columns.stored is None else log_ns[_list_stored(columns)]
 
 
 def _list_stored(columns: TopicColumns) -> NDArray[np.int64]:
@@ -230,11 +229,13 @@ def _read_rim(files: Sequence[TopicColumns]) -> Values | None:
     return np.concatenate(parts)
 
 
-def _measure_delays(files: Sequence[TopicColumns], log_ns: TimesNs) -> TimesNs | None:
-    """Return log times minus stamps in the order of storage [ns]; None without usable stamps."""
+def _measure_delays(files: Sequence[TopicColumns], log_ns: TimesNs) -> TimesNs:
+    """Return log times minus stamps in the order of storage [ns]; 0 without usable stamps."""
     stored = (columns.select(_list_stored(columns)) for columns in files)
     stamp_ns = join_stamps([*stored])
-    return None if stamp_ns is None or (stamp_ns <= 0).any() else log_ns - stamp_ns
+    if stamp_ns is None or (stamp_ns <= 0).any():
+        return np.zeros_like(log_ns)
+    return log_ns - stamp_ns
 
 
 def _has_wall_clock(files: Sequence[TopicColumns]) -> bool:
