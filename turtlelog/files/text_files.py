@@ -70,8 +70,7 @@ def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
         most: Largest accepted size [bytes].
 
     Raises:
-        OSError: If the file cannot be read, is too large, or is a device; `strerror` gives the
-            reason.
+        OSError: If the file cannot be read, is too large, or is a device (see `strerror`).
         UnicodeDecodeError: If the file is not text.
     """
     data = _read_bytes(make_path(path), most + 1)

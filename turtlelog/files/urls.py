@@ -98,9 +98,8 @@ class RemotePath(_LocalPath):
 
     Attributes:
         url: The complete URL.
-        max_download: Largest download into a temporary file [bytes]. A download is needed for
-            SQLite files and if the server supports no ranges. Default: the limit of
-            `limit_downloads`, or else 4 GiB.
+        max_download: Largest download into a temporary file [bytes], needed for SQLite files and
+            servers without ranges. Default: the limit of `limit_downloads`, or else 4 GiB.
     """
 
     url: str

@@ -45,9 +45,8 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
     """Return the run in a recording, a third-party bag or .mcap, a paper's log, or a table.
 
     Args:
-        path: A file or a bag's folder; a folder with a recording by turtlelog is read as that
-            recording. FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of this topic, and the
-            run's name includes the topic.
+        path: A file or a bag's folder, which may contain a recording. FILE:TOPIC, as in
+            `bag:/odom_kf`, reads the poses of this topic, and the run's name includes the topic.
         options: Fields of a `ReadChoice`: topics to read from third-party files, and whether an
             unfinished recording may be read, with a `PartialRecordingWarning`.
 
@@ -141,10 +140,8 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
     """Return the contents of any file that `read_run` reads.
 
     Args:
-        path: Path of the file. Logs are read completely; other files as by `read_info` and
-            `read_bag_info`.
-        choice: Selection as for `read_run`; only the columns of tables and `allow_partial` are
-            used.
+        path: The file. Logs are read completely; others as by `read_info` and `read_bag_info`.
+        choice: Selection as for `read_run`, of which `columns` and `allow_partial` are used.
 
     Raises:
         LogError: If the file cannot be read; one line with the file and the place.

@@ -77,8 +77,7 @@ def write_columns(
         topics: Topics, as from `read_columns`. Missing fields are 0 or empty. Messages with equal
             times have the order of the topics.
         path: Path of the file, which is replaced when the new file is complete.
-        definitions: The `ros2msg` text of every message type. Default: the types of turtlelog's
-            recordings.
+        definitions: The `ros2msg` text of every message type. Default: turtlelog's types.
         metadata: Metadata records by name.
         attachments: Attached files by name.
 
@@ -144,8 +143,7 @@ class ChunkRows:
     Attributes:
         channels: Channels of the messages, with their schemas, if any.
         records: Message records, one after the other.
-        index: By channel number: log time [ns] and offset in `records` of each message, shape (n,
-            2).
+        index: By channel number: log time [ns] and offset of each message, shape (n, 2).
         start_ns: Least log time [ns].
         end_ns: Greatest log time [ns].
     """
@@ -429,8 +427,7 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
     The columns may have any order of time. Missing fields are 0 or empty.
 
     Raises:
-        LogError: If a column is not a field of the type, has another length, or does not fit its
-            field.
+        LogError: If a column is no field of the type, has another length, or does not fit.
     """
     kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout

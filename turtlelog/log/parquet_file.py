@@ -107,8 +107,7 @@ class ParquetFile:
         """Read the footer.
 
         Raises:
-            LogError: If the file is not Parquet, or exceeds limits. The message does not contain
-                the file's name.
+            LogError: If the file is not Parquet, or exceeds limits; without the file's name.
             LibraryError: If pyarrow is not installed.
         """
         self._path = make_path(path)
@@ -119,14 +118,10 @@ class ParquetFile:
             # The size that a server claims does not raise any limit.
             self._believed = min(self._size, SMALL_FILE - 1) if is_remote else self._size
             self._advice = _DOWNLOAD if is_remote else ""
-            most_bytes = grow_bound(_FOOTER_BYTES, self._size)
-            most_parts = grow_bound(_FOOTER_PARTS, self._size)
-            footer = _read_footer(
-                stream,
-                min(most_bytes, _REMOTE_FOOTER_BYTES) if is_remote else most_bytes,
-                min(most_parts, _REMOTE_FOOTER_PARTS) if is_remote else most_parts,
-                self._advice,
-            )
+            most = grow_bound(_FOOTER_BYTES, self._size), grow_bound(_FOOTER_PARTS, self._size)
+            if is_remote:
+                most = min(most[0], _REMOTE_FOOTER_BYTES), min(most[1], _REMOTE_FOOTER_PARTS)
+            footer = _read_footer(stream, *most, self._advice)
             depth = _measure_depth([element.get(5, 0) for element in footer.get(2, [])])
             if depth > _DEEPEST:
                 raise LogError(
@@ -137,9 +132,8 @@ class ParquetFile:
             try:
                 self.metadata = parquet.read_metadata(stream)
             except (OSError, ValueError) as err:  # Arrow raises its own subclasses of these
-                raise _damage(
-                    "a footer that is damaged; copy the file again from its source"
-                ) from err
+                advice = "copy the file again from its source"
+                raise _damage(f"a footer that is damaged; {advice}") from err
         self.schema = self.metadata.schema.to_arrow_schema()
         groups = footer.get(4, [])
         self._chunks = [[*map(_read_chunk, group.get(1, []))] for group in groups]
@@ -156,8 +150,7 @@ class ParquetFile:
         Names have dots for columns within structs. Default: all columns.
 
         Raises:
-            LogError: If the columns need too much memory. The message does not contain the file's
-                name.
+            LogError: If the columns need too much memory; without the file's name.
         """
         starts = None if names is None else tuple(f"{name}." for name in names)
         places = [
@@ -182,8 +175,7 @@ class ParquetFile:
         A long table behind a URL is fetched completely before its number of rows is trusted.
 
         Raises:
-            LogError: If there are too many rows. The message contains the number of rows, the limit
-                and advice, but not the file's name.
+            LogError: If there are too many rows; without the file's name.
         """
         most = count_most_rows(self._size)
         if self.row_count > most:

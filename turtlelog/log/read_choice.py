@@ -39,16 +39,14 @@ class ReadChoice:
     """Topics, frames and times to read from third-party files; options for incomplete files.
 
     Attributes:
-        pose_topic: Topic of the poses. Default of this and the other topics: chosen by types and
-            names.
+        pose_topic: Topic of the poses. Default of all topics: chosen by types and names.
         command_topic: Topic of the commands.
         path_topic: Topic of the path to follow.
         pose_frame: The robot's frame, for poses from transforms.
         world_frame: Reference frame, for poses from transforms.
         goal: Goal x, y [m] and optionally heading [rad]. Default: the goal in the file.
         time: Clock that times the poses.
-        robot: Name of one of several robots, such as `robot2` in the topic `/robot2/odom` or in the
-            column `robot2_x`.
+        robot: Name of one of several robots, as in the topic `/robot2/odom` or column `robot2_x`.
         wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
             `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
         wheels: Radius of the wheels and track between them [m].
@@ -110,8 +108,7 @@ def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> s
 
     Args:
         choice: The given options.
-        kind: Description of the file. turtlelog's recordings have one clock, and turn rates as
-            commands.
+        kind: Description of the file. Recordings have one clock, and turn rates as commands.
         commands: Topic and type of the commands that were read from a bag; empty without commands.
     """
     given = choice.list_given()

@@ -71,8 +71,7 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     metadata record `turtlelog_recovery` lists the losses.
 
     Args:
-        source: The file, or the folder of a bag. A bag that was never closed has no
-            `metadata.yaml`.
+        source: The file, or the folder of a bag, perhaps without `metadata.yaml`.
         target: The MCAP file to write. If the source is a folder, a name that does not end in .mcap
             is a new folder for a bag of all files.
 

@@ -110,8 +110,7 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
     `stored_size` is the size of the bag before unpacking [bytes], which sets the limits.
 
     Raises:
-        LogError: If the file is not a bag of version 2.0, is damaged, truncated or unfinished, or
-            exceeds the limits for its size.
+        LogError: If the file is no complete bag of version 2.0, or exceeds the limits for its size.
     """
     if stream.read(len(_START)) != _START:
         raise LogError("expected a bag of ROS 1 in version 2.0, found another version")

@@ -71,8 +71,7 @@ class Block:
         data: Bytes of the records.
         byte: Offset in the file of the first record, or of the chunk that contains it.
         offsets: Start of each message by channel, shape (n,), increasing.
-        rest: Other records in order: schemas and channels; outside chunks also headers, metadata
-            and attachments.
+        rest: Other records in order: schemas and channels; outside chunks also headers and notes.
         before: Number of messages by topic in earlier chunks that are read; None without counting.
         unit: Unit of `byte`, if it is not bytes.
     """

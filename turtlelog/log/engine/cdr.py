@@ -31,9 +31,8 @@ Order = Literal["<", ">"]
 PADDING: Final = 4
 """Some middlewares pad a message to a multiple of this size [bytes]."""
 
-# ROS 2 with Fast DDS estimates the size of a message before it writes it. The estimate pads for the
-# numbers of an empty sequence, and the surplus bytes are sent too. After a sequence's length, only
-# numbers of this size need padding; the surplus may grow by this size [bytes].
+# Fast DDS estimates the size of a message before it writes it, pads for the numbers of an empty
+# sequence, and sends the surplus. Only numbers of this size [bytes] need padding there.
 _LARGEST_NUMBER: Final = 8
 
 
@@ -49,10 +48,9 @@ def decode_messages(
     Raises:
         LogError: If a message is longer or shorter than its type, or a text is not UTF-8.
     """
-    if order == "<" and len(starts) <= FEW_MESSAGES:
-        few = decode_few(fields, data, starts, ends)
-        if few is not None:
-            return few
+    is_few = order == "<" and len(starts) <= FEW_MESSAGES
+    if is_few and (few := decode_few(fields, data, starts, ends)) is not None:
+        return few
     cursor = _Cursor(data, starts, ends, order)
     columns: dict[str, Column] = {}
     cursor.take_fields(fields, "", columns)
@@ -236,7 +234,6 @@ CODES: Final = (
 
 _PACKERS: Final = {kind: struct.Struct(f"<{code}") for kind, code in CODES.items()}
 
-
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
 """Name, size [bytes] and reader of a number. For a text: no reader, and the size of its length."""
 
@@ -258,11 +255,10 @@ def decode_few(
     if (ends - np.array(found[1], np.int64) >= PADDING).any():
         return None
     rows: list[Any] = [row for (row,) in found[0]]
-    columns: dict[str, Column] = {}
-    for name, kind, _ in _list_numbers(fields, ""):
-        dtype = object if kind == TEXT else np.dtype(kind)
-        columns[name] = np.array([row[name] for row in rows], dtype)
-    return columns
+    return {
+        name: np.array([row[name] for row in rows], object if kind == TEXT else kind)
+        for name, kind, _ in _list_numbers(fields, "")
+    }
 
 
 def take_few_lists(
@@ -273,10 +269,10 @@ def take_few_lists(
     ends: Offsets,
     lengths: Offsets,
 ) -> tuple[list[list[object]], list[int]] | None:
-    """Return the texts or messages nested in little-endian messages, and their ends.
+    """Return the texts or messages nested in little-endian messages, and their ends, or None.
 
-    The result is None in the same cases as for `decode_few`. Each message has its start, from which
-    alignment is counted, the offset and number of its nested values, and its end, shape (n,).
+    Each message has its start, from which alignment is counted, the offset and number of its nested
+    values, and its end, shape (n,).
     """
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")

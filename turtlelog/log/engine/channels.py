@@ -50,8 +50,7 @@ class TopicPlan:
         reason: Why the messages cannot be decoded; empty if they can be decoded.
         fields: Fields of the type.
         layout: Layout of the type; None if its messages differ in size.
-        sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
-            no sequence.
+        sequence: Dotted name of a sequence of texts or messages in the type; None without one.
         json: Fields of each message in JSON or protobuf; None for CDR.
         decode: Function that decodes a protobuf message into an object; None for JSON.
         is_ros1: Whether messages are in the ROS 1 format and are converted to CDR first.
@@ -124,8 +123,7 @@ class Catalogue:
         """Add schemas and channels; other records are ignored.
 
         Raises:
-            DamageError: If a record differs from another record with the same id; `byte` is the
-                place of the new records.
+            DamageError: If a record at `byte` differs from another record with the same id.
         """
         for record in map(_name_type, records):
             if not isinstance(record, Schema | Channel):

@@ -82,13 +82,10 @@ class Selection:
         topics: Names of the topics to read. None: every topic that can be decoded.
         start_ns: Earliest log time [ns], inclusive.
         end_ns: End of the log time [ns], exclusive.
-        is_lenient: Whether named topics may be missing or undecodable. All chunks are then read and
-            checked.
-        is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
-            messages take some hundred times their bytes in memory.
+        is_lenient: Whether topics may be missing or undecodable; all chunks are then checked.
+        is_flat: Whether only numbers and texts are allowed as fields; lists take much memory.
         is_counted: Whether the memory of rows is limited in proportion to the file's size.
-        kept: Columns to keep, by topic, including the log time. Topics that are not listed keep all
-            columns.
+        kept: Columns to keep, by topic, including the log time. Default of a topic: all.
     """
 
     topics: frozenset[str] | None = None

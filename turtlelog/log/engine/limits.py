@@ -187,8 +187,7 @@ def unpack_chunk(
         packed: Compressed bytes.
         size: Claimed size [bytes].
         largest: Largest size of any unpacked chunk [bytes].
-        spend: Function that is called with the number of unpacked bytes, also for damaged streams.
-            The function may raise an error.
+        spend: Function that is called with the number of unpacked bytes, and may raise an error.
 
     Raises:
         LogError: If the stream is damaged, or unpacks to far more than claimed or to more than

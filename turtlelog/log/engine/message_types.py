@@ -130,10 +130,8 @@ class MessageType:
         fields: Fields of the type, nested fields within their messages.
         layout: Layout of the type; None if its messages differ in size.
         size: Total size of the fields, counted in numbers, texts and sequences.
-        sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
-            no sequence.
-        row_size: Memory of a message as a row of columns [bytes]; long texts and sequences need
-            more.
+        sequence: Dotted name of a sequence of texts or messages in the type; None without one.
+        row_size: Memory of a message as a row [bytes]; long texts and sequences need more.
     """
 
     fields: tuple[Field, ...]

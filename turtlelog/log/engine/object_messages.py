@@ -45,8 +45,7 @@ class JsonField:
 
     Attributes:
         path: Names of the enclosing objects, then the name of the value.
-        kind: Kind in the schema; `any` for arrays, objects without properties, and values with
-            several allowed kinds.
+        kind: Kind in the schema; `any` for arrays, free objects and several allowed kinds.
     """
 
     path: tuple[str, ...]

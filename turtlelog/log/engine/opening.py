@@ -43,8 +43,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
     A file that is compressed as a whole is unpacked into a temporary folder.
 
     Raises:
-        LogError: If the file cannot be read; one line with the file, also for errors while the file
-            is open.
+        LogError: If the file cannot be read, or for errors while it is open; one line with it.
     """
     path = make_path(path)
     expected = "a bag in SQLite" if ".db3" in path.suffixes else "an MCAP file"

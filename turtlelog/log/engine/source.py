@@ -92,8 +92,7 @@ class Source:
     """An open MCAP file with checked ends and summary.
 
     Attributes:
-        catalogue: Channels and schemas. Without an index, the catalogue is filled while blocks are
-            read.
+        catalogue: Channels and schemas; without an index, of the blocks that were read.
         is_indexed: Whether the summary indexes the complete file.
         statistics: Statistics record; None if the file has none.
         summary_start: Offset of the summary [bytes]; of the footer if the summary is empty.

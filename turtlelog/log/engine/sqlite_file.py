@@ -49,8 +49,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
     are checked before SQLite reads the first table. A damaged file is read as far as possible.
 
     Raises:
-        LogError: If the file cannot be read, also for errors of SQLite while the file is open; the
-            message is one clause.
+        LogError: If the file cannot be read, now or while it is open; the message is one clause.
     """
     import shutil  # MCAP files do not need these
     import sqlite3

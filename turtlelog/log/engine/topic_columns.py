@@ -49,8 +49,7 @@ class TopicColumns(Tabular):
             sequences of texts as lists, and sequences of messages as lists of dictionaries by
             dotted name. For JSON messages, an array is a list, and missing values are NaN, an empty
             text or None.
-        stored: Key of the order in which messages are stored, shape (n,); None if that is the order
-            of log time.
+        stored: Key of the order of storage, shape (n,); None if that is the order of log time.
     """
 
     topic: str
@@ -127,8 +126,7 @@ def read_some_columns(
     """Return some topics as `read_columns` does, with memory limited by the file's size.
 
     Raises:
-        LogError: As for `read_columns`, and if a type has such a sequence or there are too many
-            messages.
+        LogError: As for `read_columns`, or if a type has a sequence, or there are too many rows.
     """
     with open_source(path) as source:
         selection = decode.Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)

@@ -48,8 +48,13 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
 }
 # Two kinds continue with data that have an 8-byte length; number of bytes after these data.
 _DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
-_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: records.COUNTED_HEAD, Opcode.CHUNK: 40}
-_EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
+# Least and greatest length of other bodies [bytes].
+_LENGTHS: Final[Mapping[int, tuple[int, int]]] = {
+    Opcode.MESSAGE: (records.COUNTED_HEAD, records.LARGEST_RECORD),
+    Opcode.CHUNK: (40, records.LARGEST_RECORD),
+    Opcode.DATA_END: (4, 4),
+    Opcode.FOOTER: (20, 20),
+}
 
 _FIRST_STEP: Final = 2**12  # bytes searched at a time while the next record may be near
 _STEP: Final = 2**19
@@ -62,7 +67,6 @@ _RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.
 
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 
-
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression
 _LONE: Final = _RUNS | {Opcode.HEADER, Opcode.DATA_END}
@@ -73,9 +77,8 @@ class Section:
     """A segment of records without known damage.
 
     Attributes:
-        data: Records one after the other: opcode u8, length u64, body. The records are all those of
-            an unpacked chunk, or records outside chunks in the data section: header, schemas,
-            channels, messages, metadata, one attachment, the end of the data.
+        data: Records one after the other (opcode u8, length u64, body): all those of an unpacked
+            chunk, or records outside chunks in the data section.
         start: Offset in the file [bytes].
         is_chunk: Whether the segment is a chunk.
         is_checked: Whether the checksum of the chunk or attachment is correct. For the record at
@@ -128,9 +131,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
                 checksum = zlib.crc32(data, checksum)
             yield replace(found, is_checked=expected != 0 and checksum == expected)
             if checksum != expected:
-                start = found.start
                 reason = f"expected data with the checksum {expected:#010x}, found {checksum:#010x}"
-                yield Loss(start=start, end=start, reason=reason)
+                yield Loss(start=found.start, end=found.start, reason=reason)
             continue
         yield found
 
@@ -194,9 +196,9 @@ def _read_record(
     if place >= window.size:
         reason = "expected the end of the data, found that of the file: cut short, or not finished"
         return [Loss(start=window.size, end=window.size, reason=reason)], None
-    if window.read(place, 1)[0] == Opcode.CHUNK:
+    if (opcode := window.read(place, 1)[0]) == Opcode.CHUNK:
         return _read_chunk(window, place)
-    if window.read(place, 1)[0] == Opcode.ATTACHMENT:
+    if opcode == Opcode.ATTACHMENT:
         return _read_attachment(window, place)
     opcode, end = _find_record_end(window, place)
     # A wrong bit can turn another record into a message. No writer mixes chunks and single
@@ -211,14 +213,13 @@ def _read_record(
         return [Loss(start=place, end=place, reason=reason)], None
     if opcode not in _LONE:
         return [], end
-    data = _read_run(window, place, opcode)
+    data = _read_run(window, place, opcode, end)
     section = Section(data=data, start=place, is_chunk=False, is_checked=False)
     return [section], None if opcode == Opcode.DATA_END else place + len(data)
 
 
-def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
-    """Return consecutive records of one kind from `place`, up to a batch."""
-    end = _find_record_end(window, place)[1]
+def _read_run(window: FileWindow, place: int, opcode: int, end: int) -> bytes:
+    """Return consecutive records of one kind from `place`, the first to `end`, up to a batch."""
     if opcode == Opcode.MESSAGE:
         end = max(end, place + records.skip_followed(window.read(place, _BATCH)))
     while opcode in _RUNS and end - place < _BATCH:
@@ -326,8 +327,7 @@ def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     Bytes after its fields belong to the record if `_is_padding` returns True.
 
     Raises:
-        LogError: If the lengths disagree, or the file ends within the record; the message is one
-            clause.
+        LogError: If the lengths disagree, or the file ends within the record; one clause.
     """
     opcode, length = _read_head(window, place)
     end = place + RECORD.size + length
@@ -338,7 +338,7 @@ def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
         found -= place + RECORD.size
         raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
     # If the fields do not confirm the length of a record, the next record must.
-    is_borne_out = opcode in _SHAPES or opcode in _EXACT
+    is_borne_out = opcode in _SHAPES or opcode in {Opcode.DATA_END, Opcode.FOOTER}
     if not is_borne_out and not _is_record_start(window, end, after=opcode):
         raise LogError(f"no record follows the one of {length} bytes")
     return opcode, end
@@ -429,10 +429,7 @@ def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
     opcode, length = RECORD.unpack(head)
     if opcode < _PRIVATE and opcode not in _KNOWN:
         raise LogError(f"expected a record, found the opcode {opcode:#04x}")
-    exact = _EXACT.get(opcode)
-    least, most = (
-        (_LEAST.get(opcode, 0), records.LARGEST_RECORD) if exact is None else (exact, exact)
-    )
+    least, most = _LENGTHS.get(opcode, (0, records.LARGEST_RECORD))
     if not least <= length <= most:
         raise LogError(f"expected a record (opcode {opcode}), found one of {length} bytes")
     return opcode, length

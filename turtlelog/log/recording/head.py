@@ -71,12 +71,10 @@ class Head:
         source: Source, as in `Run`.
         name: Name, as in `Run`.
         stop_reason: Stop reason, as in `Run`.
-        goal_heading_rad: Goal heading, as in `Run`. The goal's quaternion in the messages is not
-            exact.
+        goal_heading_rad: Goal heading, as in `Run`; in the messages it is not exact.
         absent: Missing fields, as in `Run`.
         nan_columns: Columns of the run that are None, and NaN in the messages.
-        more_topics: Optional topics of this recording, even without messages: all sensed poses may
-            drop out.
+        more_topics: Optional topics of this recording, even without messages.
         declaration: Declaration, as in `Run`; None in format 1.
         notes: Notes, as in `Run`.
         clock: Clock, as in `Run`.

@@ -112,8 +112,7 @@ def run_live(
     Raises:
         ScenarioError: If the law cannot be loaded or may not run.
         SimulationError: If the law fails; the error's `run` is the run so far. The sinks have
-            received the tick of the failure, with the stop reason `law_failed`, or `step_budget` if
-            the law exceeded its time. The sinks are closed.
+            received the tick of the failure, with the stop reason `law_failed` or `step_budget`.
         KeyboardInterrupt: If the run was interrupted before the first sample.
         LogError: If a recorder cannot write.
     """

@@ -118,8 +118,7 @@ class Recorder:
         """Record a tick.
 
         Raises:
-            LogError: If the file cannot be written. The file is then closed, and readable up to
-                that point.
+            LogError: If the file cannot be written. It is then closed, and readable up to there.
         """
         if not self._is_open:
             raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
@@ -316,8 +315,6 @@ def measure_tick(tick: Tick) -> int:
 
 @dataclass(slots=True, eq=False)
 class _Messages:
-    """The messages of one topic."""
-
     number: int  # number of the topic's channel
     pack: Callable[..., bytes]  # packs a record, if the type has a fixed size
     length: int  # of such a record, as in its length field
@@ -359,12 +356,11 @@ class TickRecords:
             self._messages[topic.name]
             for topic in (topics.POSE, topics.POSE64, topics.CONTROL, topics.COMMAND)
         )
-        self._sensed, self._sensed64 = (
-            self._messages.get(topic.name) for topic in (topics.SENSED, topics.SENSED64)
+        self._sensed, self._sensed64, self._shaped, self._reference64 = (
+            self._messages.get(topic.name)
+            for topic in (*topics.OF_SENSING, topics.SHAPED, topics.REFERENCE64)
         )
-        self._shaped = self._messages.get(topics.SHAPED.name)
         self._states = self._messages.get(topics.LAW_STATE)
-        self._reference64 = self._messages.get(topics.REFERENCE64.name)
         self._phases = declaration.phase_names
         self._phase: int | None = None
         self._lacking: set[str] = set()
@@ -382,26 +378,24 @@ class TickRecords:
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
         """Return the messages of the next ticks, at least one tick."""
         for tick in ticks:
-            time_ns = tick.time_ns
-            self._add_pose(time_ns, tick)
+            self._add_pose(tick)
             for number, sample in enumerate(tick.computed):
-                states = tick.states[number] if tick.states else ()
-                self._add_sample(sample.time_ns, sample, states)
+                self._add_sample(sample, tick.states[number] if tick.states else ())
             for sample in tick.published:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
                 self._add(self._command, sample.published_ns, sample.sequence, *values)
             for sample in tick.computed:
-                self._follow_phase(sample.time_ns, sample)
+                self._follow_phase(sample)
             if tick.stop_reason is not None and self._phase is not None:
                 later_ns = [sample.time_ns for sample in tick.computed]
                 later_ns += [sample.published_ns for sample in tick.published]
-                self._end_phase(max([time_ns, *later_ns]), tick.stop_reason)
+                self._end_phase(max([tick.time_ns, *later_ns]), tick.stop_reason)
             for event in tick.events:
                 self._add_varied(topics.EVENT, event.time_ns, tabulate_event(event))
         return self._collect()
 
-    def _add_pose(self, time_ns: int, tick: Tick) -> None:
-        row, number = tick.row, self._pose.count
+    def _add_pose(self, tick: Tick) -> None:
+        time_ns, row, number = tick.time_ns, tick.row, self._pose.count
         self._pose.count = number + 1
         if not number and self._goal is not None:
             self._add_varied(topics.GOAL, time_ns, describe_pose(time_ns, *self._goal))
@@ -417,8 +411,8 @@ class TickRecords:
         if self._sensed64 is not None and self._is_exact:
             self._add(self._sensed64, time_ns, number, *values)
 
-    def _add_sample(self, time_ns: int, sample: SampleRow, states: tuple[float, ...]) -> None:
-        row, sequence = _LIST(sample), sample.sequence
+    def _add_sample(self, sample: SampleRow, states: tuple[float, ...]) -> None:
+        time_ns, row, sequence = sample.time_ns, _LIST(sample), sample.sequence
         self._add(self._control, time_ns, sequence, *row)
         if self._states is not None:
             self._add(self._states, time_ns, sequence, *states)
@@ -437,13 +431,13 @@ class TickRecords:
                 name for name, places in _PLACES.items() if any(isnan(row[at]) for at in places)
             }
 
-    def _follow_phase(self, time_ns: int, sample: SampleRow) -> None:
+    def _follow_phase(self, sample: SampleRow) -> None:
         if sample.phase != self._phase:
             if self._phase is not None:
                 self._add_pause()
             self._phase, self._is_paused = sample.phase, False
-            self._add_varied(topics.PHASE, time_ns, {"data": self._phases[sample.phase]})
-        self._sample_ns, self._is_blocked = time_ns, sample.blocks_ticks > 0
+            self._add_varied(topics.PHASE, sample.time_ns, {"data": self._phases[sample.phase]})
+        self._sample_ns, self._is_blocked = sample.time_ns, sample.blocks_ticks > 0
         if self._is_blocked and sample.ends_phase:
             self._add_pause()
 

@@ -297,9 +297,8 @@ class Contents:
     Attributes:
         head: Metadata of the recording.
         attachments: Attached bytes by name.
-        topics: Columns of every expected topic by name, empty without messages. Declaration and
-            effects determine the topics. In a complete file, fields that no run needs are omitted,
-            and log times replace publish times.
+        topics: Columns of every expected topic by name, empty without messages. In a complete file,
+            fields that no run needs are omitted, and log times replace publish times.
         damages: Segments that could not be read; empty if the file is complete.
         recovered: Note on earlier losses, if the file was recovered.
     """

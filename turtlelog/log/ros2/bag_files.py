@@ -255,8 +255,7 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
     """Return the files of a bag in the bag's order: the files in a folder, or a single file.
 
     Raises:
-        LogError: If a folder contains no files of a bag, lacks a file named in its metadata, or
-            mixes kinds of files.
+        LogError: If a folder contains no files of a bag, lacks a named one, or mixes kinds.
     """
     return find_bag_files(path).files
 

@@ -234,8 +234,9 @@ def _trace_poses(
     """Return poses of one frame in another frame as messages of a separate topic."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
-    frames = {"robot": choice.pose_frame, "world": choice.world_frame}
-    chosen = bag_transforms.choose_frames(tree, **frames, name=choice.robot)
+    chosen = bag_transforms.choose_frames(
+        tree, robot=choice.pose_frame, world=choice.world_frame, name=choice.robot
+    )
     link, held = bag_transforms.trace_frame(tree, chosen)
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:

@@ -40,6 +40,7 @@ from turtlelog.log.ros2 import bag_inputs
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_rows import (
     Bag,
+    BagTimes,
     Held,
     OrderedRows,
     drop_not_finite,
@@ -89,8 +90,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
 
     Args:
         path: A folder, with or without `metadata.yaml`, or a single MCAP or SQLite file.
-        options: Fields of a `ReadChoice`: topics, frames and goal, which add to or override those
-            found in the bag.
+        options: Fields of a `ReadChoice`, which override what is found in the bag.
 
     Raises:
         LogError: If the bag cannot be read, contains no poses, or several topics are possible. One
@@ -218,40 +218,23 @@ def _build_run(
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
-    absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
-    sensed = _match_sensed(found, track.time_ns, moved)
-    counts = [
-        describe_count(count, kind)
-        for kind, count in (("pose", dropped), ("command", lost))
-        if count
-    ]
-    without = f", {unturned} of the poses without a heading" if unturned else ""
+    changes = {"moved_rows": str(moved), "wrapped_headings": str(wrapped)}
+    changes |= _note_lost({"pose": dropped, "command": lost}, unturned)
+    others = source.notes.get("other_pose_topics")
     notes = {
-        "original_timestamp": format_utc(start_ns),
         **source.notes,
         **({"frame": source.frame} if source.frame else {}),
-        "sorted_rows": str(sum(rows.late for rows in tables)),
-        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
-        "moved_rows": str(moved),
-        "wrapped_headings": str(wrapped),
-        **({"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}),
+        **_count_changes(tables),
+        **changes,
         **times.notes,
         **rate_notes,
         **note_crowded(time_ns),
-        **note_motion(
-            poses,
-            columns,
-            track.xy_m,
-            commands=commands,
-            vertical=vertical,
-            others=source.notes.get("other_pose_topics"),
-        ),
+        **note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others),
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
-    name, source_words = _name_bag(path)
-    run = Run(
-        name=name,
-        source=source_words,
+    absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
+    run = replace(
+        _begin_run(path, commands, start_ns, times, notes),
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=np.column_stack([columns["x"], columns["y"]]),
@@ -260,17 +243,48 @@ def _build_run(
             turn_rate_rad_s=columns.get("turn_rate"),
             measured_speed_m_s=columns.get("measured_speed"),
             measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-            sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
-            sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+            **_match_sensed(found, track.time_ns, moved),
             **lift_poses(columns.get("z"), columns.get("tilt")),
         ),
+        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
+    )
+    return run, track
+
+
+def _begin_run(
+    path: Path,
+    commands: OrderedRows | None,
+    start_ns: int,
+    times: BagTimes,
+    notes: Mapping[str, str],
+) -> Run:
+    """Return the run of a bag with its commands, from a time on the recorder's clock; no poses."""
+    name = path.resolve().name
+    storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
+    return Run(
+        name=name if path.is_dir() else strip_suffixes(path),
+        source=f"{storage}: {name}",
+        poses=PoseColumns.build_empty(),
         commands=bag_inputs.build_bag_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
         clock=times.clock,
-        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
-        notes=notes,
+        absent=("poses", "poses.speed_m_s", "poses.turn_rate_rad_s", *_NEVER_IN_BAGS),
+        notes={"original_timestamp": format_utc(start_ns), **notes},
     )
-    return run, track
+
+
+def _count_changes(tables: Sequence[OrderedRows]) -> dict[str, str]:
+    return {
+        "sorted_rows": str(sum(rows.late for rows in tables)),
+        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
+    }
+
+
+def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
+    """Return a note on rows without finite numbers, `unturned` of them poses without a heading."""
+    counts = [describe_count(count, kind) for kind, count in lost.items() if count]
+    without = f", {unturned} of the poses without a heading" if unturned else ""
+    return {"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}
 
 
 def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
@@ -304,21 +318,21 @@ def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, 
     return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
 
 
-def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> Values | None:
-    """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
+def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
+    """Return sensed positions and headings at the times of the poses, NaN if not sensed.
 
-    The result is None without sensed poses whose times identify the poses.
+    The result is empty without sensed poses whose times identify the poses.
     """
     if moved or not any(SENSED.name in of_file for of_file in found):
-        return None
+        return {}
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     sensed = order_topic(found, kind, extract_poses)
     rows = np.searchsorted(time_ns, sensed.time_ns)
     if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
-        return None
+        return {}
     values = np.full((len(time_ns), 3), np.nan)
     values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
-    return values
+    return {"sensed_xy_m": values[:, :2].copy(), "sensed_heading_rad": values[:, 2].copy()}
 
 
 _NEVER_IN_BAGS: Final = (
@@ -354,33 +368,10 @@ def _read_commands_alone(
         )
     times = time_rows(rows.stamps, None, choice.time, noun="commands")
     rows = rows.take(times.poses.rows, times.poses.time_ns)
-    start_ns = int(rows.time_ns[0])
-    name, source = _name_bag(bag.path)
-    run = Run(
-        name=name,
-        source=source,
-        poses=PoseColumns.build_empty(),
-        commands=bag_inputs.build_bag_commands(rows, start_ns),
-        samples=SampleColumns.build_empty(),
-        clock=times.clock,
-        absent=("poses", "poses.speed_m_s", "poses.turn_rate_rad_s", *_NEVER_IN_BAGS),
-        notes={
-            "original_timestamp": format_utc(start_ns),
-            "sorted_rows": str(rows.late),
-            "dropped_duplicates": str(rows.duplicates),
-            **({"dropped_nan": describe_count(dropped, "command")} if dropped else {}),
-            **times.notes,
-            **note_pick("command_topic", pick),
-        },
-    )
+    notes = {**_count_changes([rows]), **_note_lost({"command": dropped}), **times.notes}
+    notes |= note_pick("command_topic", pick)
+    run = _begin_run(bag.path, rows, int(rows.time_ns[0]), times, notes)
     return _note_steps(run, bag), pick.topic.topic
-
-
-def _name_bag(path: Path) -> tuple[str, str]:
-    """Return the name and the source of a run from a bag."""
-    name = path.resolve().name
-    storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
-    return (name if path.is_dir() else strip_suffixes(path)), f"{storage}: {name}"
 
 
 def _add_samples(run: Run, bag: Bag, start_ns: int) -> Run:

@@ -98,8 +98,7 @@ def open_bag(path: str | Path) -> Bag:
     """Return a ROS 2 bag: a folder, or a single file.
 
     Raises:
-        LogError: If the path is not a bag, or one of its files cannot be read, is truncated or is
-            damaged.
+        LogError: If the path is not a bag, or one of its files is truncated or damaged.
     """
     path = make_path(path)
     found = find_bag_files(path)

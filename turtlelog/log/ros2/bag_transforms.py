@@ -46,8 +46,7 @@ class Link:
         stamp_ns: Stamp of each message [ns], shape (n,).
         place_m: Position of the child's origin in the parent frame [m], shape (n, 3).
         turn: Rotation of the child as quaternions x, y, z, w, shape (n, 4).
-        is_static: Whether the transform is static. Only the last message of a static transform is
-            used.
+        is_static: Whether the transform is static, so that only its last message is used.
     """
 
     parent: str
@@ -190,7 +189,7 @@ def _build_link(
 
 
 def choose_frames(
-    tree: Tree, *, robot: str | None = None, world: str | None = None, name: str | None = None
+    tree: Tree, *, robot: str | None, world: str | None, name: str | None
 ) -> FrameChoice:
     """Return the requested frames, completed by the most likely ones.
 

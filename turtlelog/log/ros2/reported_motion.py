@@ -431,8 +431,8 @@ def note_motion(
     poses: OrderedRows,
     columns: Mapping[str, Values],
     xy_m: Values,
-    *,
     commands: OrderedRows | None,
+    *,
     vertical: int,
     others: str | None,
 ) -> dict[str, str]:
@@ -454,9 +454,7 @@ def note_motion(
         notes["plane"] = (plane or "the robot leaves the plane") + (lost if vertical else "")
     if leaps := describe_leaps(xy_m) or describe_small_leaps(xy_m):
         notes["leaps"] = leaps
-    if (
-        plane is not None
-    ):  # speeds are along the robot's axes, and differ from those seen from above
+    if plane is not None:  # speeds along the robot's axes are not those seen from above
         return notes
     if level := describe_level(z_m):
         notes["height"] = level

@@ -66,8 +66,7 @@ class ClockStep:
         before_ns: Last log time before this step [ns].
         after_ns: First log time after this step [ns].
         shift_ns: What the clock was set by [ns]; negative if it was set back.
-        extra_ns: Time to take out of log times after this step [ns]. It is 0 in the longest segment
-            between two steps, whose clock counts.
+        extra_ns: Time to take out of log times after this step [ns]; 0 in the longest segment.
     """
 
     first_ns: int

@@ -93,13 +93,11 @@ class StampClock:
 
     Attributes:
         reason: Why the stamps are not usable; empty if they are usable.
-        time_ns: Time of each message's stamp [ns], shape (n,), on the recorder's clock. At another
-            rate, stamp seconds are counted from the first log time. Messages without a usable stamp
-            have log times.
+        time_ns: Time of each message [ns], shape (n,), on the recorder's clock; at another rate,
+            stamp seconds from the first log time. Messages without a usable stamp have log times.
         pace: Stamp seconds per second of the recorder's clock; None if unknown.
         is_other_pace: Whether the rate differs by more than the drift of computer clocks.
-        offset_ns: Recorder's time minus stamp at the first stamp, for the shortest transport delay
-            [ns].
+        offset_ns: Recorder's time minus first stamp, for the shortest transport delay [ns].
         jitter_ns: Median transport delay minus the shortest delay [ns]; None at another rate.
         stamps_span_ns: Time from first to last stamp, without jumps [ns].
         log_span_ns: The same time on the recorder's clock [ns].
