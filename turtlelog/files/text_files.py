@@ -197,13 +197,6 @@ def _parse_line(line: str) -> tuple[str | None, Any]:
 _keep_line = lru_cache(maxsize=_MOST_LINES)(_parse_line)
 
 
-def copy_tables(value: Any) -> Any:
-    """Return a deep copy of the tables and arrays of a TOML text."""
-    if isinstance(value, dict):
-        return {key: copy_tables(inner) for key, inner in value.items()}
-    return [copy_tables(inner) for inner in value] if isinstance(value, list) else value
-
-
 def format_toml(tables: Mapping[str, Any]) -> str:
     """Return nested tables as TOML text, with compact lists of numbers and points."""
     import tomli_w  # who reads only spares it

@@ -302,10 +302,9 @@ def _walk(
     """Add the contents of all readable segments; segments with invalid records are skipped."""
 
     def take(section: Section) -> None:
-        byte, is_chunk = section.start, section.is_chunk
-        stretch = take_walked(section.data, byte, allowance, is_chunk=is_chunk)
-        others = parse_others(stretch, byte)
-        survey.catalogue.add(others, byte)
+        stretch = take_walked(section, allowance)
+        others = parse_others(stretch, section.start)
+        survey.catalogue.add(others, section.start)
         survey.records += [found for found in others if isinstance(found, Metadata | Attachment)]
         for _, heads in stretch.iterate_rows():
             survey.count(heads["channel"], heads["log_time"])

@@ -300,8 +300,6 @@ class Rewriter:
             channels=list(pairs.values()),
             records=records,
             index=index,
-            start_ns=int(times.min()),
-            end_ns=int(times.max()),
         )
 
     def _count(self, chunk: ChunkRows, *, is_checked: bool) -> None:
@@ -310,8 +308,8 @@ class Rewriter:
             self.recovered[channel.topic] += count
             if not is_checked:
                 self.unchecked[channel.topic] += count
-        start_ns, end_ns = self.span_ns or (chunk.start_ns, chunk.end_ns)
-        self.span_ns = min(start_ns, chunk.start_ns), max(end_ns, chunk.end_ns)
+        spans_ns = [chunk.span_ns, self.span_ns or chunk.span_ns]
+        self.span_ns = min(start for start, _ in spans_ns), max(end for _, end in spans_ns)
 
 
 def _join(data: bytes, starts: Numbers, ends: Numbers) -> bytearray | memoryview:
@@ -360,6 +358,4 @@ def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
         channels=[*channels.values()],
         records=b"".join(chunk.records for chunk in chunks),
         index={number: np.concatenate(entries) for number, entries in index.items()},
-        start_ns=min(chunk.start_ns for chunk in chunks),
-        end_ns=max(chunk.end_ns for chunk in chunks),
     )

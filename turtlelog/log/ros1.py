@@ -87,7 +87,6 @@ class _Copy:
         """Write the chunk."""
         if not self.index:
             return
-        times = [time_ns for entries in self.index.values() for time_ns, _ in entries]
         known = {channel.id: (schema, channel) for schema, channel in self.channels.values()}
         self.file.add_chunk(
             ChunkRows(
@@ -97,8 +96,6 @@ class _Copy:
                     number: np.array(entries, dtype=np.uint64).reshape(-1, 2)
                     for number, entries in self.index.items()
                 },
-                start_ns=min(times),
-                end_ns=max(times),
             )
         )
         self.records, self.index = bytearray(), {}

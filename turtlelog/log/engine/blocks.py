@@ -9,7 +9,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any, BinaryIO, Final, TypeVar
 
@@ -150,13 +149,12 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
 
 def build_walked_block(catalogue: Catalogue, section: Section) -> Block:
     """Return records as a block by reading their headers, and add them to the catalogue."""
-    byte = section.start
-    stretch = take_walked(section.data, byte, catalogue.allowance, is_chunk=section.is_chunk)
+    stretch = take_walked(section, catalogue.allowance)
     numbers = [heads["channel"] for _, heads in stretch.iterate_rows()]
     offsets = group_starts(np.concatenate(numbers), stretch.starts) if numbers else {}
-    rest = parse_others(stretch, byte)
-    catalogue.add(rest, byte)
-    return Block(data=section.data, byte=byte, offsets=offsets, rest=rest)
+    rest = parse_others(stretch, section.start)
+    catalogue.add(rest, section.start)
+    return Block(data=section.data, byte=section.start, offsets=offsets, rest=rest)
 
 
 def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offsets]:
@@ -168,13 +166,6 @@ def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offs
         channel: ordered[first:end]
         for channel, (first, end) in zip(present.tolist(), borders, strict=True)
     }
-
-
-def walk_blocks(
-    stream: BinaryIO, catalogue: Catalogue, *, damages: list[Loss] | None = None
-) -> Iterator[Block]:
-    """Yield a complete file as blocks, in file order, and fill the catalogue."""
-    yield from walk_through(stream, partial(build_walked_block, catalogue), damages=damages)
 
 
 def walk_through(
@@ -209,21 +200,19 @@ def walk_through(
         yield found
 
 
-def take_walked(
-    data: bytes, byte: int, allowance: limits.Allowance, *, is_chunk: bool
-) -> records.RecordStretch:
+def take_walked(section: Section, allowance: limits.Allowance) -> records.RecordStretch:
     """Return the offsets of records that must all be valid."""
     left = allowance.count_left(limits.RECORDS)
-    stretch = records.take_apart(data, is_chunk=is_chunk, most_records=left)
+    stretch = records.take_apart(section.data, is_chunk=section.is_chunk, most_records=left)
     try:
         allowance.spend(limits.RECORDS, stretch.records)
         notes = sum(opcode in _NOTES for _, opcode, _ in stretch.others)
         allowance.spend(limits.NOTES, notes)
         allowance.spend(limits.DESCRIPTIONS, len(stretch.others) - notes)
     except LogError as err:
-        raise LimitError(f"byte {byte}: {err}") from err
+        raise LimitError(f"byte {section.start}: {err}") from err
     if stretch.fault is not None:
-        raise DamageError(f"byte {byte}: {stretch.fault}")
+        raise DamageError(f"byte {section.start}: {stretch.fault}")
     return stretch
 
 

@@ -7,6 +7,7 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
@@ -20,8 +21,9 @@ from turtlelog.log.engine.blocks import (
     Block,
     ChunkEntry,
     build_indexed_block,
+    build_walked_block,
     count_indexed,
-    walk_blocks,
+    walk_through,
 )
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.decode import EVER
@@ -190,7 +192,7 @@ class Source:
     def _walk_blocks(self) -> Iterator[Block]:
         counts: Counter[str] = Counter()
         known = self.catalogue.channels
-        for block in walk_blocks(self._stream, self.catalogue):
+        for block in walk_through(self._stream, partial(build_walked_block, self.catalogue)):
             yield replace(block, before=dict(counts))
             for channel, starts in block.offsets.items():
                 if channel in known:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError, ScenarioError
-from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
+from turtlelog.files.text_files import format_toml, parse_known_toml
 from turtlelog.libraries import __version__
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import name_place
@@ -39,8 +39,7 @@ _PARAMETER_FILE: Final = "parameters.toml"
 """Attachment with the known values of a scenario."""
 
 _USUAL: Final = 2**13
-"""Largest attachment whose tables are cached [bytes]; 32 such attachments take at most about 25
-MB."""
+"""Longest declaration that is cached [bytes]."""
 
 _LONGEST: Final = 2**18
 """Largest size of the record, and of an attachment, that is read [bytes]; turtlelog writes a few
@@ -204,20 +203,11 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:
         raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
-    is_usual = len(text) <= _USUAL
-    tables = copy_tables(_keep_tables(name, text)) if is_usual else _parse_tables(name, text)
-    return tables, name in attachments and name == SCENARIO_FILE
-
-
-def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
     try:
-        return parse_known_toml(text.decode())
+        tables = parse_known_toml(text.decode())
     except ValueError as err:
         raise LogError(f"attachment {name}: not TOML: {err}") from err
-
-
-_keep_tables = lru_cache(maxsize=32)(_parse_tables)
-"""Files of one experiment share their tables."""
+    return tables, name in attachments and name == SCENARIO_FILE
 
 
 def sum_up_record(record: Mapping[str, str]) -> str:

@@ -486,6 +486,4 @@ class TickRecords:
             channels=[self._channels[number - 1] for number in index],
             records=records,
             index=index,
-            start_ns=min(int(entries[:, 0].min()) for entries in index.values()),
-            end_ns=max(int(entries[:, 0].max()) for entries in index.values()),
         )

@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from typing import Any, BinaryIO, Final
 
@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import walk_blocks
+from turtlelog.log.engine.blocks import build_walked_block, walk_through
 from turtlelog.log.engine.channels import Catalogue, TopicPlan, find_definition
 from turtlelog.log.engine.decode import (
     LOG_TIME,
@@ -369,7 +369,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     summary = salvage_summary(stream)
     if summary is not None:
         catalogue.add((*summary.schemas, *summary.channels), 0)
-    for block in walk_blocks(stream, catalogue, damages=damages):
+    for block in walk_through(stream, partial(build_walked_block, catalogue), damages=damages):
         found += _keep_notes(block.rest)
         known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
         try:

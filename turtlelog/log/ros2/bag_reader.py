@@ -40,7 +40,6 @@ from turtlelog.log.ros2 import bag_inputs
 from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_rows import (
     Bag,
-    BagTimes,
     Held,
     OrderedRows,
     drop_not_finite,
@@ -64,7 +63,7 @@ from turtlelog.log.ros2.set_clocks import (
     find_clock_steps,
 )
 from turtlelog.log.ros2.stamps import TimesNs
-from turtlelog.run import PoseColumns, Run, SampleColumns
+from turtlelog.run import Clock, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 
 NOT_READ: Final = "not_read"
@@ -232,43 +231,41 @@ def _build_run(
         **note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others),
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
-    absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
-    run = replace(
-        _begin_run(path, commands, start_ns, times, notes),
-        poses=PoseColumns(
-            time_ns=time_ns,
-            xy_m=np.column_stack([columns["x"], columns["y"]]),
-            heading_rad=heading_rad,
-            speed_m_s=columns.get("speed"),
-            turn_rate_rad_s=columns.get("turn_rate"),
-            measured_speed_m_s=columns.get("measured_speed"),
-            measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-            **_match_sensed(found, track.time_ns, moved),
-            **lift_poses(columns.get("z"), columns.get("tilt")),
-        ),
-        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
+    pose_columns = PoseColumns(
+        time_ns=time_ns,
+        xy_m=np.column_stack([columns["x"], columns["y"]]),
+        heading_rad=heading_rad,
+        speed_m_s=columns.get("speed"),
+        turn_rate_rad_s=columns.get("turn_rate"),
+        measured_speed_m_s=columns.get("measured_speed"),
+        measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
+        **_match_sensed(found, track.time_ns, moved),
+        **lift_poses(columns.get("z"), columns.get("tilt")),
     )
-    return run, track
+    return _join_run(path, pose_columns, commands, start_ns, times.clock, notes), track
 
 
-def _begin_run(
+def _join_run(
     path: Path,
+    poses: PoseColumns,
     commands: OrderedRows | None,
     start_ns: int,
-    times: BagTimes,
+    clock: Clock | None,
     notes: Mapping[str, str],
 ) -> Run:
-    """Return the run of a bag with its commands, from a time on the recorder's clock; no poses."""
+    """Return the run of a bag from a time on the recorder's clock, perhaps without poses."""
     name = path.resolve().name
     storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
+    absent: tuple[str, ...] = () if len(poses) else ("poses",)
+    absent += () if poses.speed_m_s is not None else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     return Run(
         name=name if path.is_dir() else strip_suffixes(path),
         source=f"{storage}: {name}",
-        poses=PoseColumns.build_empty(),
+        poses=poses,
         commands=bag_inputs.build_bag_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
-        clock=times.clock,
-        absent=("poses", "poses.speed_m_s", "poses.turn_rate_rad_s", *_NEVER_IN_BAGS),
+        clock=clock,
+        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
         notes={"original_timestamp": format_utc(start_ns), **notes},
     )
 
@@ -370,7 +367,8 @@ def _read_commands_alone(
     rows = rows.take(times.poses.rows, times.poses.time_ns)
     notes = {**_count_changes([rows]), **_note_lost({"command": dropped}), **times.notes}
     notes |= note_pick("command_topic", pick)
-    run = _begin_run(bag.path, rows, int(rows.time_ns[0]), times, notes)
+    poses, start_ns = PoseColumns.build_empty(), int(rows.time_ns[0])
+    run = _join_run(bag.path, poses, rows, start_ns, times.clock, notes)
     return _note_steps(run, bag), pick.topic.topic
 
 
