@@ -413,14 +413,12 @@ async def _read_exactly(answer: Any, count: int, length: int | None) -> bytes:
     """Return a body of the expected length. A longer body is refused before it is read."""
     if length is not None and length != count:
         raise _deny(f"an answer of {length} bytes", f"an answer of {count} bytes")
-    data = bytearray()
-    async for piece in _read_pieces(answer):
-        data += piece
-        if len(data) > count:
-            raise _deny("a longer answer", f"an answer of {count} bytes")
+    data = await _read_most(answer, count + 1)
+    if len(data) > count:
+        raise _deny("a longer answer", f"an answer of {count} bytes")
     if len(data) < count:
         raise OSError(f"{len(data)} of {count} bytes")
-    return bytes(data)
+    return data
 
 
 async def _read_most(answer: Any, count: int) -> bytes:

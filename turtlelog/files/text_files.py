@@ -177,13 +177,14 @@ def parse_known_toml(text: str) -> dict[str, Any]:
         if (heading := _TABLE.fullmatch(line)) is not None and heading[1] not in tables:
             table = tables[heading[1]] = {}
         elif line:
-            key, value = _keep_line(line) if len(line) <= _LONGEST_LINE else _NO_PAIR
+            key, value = _parse_line(line) if len(line) <= _LONGEST_LINE else _NO_PAIR
             if key is None or key in table:
                 return parse_toml(text)
             table[key] = value
     return tables if lines else parse_toml(text)
 
 
+@lru_cache(maxsize=_MOST_LINES)
 def _parse_line(line: str) -> tuple[str | None, Any]:
     """Return the key and value of a complete line; `_NO_PAIR` for any other line."""
     try:
@@ -192,9 +193,6 @@ def _parse_line(line: str) -> tuple[str | None, Any]:
         return _NO_PAIR
     is_plain = len(pairs) == 1 and not isinstance(pairs[0][1], dict | list)
     return pairs[0] if is_plain else _NO_PAIR
-
-
-_keep_line = lru_cache(maxsize=_MOST_LINES)(_parse_line)
 
 
 def format_toml(tables: Mapping[str, Any]) -> str:

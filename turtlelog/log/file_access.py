@@ -7,7 +7,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from io import UnsupportedOperation
 from pathlib import Path
 from types import FrameType
@@ -286,32 +285,25 @@ _REQUESTS: Final = _find_signals("SIGTERM", "SIGHUP")
 _STOPS: Final = (*_KEYBOARD, *_REQUESTS)
 
 
-@dataclass(slots=True)
-class StopRequest:
-    """A request to end the program: the number of the signal; None if none has arrived."""
-
-    signal_number: int | None = None
-
-
 @contextmanager
-def catch_stop() -> Iterator[StopRequest]:
+def catch_stop() -> Iterator[list[int]]:
     """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second signal interrupts.
 
-    The block checks the yielded request at suitable times. If SIGTERM or SIGHUP was ignored before,
-    as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled in any case, because a shell
-    ignores them for every background job of a script. Outside the main thread, where Python
+    The block checks the yielded list of signals at suitable times. If SIGTERM or SIGHUP was ignored
+    before, as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled in any case, because
+    a shell ignores them for every background job of a script. Outside the main thread, where Python
     delivers no signals, nothing changes.
     """
-    request = StopRequest()
+    caught: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
-        if request.signal_number is not None:
+        if caught:
             raise KeyboardInterrupt
-        request.signal_number = number
+        caught.append(number)
 
     ignored = [number for number in _REQUESTS if signal.getsignal(number) == signal.SIG_IGN]
     with _handle(note, [number for number in _STOPS if number not in ignored]):
-        yield request
+        yield caught
 
 
 @contextmanager

@@ -170,6 +170,7 @@ class _Summary:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _PackedChunk:
     rows: ChunkRows
+    span_ns: tuple[int, int]
     record: bytes  # record of the chunk
     indexes: Sequence[bytes]  # records of the chunk's message indexes
     compressed_size: int
@@ -244,7 +245,7 @@ class McapFile:
             self._append(packed)
 
     def _append(self, packed: _PackedChunk) -> None:
-        rows, start, (start_ns, end_ns) = packed.rows, self.end, packed.rows.span_ns
+        rows, start, (start_ns, end_ns) = packed.rows, self.end, packed.span_ns
         ends = np.cumsum([start + len(packed.record), *map(len, packed.indexes)]).tolist()
         self._write(b"".join((packed.record, *packed.indexes)))
         index = ChunkIndex(
@@ -259,7 +260,7 @@ class McapFile:
             uncompressed_size=packed.uncompressed_size,
         )
         self._summary.chunks.append(join_records([index]))
-        self._summary.spans_ns.append((start_ns, end_ns))
+        self._summary.spans_ns.append(packed.span_ns)
         for schema, channel in rows.channels:
             if schema is not None:
                 self._summary.schemas[schema.id] = schema
@@ -336,6 +337,7 @@ def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
     )
     return _PackedChunk(
         rows=rows,
+        span_ns=(start_ns, end_ns),
         record=join_records([chunk]),
         indexes=[_format_index(*entries, len(front)) for entries in rows.index.items()],
         compressed_size=len(chunk.data),

@@ -17,7 +17,7 @@ from turtlelog.log.engine.decode import Rows, Selection, read_piece
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.records import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.file_access import StopRequest, catch_stop, is_live, name_file, open_file
+from turtlelog.log.file_access import catch_stop, is_live, name_file, open_file
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.reader import build_run, reconcile_contents
 from turtlelog.log.recording.topics import build_contents
@@ -121,12 +121,12 @@ def run_live(
         raise SimulationError(f"sinks: expected a list of them, found {sinks!r:.60}")
     pace = Pace(clock, scenario.plant.facts.period_s) if realtime else None
     notes: dict[str, str] = {}
-    with catch_stop() as request, ExitStack() as closing:
+    with catch_stop() as caught, ExitStack() as closing:
         for sink in reversed(sinks):
             closing.callback(sink.close, notes)
         try:
             ticks = iterate_ticks(scenario, step_budget_s=step_budget_s, one_by_one=realtime)
-            run = collect_run(scenario, _drive(ticks, sinks, pace, request))
+            run = collect_run(scenario, _drive(ticks, sinks, pace, caught))
         except SimulationError as err:
             notes.update(pace.describe() if pace else {})
             err.run = err.run and replace(err.run, notes=notes)
@@ -136,14 +136,14 @@ def run_live(
 
 
 def _drive(
-    ticks: Iterable[Tick], sinks: Sequence[Sink], pace: Pace | None, request: StopRequest
+    ticks: Iterable[Tick], sinks: Sequence[Sink], pace: Pace | None, caught: Sequence[int]
 ) -> Iterator[Tick]:
     is_answered = False
     for tick in ticks:
         if pace is not None:
             pace.wait(tick)
         is_answered = is_answered or bool(tick.computed)
-        is_over = request.signal_number is not None and tick.stop_reason is None
+        is_over = bool(caught) and tick.stop_reason is None
         last = _end(tick) if is_over else tick
         for sink in sinks:
             sink.receive(last)

@@ -352,7 +352,7 @@ def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
     stamps.
     """
     poses = run.poses
-    if not _can_share(run):
+    if not len(poses) or list_unshared(run):
         return ()
     seconds, nanoseconds = divmod(poses.time_ns, 1_000_000_000)
     half_rad = poses.heading_rad / 2.0
@@ -403,22 +403,14 @@ def _pack_poses(columns: Mapping[str, NDArray[Any]], rows: int) -> PackedItems:
     return PackedItems(rows, layout.fill(rows, numbers).tobytes())
 
 
-def _can_share(run: Run) -> bool:
-    """Return whether the poses of a run are few enough, and its times fit stamps."""
-    count = len(run.poses)
-    return 0 < count <= MOST_SHARED and int(run.poses.time_ns[-1]) < _LATEST_NS
-
-
 def list_unshared(run: Run) -> list[str]:
     """Return why poses are not written for other programs: one sentence, or an empty list."""
-    if _can_share(run) or not len(run.poses):
-        return []
-    reason = (
-        f"{len(run.poses):,} poses are more than {MOST_SHARED:,}"
-        if len(run.poses) > MOST_SHARED
-        else "the times do not fit the stamps of ROS"
-    )
-    return [f"/odom, /tf and /path are left out: {reason}"]
+    reason = ""
+    if len(run.poses) > MOST_SHARED:
+        reason = f"{len(run.poses):,} poses are more than {MOST_SHARED:,}"
+    elif len(run.poses) and int(run.poses.time_ns[-1]) >= _LATEST_NS:
+        reason = "the times do not fit the stamps of ROS"
+    return [f"/odom, /tf and /path are left out: {reason}"] if reason else []
 
 
 def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
