@@ -379,7 +379,6 @@ class _HttpFile:
 
 
 def _describe_too_long(most: int) -> str:
-    """Return the message about a file that is too large to download."""
     return (
         f"expected at most {format_size(most)}, found a file that is longer;"
         " --max-download SIZE allows more"
@@ -401,7 +400,6 @@ def _read_length(answer: Any) -> int | None:
 
 
 def _read_range(answer: Any) -> tuple[int, int, int]:
-    """Return the start, the end and the file size in Content-Range."""
     text = answer.headers.get("Content-Range", "none")
     found = re.fullmatch(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", text)
     if found is None:
@@ -422,7 +420,6 @@ async def _read_exactly(answer: Any, count: int, length: int | None) -> bytes:
 
 
 async def _read_most(answer: Any, count: int) -> bytes:
-    """Return the first bytes of a body."""
     data = bytearray()
     async for piece in _read_pieces(answer):
         data += piece

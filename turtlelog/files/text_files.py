@@ -100,9 +100,7 @@ def _read_bytes(path: Path, most: int) -> bytes:
 def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
     """Yield the non-empty lines with their numbers, from 1, with one line in memory at a time.
 
-    Args:
-        text: Text of any length.
-        comments: Whether lines that begin with # are yielded too.
+    Lines that begin with # are `comments`.
     """
     skipped = _BLANKS if comments else BLANKS_AND_COMMENTS
     start, number = 0, 1

@@ -140,10 +140,7 @@ class RemotePath(_LocalPath):
         return partial(RemotePath, max_download=self.max_download), (self.url,)
 
     def split_topic(self) -> tuple["RemotePath", str | None]:
-        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
-
-        A query before or after the topic belongs to the URL.
-        """
+        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`."""
         scheme, mark, rest = self.url.partition("://")
         found = _TOPIC.fullmatch(rest)
         if found is None:

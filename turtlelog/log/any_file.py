@@ -198,7 +198,6 @@ def _recognise(path: Path) -> tuple[bool, bool]:
 
 
 def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
-    """Return a run with a note on requested options that its file does not use."""
     unused = describe_unused(choice, kind, run.notes.get("command_topic", ""))
     return replace(run, notes={**run.notes, UNUSED: unused}) if unused else run
 

@@ -206,7 +206,6 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
 
 
 def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
-    """Return the name of the table in a file, its columns, and facts of the run."""
     with name_file(path, expected="a table of a run"):
         is_parquet = path.suffix.lower() == ".parquet"
         table, facts = _open_parquet(path) if is_parquet else (_read_csv(path), {})
@@ -331,7 +330,6 @@ class _ParquetTable(Mapping[str, NDArray[Any]]):
 
 
 def _list_known(columns: Sequence[str]) -> set[str]:
-    """Return the existing columns of a table that will be read."""
     kind = _CLASSES.get(_find_table(columns) or "")
     if kind is None:
         return {*columns}

@@ -187,7 +187,6 @@ def _put_when_complete(path: RemotePath) -> Iterator[Path]:
 
 
 def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:
-    """Copy owner and permissions of another file, if it exists."""
     try:
         found = source.stat()
     except FileNotFoundError:
@@ -251,10 +250,7 @@ else:
     import fcntl
 
     def mark_live(stream: BinaryIO) -> None:
-        """Lock a file while it is open, if the system can, so that `is_live` detects it.
-
-        Only programs that test the lock see it.
-        """
+        """Lock a file while it is open, if the system can, so that `is_live` detects it."""
         try:
             fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (UnsupportedOperation, OSError):

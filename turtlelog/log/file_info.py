@@ -197,7 +197,6 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
 
 
 def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
-    """Return the info with the metadata of a turtlelog recording."""
     metadata = {found.name: found for found in survey.records if isinstance(found, Metadata)}
     if HEAD not in metadata:
         return replace(info, absent=list_absent(info.topics))
@@ -263,12 +262,7 @@ def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
 
 
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
-    """Return the contents of an MCAP file. An unfinished file is read as far as possible.
-
-    Raises:
-        LogError: If the file is not MCAP.
-        DamageError: If the file is finished, but the part that is read is damaged.
-    """
+    """Return the contents of an MCAP file. An unfinished file is read as far as possible."""
     try:
         return _survey_source(stream)
     except DamageError as err:
@@ -334,10 +328,6 @@ def format_bag_metadata(files: Sequence[tuple[str, Survey]], compression: str = 
     Version 8 is the newest with quality of service as text, which Humble and Jazzy both read. An
     empty text, as in the file's channels, lets the player choose. Readers of earlier format
     versions skip the keys that later versions added.
-
-    Args:
-        files: Names and contents of the files, in order of time.
-        compression: `message` if rosbag2 compressed messages one by one.
     """
     counts, hashes = Counter[tuple[str, str]](), dict[tuple[str, str], str]()
     spans_ns, parts = list[tuple[int, int]](), list[str]()
@@ -387,5 +377,4 @@ def _format_text(value: str) -> str:
 
 
 def _quote(value: str) -> str:
-    """Return text in quotes, so that YAML reads it as text."""
     return "'" + value.replace("'", "''") + "'"

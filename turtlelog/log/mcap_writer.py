@@ -360,10 +360,7 @@ def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> byte
 
 
 def _cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
-    """Yield chunks of all records in order of log time; at equal times, channel by channel.
-
-    A record larger than a chunk gets its own.
-    """
+    """Yield chunks of all records in order of log time; at equal times, channel by channel."""
     filled = [content for content in channels if len(content.sizes)]
     if not filled:
         return
@@ -424,9 +421,6 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
     """Return the messages of a topic as records in order of log time.
 
     The columns may have any order of time. Missing fields are 0 or empty.
-
-    Raises:
-        LogError: If a column is no field of the type, has another length, or does not fit.
     """
     kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout

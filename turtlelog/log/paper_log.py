@@ -178,7 +178,6 @@ def _find_goal(parameters: Mapping[str, float], columns: _Columns) -> tuple[floa
 
 
 def _sort_rows(columns: _Columns, states: _Whole) -> tuple[_Columns, _Whole, dict[str, str]]:
-    """Drop duplicate rows, sort the others by time, and count both changes."""
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))
     time = columns["time"][firsts]

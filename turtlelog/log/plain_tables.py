@@ -186,7 +186,6 @@ def _list_contradictions(
     *,
     is_flat: bool,
 ) -> dict[str, str]:
-    """Return notes on times, units, headings and rates that the poses contradict."""
     used = [poses["x"], poses["y"], poses["heading"]]
     used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
     if max(float(np.abs(column).max()) for column in used) > _LARGEST:
@@ -261,7 +260,6 @@ def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) ->
 def _describe_gaps(
     values: Mapping[str, Values], has_pose: NDArray[np.bool_], commands: CommandColumns
 ) -> dict[str, str]:
-    """Return notes on rows with missing values."""
     notes, rows = {}, len(has_pose)
     if missing := rows - int(has_pose.sum()):
         notes["rows_without_pose"] = f"{missing} of {rows}"
@@ -355,7 +353,6 @@ class Cells:
         return [*map(slice, edges[:-1], edges[1:])]
 
     def _describe_restart(self, runs: Sequence[slice]) -> str:
-        """Return a sentence on a table with several runs, of which one is read."""
         lines, word, rows = self.table.columns.lines, self.table.word, self._rows
         left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
         return (
@@ -409,7 +406,6 @@ class Cells:
         return numbers
 
     def _assume_unit(self, choice: Choice, numbers: Values) -> str:
-        """Return the assumed unit of a column without a given unit."""
         usual = next(iter(choice.units))
         if QUANTITIES[choice.field] == "number":
             return usual

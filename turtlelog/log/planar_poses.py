@@ -107,10 +107,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
 
 
 def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
-    """Return the fields of a pose in an unknown type, by their names; None without such fields.
-
-    The name of an angle in degrees ends in `_deg`.
-    """
+    """Return the fields of a pose in an unknown type, by their names (`_deg`: in degrees)."""
     places = [name[:-1] for name in fields if name == "x" or name.endswith(".x")]
     for place in (place for place in places if f"{place}y" in fields):
         home = place.removesuffix("position.").removesuffix("translation.")
@@ -133,10 +130,7 @@ def read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
-    """Return heading and tilt of quaternions of any length [rad]; NaN for length 0.
-
-    The heading is that of the robot's forward axis seen from above, for any tilt.
-    """
+    """Return heading and tilt of quaternions of any length [rad]; NaN for length 0."""
     parts = [fields[f"{orientation}{name}"] for name in "xyzw"]
     name = orientation.removesuffix(".")
     yaw_rad, tilt_rad = np.empty(len(parts[0])), np.empty(len(parts[0]))
@@ -181,9 +175,7 @@ _SEEN: Final = "most metrics are seen from above"
 def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     """Return a sentence on a robot that leaves the plane; None if it stays in the plane.
 
-    Args:
-        z_m: Heights [m], shape (n,); None if unknown. Values that are not finite are ignored.
-        tilt_rad: Angles between the robot's vertical axis and the world's [rad], shape (n,).
+    Heights [m] and tilts [rad] that are not finite are ignored.
     """
     heights, tilts = _keep_finite(z_m), _keep_finite(tilt_rad)
     found = []
@@ -319,10 +311,7 @@ def find_travel(xy_m: Values) -> Travel | None:
 
 
 def _measure_misfit(travel: Travel, heading_rad: Values) -> float:
-    """Return the mean angle between headings and the line of travel [rad], in [0, pi/2].
-
-    A robot may drive backward along its heading. Headings of random directions give pi/4.
-    """
+    """Return the mean angle of headings to the line of travel [rad]; random ones give pi/4."""
     sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * heading_rad))])
     mean_rad = np.angle(sums[travel.lasts + 1] - sums[travel.firsts])
     off_rad = np.abs(np.angle(np.exp(2j * (mean_rad - travel.course_rad)))) / 2.0
@@ -336,8 +325,8 @@ _TURNED_DEG: Final = 30.0
 """Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
 
 _TURNED_RAD: Final = 0.5
-"""Smallest range of directions that shows how headings count [rad]. On a straight path, the robot
-may drive at any angle."""
+"""Smallest range of directions that shows how headings count [rad]; one direction fits any
+offset."""
 
 _BADLY_RAD: Final = 0.5
 """Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""
@@ -359,11 +348,7 @@ def fits_degrees(xy_m: Values, headings: Values) -> bool:
 def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assumed: bool) -> str:
     """Return a sentence on headings that contradict the direction of travel; else nothing.
 
-    Args:
-        xy_m: Finite positions [m], shape (n, 2).
-        heading_rad: Headings as read [rad], shape (n,).
-        column: Name of the column of the headings; empty if rotations are quaternions.
-        is_assumed: Whether radians are assumed.
+    The name of their column is empty if rotations are quaternions; radians may be assumed.
     """
     travel = find_travel(xy_m) if len(xy_m) > 1 else None
     if travel is None or (misfit_rad := _measure_misfit(travel, heading_rad)) <= _BADLY_RAD:

@@ -106,10 +106,7 @@ _OF_BAGS: Final = tuple(name for name in _USUAL if name not in {*_OF_TABLES, *_O
 def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
     """Return one line on the options that a file does not use, and why; empty without such options.
 
-    Args:
-        choice: The given options.
-        kind: Description of the file. Recordings have one clock, and turn rates as commands.
-        commands: Topic and type of the commands that were read from a bag; empty without commands.
+    Recordings have one clock and turn rates as commands; `commands` are topic and type in a bag.
     """
     given = choice.list_given()
     of_recording = (*_OF_TABLES, "time", "wheelbase")

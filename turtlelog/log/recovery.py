@@ -86,7 +86,6 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
 
 
 def _recover_bag(source: Path, target: Path) -> RecoveryReport:
-    """Recover every file of a bag, and describe the result as a bag."""
     files = list_present_files(source)
     reports: list[tuple[Path, RecoveryReport]] = []
     lost: list[Loss] = []
@@ -172,7 +171,6 @@ def _copy(source: Path, found: Damaged, output: BinaryIO, summary: FileSummary |
 
 
 def _find_file(source: Path) -> Path:
-    """Return the file to read; for a folder, its only file."""
     files = list_present_files(source) if source.is_dir() else (source,)
     if len(files) != 1:
         names = ", ".join(file.name for file in files)

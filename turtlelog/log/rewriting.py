@@ -205,7 +205,6 @@ class Rewriter:
         known[body[:2]] = digest
 
     def _take_record(self, opcode: int, body: bytes) -> None:
-        """Write a header, metadata or an attachment."""
         if opcode == Opcode.HEADER:
             self._begin(_parse_exact_record(Header, body))
             return
@@ -260,7 +259,6 @@ class Rewriter:
             self._write_small()
 
     def _write_small(self) -> None:
-        """Write the collected small chunks."""
         if self._small:
             self._file.add_chunk(merge_chunks(self._small))
         self._small, self._small_size = [], 0

@@ -125,10 +125,7 @@ class Choice:
 def assign_columns(
     names: Sequence[str], asked: Mapping[str, str], units: Mapping[str, str]
 ) -> dict[str, Choice]:
-    """Return the columns with known quantities, by quantity.
-
-    The user's columns by quantity (`asked`) have a name, with or without a unit in brackets.
-    """
+    """Return the columns with known quantities, by quantity; `asked` has the user's names."""
     chosen: dict[str, Choice] = {}
     for field, text in asked.items():
         if field not in QUANTITIES:
@@ -185,7 +182,6 @@ def find_table_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
-    """Return the column named by the user, with the user's unit or the unit in its name."""
     # `psi [deg]` is a name, or `psi` in deg.
     readings: list[tuple[str, str | None]] = [(text.strip(), None)]
     bracketed = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
@@ -213,7 +209,6 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
 
 
 def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
-    """Return the column whose name matches a quantity best."""
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
         if place in taken or len(name) > _LONGEST_NAME:
@@ -298,11 +293,7 @@ def _simplify(text: str) -> str:
 
 
 def read_length_unit(axis: str, name: str) -> float:
-    """Return the metres of a unit of length in the name of a column; 1 without a unit.
-
-    Raises:
-        LogError: If brackets contain no known unit.
-    """
+    """Return the metres of a unit of length in the name of a column; 1 without a unit."""
     unit = _split_name(axis, name)[1]
     bracketed = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
     if unit is None and bracketed is not None:
@@ -342,10 +333,7 @@ _FASTEST_M_S: Final = 100.0
 def describe_units(
     time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str]
 ) -> str:
-    """Return a sentence on doubtful units; empty without doubt.
-
-    The times increase; `columns` has the names of columns in assumed s and m, by quantity.
-    """
+    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt."""
     step_s = np.diff(time_ns) / 1e9
     if not len(step_s):
         return ""

@@ -176,10 +176,7 @@ class _TextColumns:
         head: int,
         is_cut: bool,
     ) -> None:
-        """Use a text whose lines have as many cells as its header; the file has `size` bytes.
-
-        The first `head` rows contain no values. The last row may be incomplete (`is_cut`).
-        """
+        """Use a text of `size` bytes with `head` rows above the values; the last row may be cut."""
         self._text, self._delimiter, self._header = text, delimiter, [*header]
         self._size, self._head, self._is_cut = size, head, is_cut
         self.lines: Sequence[int] = ()
@@ -323,11 +320,7 @@ def decode_text(data: bytes) -> str:
 
 
 def read_header(path: Path) -> tuple[str, ...]:
-    """Return the column names without reading rows; for text files the cells of the first line.
-
-    Raises:
-        ValueError: If a file with the suffix of Parquet is not a Parquet file.
-    """
+    """Return the column names without reading rows; for text files the cells of the first line."""
     if path.suffix.lower() != ".parquet":
         with open_file(path) as stream:
             head = stream.readline(LONGEST_HEAD).decode("utf-8-sig", errors="replace")

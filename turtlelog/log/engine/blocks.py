@@ -89,10 +89,7 @@ def build_indexed_block(
     described: Mapping[bytes, Any],
     largest: int = limits.LARGEST_CHUNK,
 ) -> Block:
-    """Return a chunk as a block, given the bytes of the chunk and its indexes.
-
-    Schemas and channels in `described`, by their bytes, are not parsed again.
-    """
+    """Return a chunk with its indexes as a block; records in `described` are not parsed again."""
     byte = entry.start
     opcode, length = RECORD.unpack_from(stored) if len(stored) > RECORD.size else (0, 0)
     if opcode != Opcode.CHUNK or RECORD.size + length != entry.length:
@@ -171,11 +168,7 @@ def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offs
 def walk_through(
     stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Loss] | None = None
 ) -> Iterator[T]:
-    """Yield the result of `work` for every section of a file, in file order.
-
-    Raises:
-        DamageError: If something is damaged and no list for damages is given.
-    """
+    """Yield the result of `work` for every section of a file, in file order."""
     records.check_start(stream)
     allowance = limits.Allowance(limits.measure_stored(stream))
     for section in walk_sections(stream):

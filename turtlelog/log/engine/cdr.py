@@ -1,7 +1,4 @@
-"""CDR messages that differ in size: decoded by fields or one by one, and encoded.
-
-For a few messages, reading one by one takes less time than about a hundred numpy calls.
-"""
+"""CDR messages that differ in size: decoded by fields or, if few, one by one, and encoded."""
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -175,10 +172,7 @@ class _Cursor:
         return arrays
 
     def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
-        """Read the k-th value of every message that has so many values, for k = 0, 1, ...
-
-        If only a few messages have more values, their values are read message by message.
-        """
+        """Read the k-th value of every message with so many values, of few messages all values."""
         lists = np.empty(len(lengths), dtype=object)
         lists[:] = [[] for _ in range(len(lengths))]
         is_tried = False
@@ -435,9 +429,6 @@ def encode_message(
     """Return the record of one message; `stamp` is its sequence, log and publish time [ns].
 
     Values have dotted names, like a row of `TopicColumns`. Missing values are 0 or empty.
-
-    Raises:
-        struct.error, TypeError, ValueError: If a value does not have the kind of its field.
     """
     body = bytearray()
     _append_fields(body, fields, values, "")

@@ -143,11 +143,7 @@ class Catalogue:
                 self._plans.pop(record.topic, None)
 
     def check(self, records: Collection[Any], byte: int) -> None:
-        """Compare schemas and channels with the known ones, without changing anything.
-
-        Raises:
-            DamageError: If a record differs.
-        """
+        """Compare schemas and channels with the known ones, without changing anything."""
         for record in map(_name_type, records):
             known = self._find_known(record)
             if known is not None and known is not record and known != record:
@@ -393,11 +389,7 @@ _NESTED: Final = re.compile(r"^(\w+/\w+)", re.MULTILINE | re.ASCII)
 
 @cache
 def find_definition(type_name: str) -> str | None:
-    """Return the `ros2msg` text of a common type and its nested types; None for other types.
-
-    Args:
-        type_name: `package/msg/Type` or `package/Type`.
-    """
+    """Return the `ros2msg` text of a common type and its nested types; None for other types."""
     name = shorten_type(type_name)
     if name not in _TEXTS:
         return None

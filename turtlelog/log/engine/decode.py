@@ -137,11 +137,7 @@ class Selection:
 
 
 def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
-    """Return the messages at these offsets as columns: fields, times and sequence number.
-
-    Raises:
-        LogError: If a message does not have the topic's type.
-    """
+    """Return the messages at these offsets as columns: fields, times and sequence number."""
     if plan.json is not None:
         return _read_objects(plan.json, plan.decode, block, starts)
     if plan.layout is None:
@@ -152,10 +148,7 @@ def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
 
 
 def _unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tuple[Block, Offsets]:
-    """Decompress messages that rosbag2 compressed one by one; return others unchanged.
-
-    The first byte of a message is 0 for plain CDR, and not 0 for zstd.
-    """
+    """Decompress messages that rosbag2 compressed one by one (plain CDR begins with 0)."""
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
     largest, spend = allowance.largest_chunk, partial(allowance.spend, UNPACKED)
@@ -389,7 +382,6 @@ _LISTS: Final = 2
 
 
 def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
-    """Return the approximate memory of messages as columns [bytes]."""
     size = len(starts) * plan.row_size
     if plan.layout is None:
         share = 1 if plan.sequence is None else _LISTS

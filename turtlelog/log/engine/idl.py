@@ -62,9 +62,7 @@ class _Kind:
 def convert_idl(name: str, text: str) -> str:
     """Return the `ros2msg` text of a type and of the types that it uses.
 
-    Args:
-        name: `package/msg/Type`, or a scoped name (`package::msg::Type`).
-        text: IDL text; or several texts, each after a line of equals signs and a line with `IDL:`.
+    The name is `package/msg/Type` or scoped; several texts follow lines with `IDL:`.
     """
     if len(text) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")
@@ -92,7 +90,6 @@ class _Types:
 
     @property
     def _next(self) -> str:
-        """The next token; empty at the end."""
         return self._tokens[self._place] if self._place < len(self._tokens) else ""
 
     def _take(self, expected: str = "") -> str:
@@ -103,7 +100,6 @@ class _Types:
         return found
 
     def _skip(self, sign: str) -> bool:
-        """Skip a token if it is the next token."""
         if self._next != sign:
             return False
         self._place += 1

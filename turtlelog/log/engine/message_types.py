@@ -154,11 +154,7 @@ _KEEPING: Final = Lock()
 
 
 def read_type(name: str, definition: str) -> MessageType:
-    """Return a message type. Common types are parsed only once per process.
-
-    Raises:
-        LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
-    """
+    """Return a message type. Common types are parsed only once per process."""
     known = _KEPT.get((name, definition))
     if known is not None:
         return known
@@ -195,10 +191,7 @@ def _measure(fields: tuple[Field, ...]) -> int:
 
 
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
-    """Return the fields of the message type `name`, including nested types, and their total size.
-
-    Definitions of nested types follow in the text, each after a line of equals signs.
-    """
+    """Return the fields of the message type `name` with nested types, and their total size."""
     first, *others = _SEPARATOR.split(text.removesuffix("\n") + "\n")
     definitions = dict(_BUILTIN)
     for part in others:
@@ -255,7 +248,6 @@ class _Resolver:
 
 
 def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
-    """Yield the lines that define a field, without constants and comments."""
     for line in text.splitlines():
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -349,10 +341,7 @@ class AlikeLayout:
         self._place(fields, "")
 
     def fill(self, rows: int, columns: Mapping[str, Column]) -> NDArray[np.uint8]:
-        """Return the bytes of messages, shape (rows, size).
-
-        Numbers by field name are little-endian and of the field's type. Missing fields are 0.
-        """
+        """Return messages, shape (rows, size); numbers are little-endian, missing fields 0."""
         found = np.zeros((rows, self.size), dtype=np.uint8)
         for data, place in self.constants:
             found[:, place : place + len(data)] = np.frombuffer(data, dtype=np.uint8)

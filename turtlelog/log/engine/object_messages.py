@@ -269,10 +269,7 @@ _STAMP_NAMES: Final = {"seconds": "sec", "nanos": "nsec"}
 
 
 class ProtobufField(NamedTuple):
-    """One field of a type: its name, the number of its type in descriptor.proto.
-
-    Fields of a stamp are named as in JSON; `of` is the type of a nested message.
-    """
+    """One field of a type: name as in JSON, type in descriptor.proto, type of a nested message."""
 
     name: str
     kind: int

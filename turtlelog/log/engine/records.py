@@ -119,11 +119,7 @@ class _ExactStream(ReadDataStream):
 
 
 def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) -> Iterator[Place]:
-    """Yield the records between two places of a buffer, `byte` bytes into the file.
-
-    Raises:
-        DamageError: If a record extends beyond `end`.
-    """
+    """Yield the records between two places of a buffer, `byte` bytes into the file."""
     while start < end:
         if start + RECORD.size > end:
             raise DamageError(f"byte {byte}: expected a record, found {end - start} bytes more")
@@ -234,7 +230,6 @@ def _read_entries(table: bytes, most: int) -> dict[str, str]:
 
 
 def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
-    """Return length-prefixed bytes, and the offset after them."""
     start = end = place + 4
     if end <= len(body):
         end += _LENGTH.unpack_from(body, place)[0]
@@ -356,10 +351,7 @@ class RecordStretch:
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
-    """Return the offsets of the messages in the bytes of records. No checksum is needed.
-
-    A chunk has only messages, schemas and channels. Records beyond `most_records` are ignored.
-    """
+    """Return the offsets of the messages in the bytes of records; no checksum is needed."""
     starts, others = array("I"), list[tuple[int, int, int]]()
     known, size, place, left = OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
     fault, walk = None, MessageWalk(data)

@@ -274,7 +274,6 @@ class _Pages:
         return [root for root in roots if root]
 
     def _read_payload(self, cell: bytes, length: int) -> bytes:
-        """Return the available bytes of a row."""
         _, at = _read_varint(cell, 0)
         _, at = _read_varint(cell, at)
         local = length
@@ -306,7 +305,6 @@ class _Pages:
                 )
 
     def _walk(self, root: int) -> Iterator[_Batch]:
-        """Yield the pages of a tree, level by level."""
         level = np.array([root], np.int64)
         for _ in range(_DEEPEST):
             below = [np.empty(0, np.int64)]

@@ -66,10 +66,7 @@ _SHORTENED: Final = (
 
 
 class SqliteRows:
-    """Rows of `topic_id`, `timestamp` and `data`, column by column.
-
-    With few rows at a time, memory stays in the processor's cache: rows take half as long.
-    """
+    """Rows of `topic_id`, `timestamp` and `data` by column; few at a time stay in the cache."""
 
     def __init__(self) -> None:
         self.ids, self.times, self.lengths = (array("q") for _ in range(3))
@@ -77,11 +74,7 @@ class SqliteRows:
         self._parts: list[bytearray] = []
 
     def take(self, rows: list[Row]) -> int:
-        """Add rows; return the total size of their blobs [bytes].
-
-        Raises:
-            TypeError: If a value has the wrong type.
-        """
+        """Add rows; return the total size of their blobs [bytes]."""
         ids, times, blobs = zip(*rows, strict=True)
         self.ids.extend(ids)
         self.times.extend(times)
@@ -258,7 +251,6 @@ def open_sqlite(
 
 
 def _name_kind(value: object) -> str:
-    """Return SQLite's name of a value's type."""
     names = {bytes: "blob", float: "real", int: "integer", str: "text"}
     return names.get(type(value), "null")
 
@@ -300,7 +292,6 @@ class _BagTable(NamedTuple):
 
 
 def _list_tables(execute: _Execute) -> dict[str, _BagTable]:
-    """Return the tables of a bag by name."""
     kinds = {}
     for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
         if kind in {"table", "view"}:
@@ -381,7 +372,6 @@ def _read_channels(
 def _read_definitions(
     execute: _Execute, tables: Mapping[str, _BagTable], allowance: Allowance
 ) -> dict[str, tuple[str, str]]:
-    """Return encoding and text of the types that the file defines."""
     definitions: dict[str, tuple[str, str]] = {}
     rows = _select(execute, tables, "message_definitions", _DEFINITION_COLUMNS)
     for number, row in enumerate(rows, start=1):

@@ -248,7 +248,6 @@ def build_columns(
 def _select_topics(
     topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
 ) -> decode.Selection:
-    """Return a selection; None selects all."""
     names = [topics] if isinstance(topics, str) else topics
     return decode.Selection(
         topics=None if names is None else frozenset(names),
@@ -266,10 +265,6 @@ def iterate_pieces(
     """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
 
     Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
-
-    Raises:
-        LogError: If a requested topic is missing or cannot be decoded.
-        DamageError: If the file is damaged, or counts differ from the statistics.
     """
     catalogue, channels = source.catalogue, None
     if source.is_indexed:
@@ -299,10 +294,7 @@ def iterate_pieces(
 
 
 def count_rows(source: Source | SqliteSource, selection: decode.Selection) -> Mapping[str, int]:
-    """Return the number of rows of each topic from the statistics; empty without statistics.
-
-    If there are message indexes, their size limits the numbers.
-    """
+    """Return the rows of each topic by the statistics, limited by the message indexes, if any."""
     if source.statistics is None or not selection.is_ever:
         return {}
     room = source.index_length // 16 if source.is_indexed else decode.EVER

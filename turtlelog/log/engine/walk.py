@@ -345,10 +345,7 @@ def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
 
 
 def _is_record_start(window: FileWindow, place: int, *, after: int = 0) -> bool:
-    """Return whether a record can start here; the end of the file may truncate it.
-
-    A message index can follow only a chunk or another index.
-    """
+    """Return whether a record can start here; the end of the file may truncate it."""
     if window.size - place < RECORD.size:
         head = window.read(place, 1)
         return not head or head[0] >= _PRIVATE or head[0] in _KNOWN

@@ -95,11 +95,7 @@ class Head:
 
 
 def format_head(head: Head) -> dict[str, str]:
-    """Return the metadata record. Entries that are None are omitted.
-
-    Raises:
-        LogError: If the declaration is longer than readers accept.
-    """
+    """Return the metadata record. Entries that are None are omitted."""
     record = {
         "format_version": str(head.format_version),
         "turtlelog_version": __version__,
@@ -130,11 +126,7 @@ def format_head(head: Head) -> dict[str, str]:
 
 
 def parse_head(record: Mapping[str, str]) -> Head:
-    """Return the metadata record of a recording.
-
-    Raises:
-        LogError: If it was written by a newer turtlelog, or an entry is missing or wrong.
-    """
+    """Return the metadata record of a recording."""
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
     version = _decode(record, "format_version", int)
@@ -291,11 +283,7 @@ def format_recovery(
 
 
 def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
-    """Return the note `recovered` for a file with these records; empty if it was not recovered.
-
-    Raises:
-        LogError: If the record was changed after writing.
-    """
+    """Return the note `recovered` for a file with these records; empty if it was not recovered."""
     notes = [found for found in records if isinstance(found, Metadata) and found.name == RECOVERY]
     losses = "; ".join(dict.fromkeys(_describe(note.metadata) for note in notes))
     return {"recovered": f"{_FROM_DAMAGED}{losses}"} if notes else {}

@@ -33,11 +33,9 @@ class Sink(Protocol):
 
     def receive(self, tick: Tick) -> None:
         """Receive one tick. The last tick contains the stop reason."""
-        ...
 
     def close(self, notes: Mapping[str, str]) -> None:
         """Finish, also after a failed run; `notes` are the notes of the run."""
-        ...
 
 
 class Pacer(Protocol):
@@ -45,11 +43,9 @@ class Pacer(Protocol):
 
     def monotonic(self) -> float:
         """Return the time since a fixed instant [s], which never decreases."""
-        ...
 
     def sleep(self, duration_s: float) -> None:
         """Wait for at least a time [s]."""
-        ...
 
 
 class Pace:

@@ -185,7 +185,6 @@ def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
 def _build_measured(
     columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
-    """Return the motion that the robot reported; empty without reports."""
     if topics.MEASURED.name not in columns:
         return {}
     found = columns.pop(topics.MEASURED.name)

@@ -117,8 +117,7 @@ class Recorder:
     def receive(self, tick: Tick) -> None:
         """Record a tick.
 
-        Raises:
-            LogError: If the file cannot be written. It is then closed, and readable up to there.
+        If the file cannot be written, it is closed, and readable up to that point.
         """
         if not self._is_open:
             raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
@@ -195,7 +194,6 @@ class Recorder:
         return LogError(f"{self._path}: expected a file that stays, found it {loss}: {rest}")
 
     def _discard(self) -> None:
-        """Remove a file that will not be finished."""
         with suppress(OSError):
             self._stream.close()
         self._path.unlink(missing_ok=True)

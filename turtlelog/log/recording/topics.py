@@ -224,10 +224,8 @@ def list_topics(
 ) -> tuple[Topic, ...]:
     """Return the topics of a recording. Messages with equal times have this order.
 
-    Args:
-        declaration: Declaration of the law; None in format 1.
-        kind: Name of the law; the message type of the law's states is named after it.
-        more: Names of the recording's optional topics among `SENSED`, `MEASURED` and `SHAPED`.
+    In format 1 there is no declaration. The type of the law's states is named after its `kind`;
+    `more` are names of optional topics.
     """
     sensed = OF_SENSING if SENSED.name in more else ()
     sensed += (MEASURED,) if MEASURED.name in more else ()
@@ -321,9 +319,7 @@ class PartialRecordingWarning(UserWarning):
 def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
     """Return the contents of a recording, after checking all available checksums.
 
-    Args:
-        stream: The file.
-        may_be_foreign: Whether the file may be a third-party file, so that damage is not suspected.
+    Damage of a third-party file is not suspected if it `may_be_foreign`.
 
     Raises:
         LogError: If the file is not MCAP, or a topic of turtlelog has another type.

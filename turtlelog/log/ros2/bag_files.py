@@ -120,7 +120,6 @@ def parse_bag_metadata(text: str) -> BagMetadata:
 
 
 def _read_flow_list(number: int, value: str) -> list[str]:
-    """Return the names of a list in brackets on one line; empty for another value."""
     found = _FLOW_LIST.match(value)
     items = found["items"].strip() if found else ""
     names, place = [], 0
@@ -172,10 +171,7 @@ def _build_metadata(values: Mapping[str, str], files: Sequence[str]) -> BagMetad
 
 
 def _iterate_entries(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, key and value of the entries right below the root.
-
-    List items and keys below an entry are yielded as text without a key.
-    """
+    """Yield line, key and value of the entries below the root; items without a key."""
     depth, is_inside = -1, False
     for number, whole in iterate_lines(text):
         line = whole.rstrip()
@@ -261,11 +257,7 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
 
 
 def find_bag_files(path: str | Path) -> BagFiles:
-    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder.
-
-    Raises:
-        LogError: As `list_bag_files` does.
-    """
+    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder."""
     path = make_path(path)
     if not path.is_dir():
         return BagFiles(files=(path,))
@@ -328,7 +320,6 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
 
 
 def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
-    """Return the files named in the metadata, each once. A single renamed file is accepted."""
     files: dict[Path, None] = {}  # ordered, with fast look-up
     missing: list[str] = []
     base = folder.resolve().as_posix()

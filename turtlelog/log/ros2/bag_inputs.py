@@ -101,9 +101,6 @@ def choose_command_topic(
     The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
     the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
     chosen. Without poses, `pose_topic` is empty.
-
-    Raises:
-        LogError: If several topics are equally likely.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -241,10 +238,7 @@ def add_references(
 def _choose_path_topics(
     topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
 ) -> list[TopicInfo]:
-    """Return the requested path topic, or all topics that may contain plans, in order.
-
-    A controller's short local plan and topics with the name of a trace are no references.
-    """
+    """Return the requested path topic, or all that may contain plans (no traces), in order."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return [bag_topics.find_asked(held, asked, (bag_topics.PATH,), "path_topic")]
@@ -267,7 +261,6 @@ def _choose_path_topics(
 
 
 def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> TopicInfo | None:
-    """Return the topic of goals, preferably next to the poses; None if there is none."""
     fitting = (
         topic
         for topic in bag_topics.drop_unread(topic for topic in topics if topic.count)
@@ -376,10 +369,9 @@ def find_path(
         return None, f"{topic}: left out: it ends where the robot is, and is its trace", 0
     present = [one for one in known if one[0] <= track.time_ns[-1]] or known
     later = [one for one in present if one[0] >= since_ns] or present
-    first = max(
-        (at for at in range(1, len(later)) if _lead_apart(*later[at - 1 : at + 1])), default=0
-    )
-    given_ns, xy_m = later[first]
+    ends_m = np.array([one[-1] for _, one in later])
+    apart = np.flatnonzero(np.hypot(*np.diff(ends_m, axis=0).T) > _ONE_GOAL_M)
+    given_ns, xy_m = later[int(apart[-1]) + 1 if len(apart) else 0]  # the first to the last goal
     points = _thin(xy_m)
     try:
         Path(kind="waypoints", points=tuple((x, y) for x, y in points))
@@ -393,11 +385,6 @@ def find_path(
         said += f", {len(points)} of its {len(xy_m)} points"
     return points, said, given_ns
 
-
-def _lead_apart(one: tuple[int, Values], other: tuple[int, Values]) -> bool:
-    """Return whether two paths end at different places, as paths to two goals."""
-    apart_m = float(np.hypot(*(one[1][-1] - other[1][-1])))
-    return apart_m > _ONE_GOAL_M
 
 
 def _read_points(

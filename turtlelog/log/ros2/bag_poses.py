@@ -57,11 +57,7 @@ class PoseSource:
 
 
 def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> PoseSource:
-    """Return the messages with a robot's poses.
-
-    Raises:
-        LogError: If there are no poses, or several sources are equally likely.
-    """
+    """Return the messages with a robot's poses."""
     frames = {"pose_frame": choice.pose_frame, "world_frame": choice.world_frame}
     asked = [name for name, value in frames.items() if value is not None]
     if choice.wheel_joints is not None or choice.wheels is not None:

@@ -316,10 +316,7 @@ def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, 
 
 
 def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
-    """Return sensed positions and headings at the times of the poses, NaN if not sensed.
-
-    The result is empty without sensed poses whose times identify the poses.
-    """
+    """Return sensed positions and headings, NaN if not sensed; empty if times fit no poses."""
     if moved or not any(SENSED.name in of_file for of_file in found):
         return {}
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
@@ -464,7 +461,6 @@ def _read_names(
 
 
 def _declare(named: Mapping[int, str] | None, highest: int) -> Declaration:
-    """Return phases without loops, by number. An unnamed phase gets its number as name."""
     usual = dict(enumerate(SEQUENTIAL_P.phase_names))
     if named is None or all(usual.get(number) == name for number, name in named.items()):
         named = usual

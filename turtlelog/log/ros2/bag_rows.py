@@ -156,10 +156,7 @@ class OrderedRows:
 def order_rows(
     found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Values]]
 ) -> OrderedRows:
-    """Return a topic's rows in several files as one table, sorted by time, without duplicates.
-
-    The columns of the messages of each file are in `tables`.
-    """
+    """Return a topic's rows of all files as one table, sorted by time, without duplicates."""
     time_ns = join_arrays([columns.log_time_ns for columns in found])
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     rows = OrderedRows(
@@ -295,9 +292,6 @@ def time_rows(
     Both topics are in order of log time. With `auto`, stamps of poses are used if they are usable.
     In a bag without poses, its commands are given as poses, with this noun. No command is dropped,
     however close in time.
-
-    Raises:
-        LogError: If stamps are requested and no pose has a usable stamp.
     """
     commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:
@@ -384,10 +378,7 @@ def _describe(found: StampClock, used: Literal["log", "stamp"]) -> str:
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which rows to keep: those that no other row follows too closely for a rate.
-
-    The last of several close rows is kept: if poses were delayed, its time is correct.
-    """
+    """Return which rows to keep: the last of several that are too close for a rate."""
     step_ns = np.diff(time_ns)
     moving_ns = step_ns[step_ns > 0]
     if not len(moving_ns):

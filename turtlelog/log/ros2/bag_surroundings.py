@@ -264,7 +264,6 @@ def _to_robot(
 
 
 def _to_world(points: Values, run: Run, time_ns: int) -> Values:
-    """Return points in the robot's frame, converted to the frame of its poses [m]."""
     poses = run.poses
     after = int(np.clip(np.searchsorted(poses.time_ns, time_ns), 1, len(poses) - 1))
     span_ns = int(poses.time_ns[after] - poses.time_ns[after - 1])

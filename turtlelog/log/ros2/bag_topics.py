@@ -92,11 +92,7 @@ class Pick:
 
 
 def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
-    """Return the requested topic, or else the most likely topic.
-
-    Raises:
-        LogError: If there is no such topic, or several are equally likely.
-    """
+    """Return the requested topic, or else the most likely topic."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return Pick(topic=find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
@@ -159,7 +155,6 @@ def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
 
 
 def _deny_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> NoPosesError:
-    """Return the error of a bag without readable poses."""
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons(filter(_is_of_a_run, unread)):
         return NoPosesError(reasons, is_unread=True)
@@ -382,9 +377,6 @@ def select_robot(
 
     Without a name, the first robot with poses is chosen if the robots differ only by number. A name
     that occurs in no topic may occur in the frames of transforms.
-
-    Raises:
-        LogError: If several robots are equally likely.
     """
     robots = find_robots(topics)
     if not robots:
@@ -406,11 +398,7 @@ def select_robot(
 
 
 def describe_robots(robots: Sequence[BagRobot], topic: str, asked: str | None) -> str:
-    """Return a sentence on the robots of a bag and that of a topic; empty for one robot.
-
-    Raises:
-        LogError: If the topic does not belong to the requested robot.
-    """
+    """Return a sentence on the robots of a bag and that of a topic; empty for one robot."""
     words = topic.split("/")[:-1]
     names = list_first_names([robot.name for robot in robots])
     if asked is not None and asked not in words:
@@ -443,7 +431,6 @@ def _choose_names(words: dict[str, set[bool]]) -> list[str]:
 
 
 def _find_most(topics: Iterable[TopicInfo]) -> TopicInfo | None:
-    """Return the topic with the most messages, satellite fixes last."""
     return min(
         topics, key=lambda topic: (topic.type == FIX, -topic.count, topic.topic), default=None
     )

@@ -137,11 +137,7 @@ def collect_links(
 
 
 def _wrap_foxglove(columns: TopicColumns) -> TopicColumns:
-    """Return `foxglove.FrameTransform` messages as TFMessages of one transform, others unchanged.
-
-    Raises:
-        LogError: If a field is missing.
-    """
+    """Return `foxglove.FrameTransform` messages as TFMessages of one transform each."""
     if columns.type != FRAME_TRANSFORM:
         return columns
     for name in _FOXGLOVE_NAMES:
@@ -371,7 +367,6 @@ _Step = tuple[Link, bool]
 
 
 def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
-    """Return the shortest path from one frame to another."""
     ways: dict[str, list[_Step]] = {start: []}
     waiting = [start]
     while waiting and end not in ways:
@@ -454,7 +449,6 @@ def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
 
 
 def _normalise(turn: Values) -> Values:
-    """Return quaternions of length 1, shape (n, 4)."""
     length = np.linalg.norm(turn, axis=1, keepdims=True)
     # Quaternions that were never set stay 0; the computation of headings reports them.
     return np.asarray(turn / np.where(length == 0.0, 1.0, length))

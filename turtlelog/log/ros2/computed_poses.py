@@ -19,10 +19,7 @@ _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> TopicColumns:
-    """Return the messages of a topic in all files, at least one, in order of log time.
-
-    The fields are the named ones and the stamps, which are 0 if the type has none.
-    """
+    """Return the messages of a topic in all files in order of log time, with stamps (or 0)."""
     for columns in found:
         for name in names:
             if name not in columns.fields:
@@ -55,7 +52,6 @@ def _time_motion(messages: TopicColumns) -> Values:
 def _make_poses(
     messages: TopicColumns, rows: NDArray[np.int64], columns: Mapping[str, Values]
 ) -> TopicColumns:
-    """Return poses computed from some of the messages, as messages of the same topic."""
     stamps = {name: messages.fields[name] for name in _STAMP}
     found = replace(messages, fields=stamps).select(rows)
     return replace(found, fields={**found.fields, **columns})
@@ -134,7 +130,6 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
 
 
 def _describe_standing(time_s: Values, place_m: Values) -> str:
-    """Return a description of a receiver that never moves far enough for a course."""
     if len(time_s) < _FEWEST:
         return f"fewer than {_FEWEST} fixes"
     step_s = float(np.median(np.diff(time_s)))
@@ -260,10 +255,7 @@ def integrate_wheels(
 
 
 def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
-    """Return x, y [m] and heading `theta` [rad] of a differential drive from the origin.
-
-    The steps of the left and the right wheel [m] have the shape (n - 1, 2).
-    """
+    """Return x, y [m] and `theta` [rad] by the steps of left and right wheel, shape (n - 1, 2)."""
     turned_rad = (steps_m[:, 1] - steps_m[:, 0]) / track_m
     heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
     # Chord of an arc: sin(a) / a of half the rotation; np.sinc is sin(pi x) / (pi x).

@@ -134,7 +134,6 @@ def describe_paths(paths: Paths) -> str | None:
 
 
 def _describe_still(paths: Paths) -> str | None:
-    """Return a sentence on poses that never move although speeds or commands do; else None."""
     if paths.by_speed is not None and paths.by_speed >= _LEAST_M:
         way = format_short(paths.by_speed, "m")
         return f"the poses never move, and are likely wrong: the reported speed drives {way}"
@@ -148,7 +147,6 @@ def _describe_still(paths: Paths) -> str | None:
 
 
 def _blame(paths: Paths, by_speed: float) -> str:
-    """Return which of two paths is more probably wrong, with the reason."""
     if paths.in_jumps and not _differ(paths.by_poses - paths.in_jumps, by_speed):
         jumps = format_short(paths.in_jumps, "m")
         return f"the poses are more likely wrong, whose jumps add {jumps}"
@@ -187,10 +185,7 @@ _LEAP_ROWS: Final = 4
 
 
 def describe_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses that alternate between two places; None if they do not.
-
-    The positions, shape (n, 2) [m], have the order of reception.
-    """
+    """Return a sentence on poses, as received, that alternate between two places; else None."""
     rows = len(xy_m) - _LEAP_ROWS
     if rows < _LEAP_ROWS:
         return None
@@ -438,13 +433,9 @@ def note_motion(
 ) -> dict[str, str]:
     """Return notes on poses off the plane, on leaps, and on reported speeds that contradict poses.
 
-    Args:
-        poses: The timed poses, with the columns of their messages.
-        columns: The columns that `judge_rates` keeps.
-        xy_m: Positions in the order of reception [m], shape (m, 2).
-        commands: The timed commands.
-        vertical: Number of poses left out because the forward axis points up or down.
-        others: The other topics of poses.
+    `poses` are timed, with all columns; `columns` are those that `judge_rates` keeps, `xy_m` the
+    positions as received [m], `vertical` the number of poses without a heading, `others` the other
+    topics.
     """
     notes, z_m = {}, columns.get("z")
     plane = describe_height(z_m, columns.get("tilt"))

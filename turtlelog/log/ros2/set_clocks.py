@@ -84,11 +84,8 @@ def find_clock_steps(
     The clock was set back if messages follow in storage with earlier times, unless the path is
     shorter in order of time, as in two recordings in one file. It was set forward if no message has
     a time in a long silence, and the robot was moving before and after, and did not move meanwhile,
-    or if the stamps of a wall clock go on without a silence.
-
-    Args:
-        files: The poses, by file. Of commands, only steps back are found.
-        others: Other messages of the bag, which may show that time passed.
+    or if the stamps of a wall clock go on without a silence. Of commands, only steps back are
+    found; other messages show that time passed.
     """
     log_ns = join_arrays([_restore(columns) for columns in files])
     step_ns = np.diff(log_ns)
@@ -161,11 +158,7 @@ def undo_clock_steps(
 
 
 def describe_silence(*times: TimesNs) -> str:
-    """Return a remark on a silence longer than the rest of a bag; empty without one.
-
-    Args:
-        times: Times of each topic [ns].
-    """
+    """Return a remark on a silence longer than the rest of a bag; empty without one."""
     time_ns = np.sort(np.concatenate(times))
     if len(time_ns) < 2:
         return ""
@@ -243,24 +236,6 @@ def _has_wall_clock(files: Sequence[TopicColumns]) -> bool:
     return stamp_ns is not None and int(stamp_ns[0]) >= FIRST_WALL_NS
 
 
-def _is_steady(log_ns: TimesNs, row: int, usual_ns: float) -> bool:
-    """Return whether messages come at their usual rate after a row, not in a burst.
-
-    After a network or a recorder that stalled, messages that waited come at once.
-    """
-    return bool(log_ns[row + 1 + JUMP_ROWS] - log_ns[row + 1] > JUMP_ROWS * usual_ns / 2.0)
-
-
-def _falls_behind(late_ns: TimesNs | None, log_ns: TimesNs, row: int) -> bool:
-    """Return whether stamps go on after a row without the silence of the log times.
-
-    This happens in a paused simulation, or if only the recorder's clock was set.
-    """
-    if late_ns is None:
-        return False
-    return bool(late_ns[row + 1] - late_ns[row] > (log_ns[row + 1] - log_ns[row]) / 2)
-
-
 def _measure_steps(way: Values, first: NDArray[np.int64], second: NDArray[np.int64]) -> Values:
     """Return how far a point of the robot moves between rows [m]."""
     moved = way[second] - way[first]
@@ -269,10 +244,7 @@ def _measure_steps(way: Values, first: NDArray[np.int64], second: NDArray[np.int
 
 
 def _goes_on(way: Values, row: int) -> bool:
-    """Return whether the motion goes on after a row as if no time had passed.
-
-    The step must be at most three usual ones, in a silence of at least ten.
-    """
+    """Return whether the motion goes on after a row as if no time had passed."""
     moved_m = []
     for first in (row - JUMP_ROWS, row + 1):
         rows = np.arange(first, first + JUMP_ROWS + 1)

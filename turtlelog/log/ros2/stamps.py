@@ -165,7 +165,6 @@ def _take(values: TimesNs, rows: Rows) -> TimesNs:
 
 
 def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
-    """Return why stamps are not usable; empty if they are usable."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
         return "all stamps are 0 or before 1970" if stamp_ns.any() else "all stamps are 0"
@@ -207,7 +206,6 @@ def find_least_jump(stamp_ns: TimesNs) -> float:
 
 
 def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
-    """Return the rows where the stamps' clock jumps, in order."""
     starts = [0]
     while len(starts) - 1 <= len(log_ns) / STRETCH_ROWS:
         jump = _find_jump(log_ns[starts[-1] :], stamp_ns[starts[-1] :])
