@@ -12,7 +12,7 @@ from tests.log.runs import assert_same, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log import export_csv, export_tum
 from turtlelog.log.any_file import read_file_info, read_run
-from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.file_access import ReadChoice
 from turtlelog.log.table_files import require_same_poses
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]

@@ -165,8 +165,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 def parse_known_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text like `parse_toml`, with a cache of known lines.
 
-    The scenarios of one experiment differ in few lines. The cache applies to tables of one level
-    with one plain value per line. Any other text is parsed as a whole.
+    The cache is for tables of one level with one plain value per line, as of similar scenarios.
     """
     tables: dict[str, Any] = {}
     table = tables

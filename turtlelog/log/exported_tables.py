@@ -70,8 +70,6 @@ _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandC
 _ROWS_GROUPED: Final = 2**16
 """Number of rows of a Parquet file encoded at once; each row takes 160 bytes during encoding."""
 
-_Write = Callable[[Run, str, Path], None]
-
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
     """Write the tables of a run as CSV and return the files. Numbers can be read back exactly.
@@ -102,7 +100,7 @@ def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> t
 
 
 def _export(
-    run: Run, path: Path, suffix: str, table: str | None, write: _Write
+    run: Run, path: Path, suffix: str, table: str | None, write: Callable[[Run, str, Path], None]
 ) -> tuple[Path, ...]:
     if table is not None and table not in TABLES:
         raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")

@@ -225,11 +225,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
-    """Return the fields of `Run` that third-party files do not have.
-
-    The topics of poses and commands are known only after reading; if no message can be decoded,
-    there are none.
-    """
+    """Return the fields of `Run` that third-party files do not have, as far as topics show it."""
     present = [found for found in topics if found.count]
     held = {found.topic for found in present}
     places = {"samples": CONTROL, "goal_xy_m": GOAL, "goal_heading_rad": GOAL}

@@ -67,8 +67,7 @@ class Numbering:
         if key not in self._known_schemas:
             self._allowance.spend_description(schema)
             number = self._taken_schemas.choose(schema.id)
-            is_same = number == schema.id
-            self._known_schemas[key] = schema if is_same else replace(schema, id=number)
+            self._known_schemas[key] = replace(schema, id=number)
         self.first_schemas.setdefault(schema.id, schema)
         self.schemas[schema.id] = self._known_schemas[key]
 
@@ -97,9 +96,7 @@ class Numbering:
         if key not in self._known_channels:
             self._allowance.spend_description(channel)
             number = self._taken_channels.choose(channel.id)
-            is_same = (number, schema_id) == (channel.id, channel.schema_id)
-            numbered = channel if is_same else replace(channel, id=number, schema_id=schema_id)
-            self._known_channels[key] = schema, numbered
+            self._known_channels[key] = schema, replace(channel, id=number, schema_id=schema_id)
         return self._known_channels[key]
 
 

@@ -251,10 +251,9 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
 
 
 def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place]:
-    """Return the offsets of a chunk's other records; messages must fill the rest without overlap.
+    """Return the places of a chunk's other records; messages must fill the rest without overlap.
 
-    The records form a chain from 0: each message ends at the start of an indexed message or of
-    another record. If the lengths add up, no message is outside the chain.
+    From 0 on, each record ends where another starts; if the lengths add up, none is left out.
     """
     starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
     counts = [len(found) for found in offsets.values()]

@@ -237,11 +237,7 @@ _LENGTH: Final = 4  # bytes of the length before a text
 def decode_few(
     fields: tuple[Field, ...], data: bytes, starts: Offsets, ends: Offsets
 ) -> dict[str, Column] | None:
-    """Return the fields of little-endian messages, by dotted name.
-
-    The result is None if the type has arrays or sequences, or if a message is invalid. Then
-    `decode_messages` gives the reason.
-    """
+    """Return the fields of little-endian messages; None if `decode_messages` is needed."""
     lengths = np.ones_like(starts)
     found = take_few_lists(fields, data, starts, starts, ends, lengths)
     if found is None or ends.max(initial=0) > len(data):

@@ -60,10 +60,7 @@ class _Kind:
 
 
 def convert_idl(name: str, text: str) -> str:
-    """Return the `ros2msg` text of a type and of the types that it uses.
-
-    The name is `package/msg/Type` or scoped; several texts follow lines with `IDL:`.
-    """
+    """Return the `ros2msg` text of a type (`package/msg/Type` or scoped) and of those it uses."""
     if len(text) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")
     types = _Types(name)

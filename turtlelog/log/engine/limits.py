@@ -289,10 +289,6 @@ class FileWindow:
         return self._data[:count]
 
     def spend(self, count: int) -> bool:
-        """Return whether bytes may be read to try a checksum, although no length agrees.
-
-        The total is limited to the file's size, because otherwise overlapping records could be read
-        many times.
-        """
+        """Return whether bytes may be read to try a checksum, in all as many as the file has."""
         self._spare -= count
         return self._spare >= 0

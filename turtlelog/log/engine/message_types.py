@@ -409,8 +409,7 @@ class AlikeLayout:
 def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
     """Return the layout of messages; None if the messages differ in more than numbers.
 
-    Columns have dotted field names. Those of items of a sequence of messages have an index, as in
-    `transforms.0.child_frame_id`.
+    Columns have dotted field names, with an index for items as in `transforms.0.child_frame_id`.
     """
     try:
         return AlikeLayout(fields, columns)

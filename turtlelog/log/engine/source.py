@@ -329,8 +329,7 @@ def _find_lone_records(
 ) -> tuple[Place, ...] | None:
     """Return the records between the chunks; None if the index is incomplete.
 
-    A complete index has all chunks, each with message indexes of known channels and schemas, and no
-    message is between the chunks.
+    A complete index has all chunks and messages, and only known channels and schemas.
     """
     schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
     known = {channel.id for channel in summary.channels if channel.schema_id in schemas}

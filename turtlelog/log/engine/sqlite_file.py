@@ -180,8 +180,7 @@ _REAL: Final = 8  # bytes
 def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
     """Check that the rows of a SQLite file claim no more bytes than the file has.
 
-    In a damaged file, invalid pages and rows that claim too much are skipped, but the definitions
-    of tables must be valid. No file beside it may change it.
+    Of a damaged file, invalid pages and rows are skipped, but not invalid definitions of tables.
     """
     with path.open("rb") as stream:
         usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]

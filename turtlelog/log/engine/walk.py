@@ -115,10 +115,9 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     """Yield the data section in the order of the file, and the segments that cannot be read.
 
     After an invalid header, reading continues at the next record that can be confirmed: a chunk, a
-    message index, or an attachment with its checksum. Single messages count only if earlier
-    messages were outside chunks. A chunk that fails its checksum counts as damaged as a whole. An
-    unfinished file ends in damage. The summary is not read. Memory is needed for one chunk at a
-    time, packed and unpacked.
+    message index, or an attachment with its checksum; messages only if earlier ones were outside
+    chunks. A chunk that fails its checksum is damaged as a whole. An unfinished file ends in
+    damage. Memory is needed for one chunk at a time, packed and unpacked.
     """
     window, damaged = FileWindow(stream), False
     for found in _walk_records(window):
@@ -377,18 +376,14 @@ def _measure_record(window: FileWindow, place: int, opcode: int, end: int) -> in
 def _is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
     """Return whether the bytes from `start` to `end` belong to the record before them.
 
-    A record's known fields end at `start`, and the record, by its length, at `end`. A later version
-    may append fields. A valid record at `end` confirms the length; valid records from `start` on
-    show that it is damaged.
+    Its known fields end at `start`, and by its length it ends at `end`: a later version may append
+    fields. A valid record at `end` confirms the length; valid records from `start` on refute it.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 
 
 def _is_followed(window: FileWindow, place: int, after: int) -> bool:
-    """Return whether a record follows whose fields, or whose next record, confirm its length.
-
-    For a record truncated by the end of the file, a valid header is enough.
-    """
+    """Return whether a record, perhaps cut, follows whose fields or next record fit its length."""
     if not _is_record_start(window, place, after=after):
         return False
     if window.size - place < RECORD.size:

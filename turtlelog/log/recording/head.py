@@ -236,8 +236,7 @@ def _decode(
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
     """Return the declaration of a law in format 1, which stores no declaration.
 
-    Missing values of the attached tables have their defaults, so an imported log has the sequential
-    law. Without a law name and samples, nothing is known.
+    A missing law is the default one; without its name and samples, nothing is known.
     """
     from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 

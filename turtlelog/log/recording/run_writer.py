@@ -13,10 +13,9 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.engine.cdr import PackedItems
 from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import create_folder, name_write_error
+from turtlelog.log.file_access import CHOSEN, UNUSED, create_folder, name_write_error
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (
     FORMAT_VERSION,
@@ -346,11 +345,7 @@ _LATEST_NS: Final = 2**31 * 1_000_000_000
 
 
 def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the poses as odometry, as transforms and, at the time of the last pose, as one path.
-
-    The result is empty if there are more than `MOST_SHARED` poses, or times beyond the range of
-    stamps.
-    """
+    """Return the poses as odometry, as transforms and as one path, unless `list_unshared`."""
     poses = run.poses
     if not len(poses) or list_unshared(run):
         return ()

@@ -348,8 +348,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
 def _find_file(folder: Path, name: str, base: str) -> Path | None:
     """Return a file of a bag; `base` is the bag's folder from the root.
 
-    Early versions wrote the folder's name before the file's. Files outside the bag are not read: a
-    recording must not choose which files are opened.
+    None outside the bag is read: a recording must not choose which files are opened.
     """
     place = PurePosixPath(name.replace("\\", "/"))
     within = place.relative_to(base) if place.is_relative_to(base) else place

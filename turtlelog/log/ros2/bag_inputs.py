@@ -12,9 +12,9 @@ import numpy as np
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
-from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
@@ -145,8 +145,7 @@ def order_commands(
 def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
     """Return forward and lateral speed [m/s] and turn rate [rad/s].
 
-    Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
-    angle) / wheelbase. The turn rate is NaN from 90 deg on.
+    A car turns with speed * tan(steering angle) / wheelbase; NaN from 90 deg on.
     """
     if kind in bag_topics.ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""
@@ -280,8 +279,7 @@ _Goal = tuple[dict[str, Any], str, int]
 def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
     """Return the last goal that was set while the robot was recorded, and when it was first given.
 
-    A goal in another frame is converted by the transforms at its time; without such transforms,
-    there is no goal.
+    A goal in another frame needs transforms at its time.
     """
     rows = _sort_rows(messages)
     known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
@@ -348,7 +346,7 @@ def find_path(
 
     It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock),
     or, if later paths end elsewhere, the first to the last goal. The time is when it was published
-    [ns]. The points are None without a reference, as if the topic has the robot's own trace.
+    [ns]. The points are None without a reference, as of the robot's own trace.
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))
@@ -384,7 +382,6 @@ def find_path(
     if len(points) < len(xy_m):
         said += f", {len(points)} of its {len(xy_m)} points"
     return points, said, given_ns
-
 
 
 def _read_points(

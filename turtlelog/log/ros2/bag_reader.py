@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import CHOSEN, ReadChoice, ReadOptions, name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
@@ -24,7 +24,6 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -285,10 +284,9 @@ def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
 
 
 def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
-    """Return the finite poses in order of time, and three numbers of dropped ones.
+    """Return the finite poses in order of time, and the numbers of three kinds of dropped ones.
 
-    All are counted, those at a place but without a heading, and of these, those whose forward axis
-    points up or down. Speeds that are NaN throughout are dropped.
+    These are all, those at a place without a heading, and of these those that point up or down.
     """
     rows = order_topic(found, topic, extract_poses)
     columns = rows.columns

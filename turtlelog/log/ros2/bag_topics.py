@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.log.file_access import match_topic
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
-from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import POSE64
 
 PATH: Final = "nav_msgs/msg/Path"
@@ -334,8 +334,7 @@ class BagRobot:
 def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
     """Return the robots that topic names distinguish; empty for a bag of one robot.
 
-    Topics of one type have namespaces that differ in one word: only by number, or for poses and
-    commands alike.
+    Namespaces of topics of one type differ in one word: by number, or of poses and commands.
     """
     held = [topic for topic in topics if topic.count]
     kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))

@@ -167,10 +167,9 @@ def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values)
 def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
     """Return courses [rad], the distance over which they are computed [m], and how many are held.
 
-    A course leads from a position at least half this distance behind to a position at least half of
-    it ahead, both within ten seconds. Otherwise the previous course is held; at the start, the
-    first course is used. All courses are NaN if nothing moves. Times do not decrease, shape (n,);
-    positions have the shape (n, 2).
+    A course leads from a position at least half this distance behind to one at least half of it
+    ahead, both within ten seconds; otherwise the previous or first course is held. All are NaN if
+    nothing moves. Times do not decrease, shape (n,); positions have the shape (n, 2).
     """
     second_m = np.hypot(*np.diff(xy_m, n=2, axis=0).T)
     noise_m = float(np.median(second_m)) / _MEDIAN_OF_SECOND if len(second_m) else 0.0

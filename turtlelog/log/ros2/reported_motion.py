@@ -76,8 +76,7 @@ def measure_paths(
 ) -> Paths:
     """Return the path lengths of a drive by poses, speeds and commands.
 
-    The times of poses [ns] do not decrease; columns of shape (n,) are x, y [m] and reported
-    velocities [m/s]. Commands have a publication time [ns] and a magnitude of velocity [m/s].
+    Times do not decrease. Commands have a time [ns] and a magnitude of velocity [m/s].
     """
     xy_m = np.column_stack([columns["x"], columns["y"]])
     step_ns = np.diff(time_ns)
@@ -272,9 +271,9 @@ def judge_rates(
 ) -> tuple[dict[str, Values], dict[str, str]]:
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
-    Rates that are all zeros are left out if the poses move. Twists along the axes of the world are
-    a common fault; they are rotated into the robot's axes. The times [ns] do not decrease; columns
-    are x, y [m], heading [rad] and rates [m/s or rad/s].
+    Rates that are all zeros are left out if the poses move. Twists along the axes of the world, a
+    common fault, are rotated. Times [ns] do not decrease; columns are x, y [m], heading [rad] and
+    rates.
     """
     left = {name: column for name, column in columns.items() if name != LATERAL}
     lateral = columns.get(LATERAL)
@@ -363,10 +362,7 @@ _OFF: Final = 0.2
 def describe_turning(
     time_ns: TimesNs, heading_rad: Values, turn_rate_rad_s: Values, column: str
 ) -> str:
-    """Return a sentence on reported turn rates that the headings contradict; else nothing.
-
-    The name of a column in assumed rad/s leads to a proposed unit; else it is empty.
-    """
+    """Return a sentence on turn rates (of a `column` in assumed rad/s) that headings contradict."""
     rows = thin_rows(time_ns, _TURN_STRIDE_NS)
     step_s = np.diff(time_ns) / 1e9
     means = (turn_rate_rad_s[1:] + turn_rate_rad_s[:-1]) / 2.0
@@ -382,10 +378,7 @@ def describe_turning(
 
 
 def describe_speed(time_ns: TimesNs, xy_m: Values, speed_m_s: Values, column: str) -> str:
-    """Return a sentence on reported speeds that the positions contradict; else nothing.
-
-    The name of a column in assumed m/s leads to a proposed unit; else it is empty.
-    """
+    """Return a sentence on speeds (of a `column` in assumed m/s) that the positions contradict."""
     paths = measure_paths(time_ns, {"x": xy_m[:, 0], "y": xy_m[:, 1], SPEED: speed_m_s})
     found = describe_paths(paths)
     if found is None:

@@ -260,9 +260,8 @@ def _goes_on(way: Values, row: int) -> bool:
 def _is_stored_in_order(way: Values, log_ns: TimesNs, back: NDArray[np.int64]) -> bool:
     """Return whether the order of storage, not that of time, is that of the motion.
 
-    It is not if blocks of messages are only stored late, and in order of time follow each other
-    without overlap or silence, or if the robot jumps where the times step back, and less in order
-    of time.
+    It is not if blocks of messages are only stored late, without overlap or silence in order of
+    time, or if the robot jumps where the times step back, and less in order of time.
     """
     order = np.argsort(log_ns, kind="stable")
     is_new = np.diff(order) != 1
