@@ -221,7 +221,7 @@ def _format_commands(
             " there on a robot would drive elsewhere. A robot model has no walls: --scenario"
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
-    sentences.append("No poses were recorded: nothing tells whether the robot went there.")
+    sentences.append("No poses were read: nothing tells whether the robot went there.")
     lines = [console.fill_lines(sentences)]
     if answer.output is None:
         lines.append(f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap")

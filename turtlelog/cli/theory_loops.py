@@ -66,7 +66,6 @@ class GainAnswer:
     sampled_settling_time_s: float | None
     gain_margin: float
     phase_margin_rad: float | None
-    delay_margin_ticks: float | None
     delay_margin_s: float | None
 
 
@@ -207,7 +206,6 @@ class PidAnswer:
     gain_reduction: float | None
     phase_margin_rad: float | None
     crossover_rad_s: float | None
-    delay_margin_ticks: float | None
     delay_margin_s: float | None
 
 
@@ -216,7 +214,6 @@ def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
     whole = loop.gains.kp * loop.process.gain
     terms = {name: getattr(loop.gains, name) for name in ("kp", "ki", "kd", "filter_s")}
     margins = {name: getattr(loop.margins, name, None) for name in _MARGINS}
-    ticks = margins["delay_margin_ticks"]
     return copy_fields(
         PidAnswer,
         loop,
@@ -225,7 +222,6 @@ def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
         poles=_build_poles(loop.poles),
         overshoots=not loop.stable or _overshoots(loop),
         sampled_settling_time_s=loop.settling_time_s,
-        delay_margin_s=None if ticks is None else ticks * loop.period_s,
         **terms,
         **margins,
     )
@@ -233,7 +229,7 @@ def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
 
 _MARGINS: Final = (
     *("gain_margin", "gain_reduction", "phase_margin_rad", "crossover_rad_s"),
-    "delay_margin_ticks",
+    "delay_margin_s",
 )
 
 
@@ -442,6 +438,6 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[tl.theory.PidLoop], str]], ...]]"
         False,
         _tell_margin(lambda found: found.phase_margin_rad, ".1f", 180.0 / math.pi),
     ),
-    ("delay margin [ticks]", False, _tell_margin(lambda found: found.delay_margin_ticks, ".1f")),
+    ("delay margin [ms]", False, _tell_margin(lambda found: found.delay_margin_s, ".4g", 1e3)),
 )
 """Rows of the table: name, whether the row is left out if all loops have 0, and format."""
