@@ -94,10 +94,10 @@ def check(
     /,
     *,
     reference: options.Place | None = None,
-    reports: ReportOptions | None = None,
-    first: FirstSpecOptions | None = None,
-    formats: console.FormatOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    reports: ReportOptions = ReportOptions(),
+    first: FirstSpecOptions = FirstSpecOptions(),
+    formats: console.FormatOptions = console.FormatOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> int:
     """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
@@ -123,22 +123,18 @@ def check(
         reference: Reference recording, instead of the one in SPEC; also the reference trajectory of
             ate.* and rpe.* in --expect.
     """
-    kind = (formats or console.FormatOptions()).choose()
-    reports, first = reports or ReportOptions(), first or FirstSpecOptions()
+    kind = formats.choose()
+    words = words or []
     if first.schema:
         from turtlelog.check.spec_templates import build_schema
 
         console.print_json(build_schema())
         return console.EXIT_FINE
     if first.init is not None:
-        return _write_first(
-            first.init, words or [], first.output, topics or options.ReadingOptions()
-        )
-    words = words or []
+        return _write_first(first.init, words, first.output, topics)
     files = reports.name_files(_choose_files(words, first))
     _require_targets(reports, first.output, words)
     spec = _load_spec(words[0], first.expect or (), reference)
-    topics = topics or options.ReadingOptions()
     if first.output is not None:
         found = options.find_files(files, first.output)
         files = [Path(one.path) for one in found]

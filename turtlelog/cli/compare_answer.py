@@ -1,7 +1,7 @@
 """`turtlelog compare` of runs side by side: which is best at what."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -57,20 +57,20 @@ class ChoiceOptions:
     where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
     varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
 
-    def list_varied(self) -> list[str]:
-        """Return the keys and conditions that were varied on purpose, in addition to gains."""
-        return [] if self.varied is None else options.split_names(self.varied, "--varied")
+    def name_values(self) -> dict[str, str | None]:
+        """Return the values by option."""
+        return {f"--{one.name}": getattr(self, one.name) for one in fields(self)}
 
     def list_columns(self) -> list[str]:
         """Return the requested names and patterns; empty for the usual columns."""
-        return [] if self.metric is None else options.split_names(self.metric, "--metric")
+        return options.split_names(self.metric, "--metric") or []
 
 
 def compare_across(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
     choice: ChoiceOptions,
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
     *,
     jobs: int,
     kind: str,
@@ -94,7 +94,7 @@ def compare_across(
 def _summarise(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
     *,
     only: "Callable[[tl.Run], Sequence[str]] | None",
     jobs: int,
@@ -109,7 +109,7 @@ def _summarise(
             for run, path in pairs
         ), []
     errors: list[TurtlelogError] = []
-    chosen = (topics or options.ReadingOptions()).build_choice()
+    chosen = topics.build_choice()
     found = tl.compare.summarise_files(paths, only=only, topics=chosen, jobs=jobs)
     summaries = tuple(watch_summaries(found, len(paths), errors))
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
@@ -133,7 +133,8 @@ def _print_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
     only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")
-    ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
+    varied = options.split_names(choice.varied, "--varied") or []
+    ranking = tl.compare.judge_runs(summaries, varied=varied, source="--varied")
     if kind == "json":
         console.print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
         return
@@ -256,7 +257,6 @@ def _rank(name: str) -> int:
 
 
 def _name_best(table: "Table") -> list[str]:
-    """Return the best run by the most important metric, with its value; empty without one."""
     rows = _rank_best(table)
     if not rows:
         return []
@@ -265,7 +265,6 @@ def _name_best(table: "Table") -> list[str]:
 
 
 def _list_best(table: "Table") -> list[str]:
-    """Return the best and worst runs by the most important metrics, one line each."""
     rows = _rank_best(table)
     with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
     lines = console.align_rows(with_ids)
@@ -309,7 +308,6 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
-    """Return the run with the best or worst value of a column, and the value."""
     rows = [row for (row, column), found in table.marks.items() if (column, found) == (place, mark)]
     names = [str(table.rows[row][0]) for row in rows]
     who = join_words(names) if len(names) <= 2 else describe_count(len(names), "run")
@@ -319,7 +317,6 @@ def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
 def _list_next(
     summaries: "Sequence[RunSummary]", names: Sequence[str], table: "Table", ranking: "Ranking"
 ) -> Iterator[str]:
-    """Yield the next commands to type."""
     known = [one.key for one in ranking.differences if not one.is_unknown]
     if known:
         yield f"Varied on purpose? --varied {','.join(known[:_MOST_SAID])}"

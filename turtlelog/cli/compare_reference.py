@@ -81,7 +81,7 @@ def compare_with_reference(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
     against: "ReferenceOptions",
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     *,
     jobs: int,
     kind: str,
@@ -95,7 +95,7 @@ def compare_with_reference(
     alignment = against.align or ("recorded" if len(files) == 1 else "first_sample")
     if alignment == "first-sample":
         alignment = "first_sample"
-    choice = (topics or ReadingOptions()).build_choice()
+    choice = topics.build_choice()
     reference = tl.log.read_as_chosen(paths[0], choice) if held is None else held[0]
     comparer = _Comparer(reference=reference, alignment=alignment, choice=choice)
     others = paths[1:]
@@ -276,7 +276,7 @@ def compare_with_robot(
     *,
     plot: Path | None,
     rrd: Path | None,
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     kind: str,
 ) -> int:
     """Print the distances of recorded robots from the robot of a scenario among the files."""
@@ -310,7 +310,9 @@ def compare_with_robot(
             is_fine = False
     if found:
         _print(found, scenario_file, kind)
-        _draw(found[0][1], plot, rrd)
+        first = found[0][1]
+        console.write_asked(plot, lambda path: tl.draw.write_prediction_figure(first, path))
+        console.write_asked(rrd, lambda path: tl.draw.write_prediction_rrd(first, path))
     return console.EXIT_FINE if is_fine else console.EXIT_BAD_INPUT
 
 
@@ -432,12 +434,3 @@ def _build_robot(file: Path, found: "tl.compare.RobotComparison") -> _RobotRun:
         clock=found.clock,
         notes=found.notes,
     )
-
-
-def _draw(found: "tl.compare.RobotComparison", plot: Path | None, rrd: Path | None) -> None:
-    if plot is not None:
-        tl.draw.write_prediction_figure(found, plot)
-        console.print_note(f"wrote {plot}")
-    if rrd is not None:
-        tl.draw.write_prediction_rrd(found, rrd)
-        console.print_note(f"wrote {rrd}")

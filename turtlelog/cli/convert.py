@@ -73,8 +73,8 @@ def convert(
     /,
     *,
     output: Annotated[list[options.Place], Parameter(name=("--output", "-o"), metavar="OUT")],
-    tables: TableOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    tables: TableOptions = TableOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
 ) -> None:
     """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2 folder.
@@ -104,7 +104,6 @@ def convert(
         json: Print one JSON object instead of lines.
     """
     options.require_there([file])
-    tables = tables or TableOptions()
     if tables.recover:
         _recover_file(file, output, json=json)
         return

@@ -10,7 +10,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import options
-from turtlelog.cli.console import copy_fields, print_json, print_note, print_text, write_text
+from turtlelog.cli.console import (
+    copy_fields,
+    print_json,
+    print_note,
+    print_text,
+    write_asked,
+    write_text,
+)
 from turtlelog.cli.explain_answer import (
     NEEDS,
     describe_causes,
@@ -20,7 +27,7 @@ from turtlelog.cli.explain_answer import (
 )
 from turtlelog.cli.list_names import complete_causes, complete_metrics
 from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
-from turtlelog.cli.work import Jobs, require_jobs, show_progress
+from turtlelog.cli.work import Jobs, show_progress
 from turtlelog.errors import ExplainError
 
 _GIVEN: Final = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
@@ -54,8 +61,8 @@ def explain(
     *,
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
     causes: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_causes)] = None,
-    chosen: ExplainOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    chosen: ExplainOptions = ExplainOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
 ) -> None:
     """Explain a metric of a run: which effect of the implementation contributes how much.
@@ -93,19 +100,19 @@ def explain(
         json: Print one JSON object.
     """
     options.require_there([file])
-    chosen = chosen or ExplainOptions()
     options.require_new_target(chosen.scenario, [file], suffix=".toml")
     options.require_new_target(chosen.rrd, [file], suffix=".rrd")
-    names = None if causes is None else options.split_names(causes, "--causes")
+    names = options.split_names(causes, "--causes")
     (run,) = options.read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
     with options.name_as_typed(file, run):
         tl.explain.require_causes(run, metric, names)
         tl.explain.require_trust(run, trust_law=chosen.trust_law)
         found = tl.identify_run(run, trust_law=chosen.trust_law)
-    if chosen.scenario is not None:
-        write_text(chosen.scenario, tl.format_scenario(found.build_scenario()))
-        print_note(f"wrote {chosen.scenario}")
+    write_asked(
+        chosen.scenario,
+        lambda path: write_text(path, tl.format_scenario(found.build_scenario())),
+    )
     attribution = None
     if found.scenario is not None:
         with show_progress("simulated", 100.0, "%") as progress:
@@ -115,7 +122,7 @@ def explain(
                 causes=names,
                 identified=found,
                 trust_law=chosen.trust_law,
-                work=tl.explain.Work(jobs=require_jobs(chosen.jobs), report=progress.count),
+                work=tl.explain.Work(jobs=chosen.jobs, report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     again = found.resimulation
@@ -145,7 +152,7 @@ def explain(
             print_text(_GIVEN)
         print_text(f"\n{format_explain_details(answer, found)}" if chosen.details else _DETAILS)
     if chosen.rrd is not None:
-        _draw(run, found, attribution, chosen.rrd, require_jobs(chosen.jobs))
+        _draw(run, found, attribution, chosen.rrd, chosen.jobs)
 
 
 def _draw(

@@ -36,9 +36,9 @@ def identify(
     files: options.Files,
     /,
     *,
-    written: WrittenOptions | None = None,
+    written: WrittenOptions = WrittenOptions(),
     details: bool = False,
-    topics: options.TopicOptions | None = None,
+    topics: options.TopicOptions = options.TopicOptions(),
     json: options.Json = False,
 ) -> int:
     """Identify how a robot follows its commands: gain, dead time, time constant of each axis.
@@ -74,7 +74,6 @@ def identify(
             of each number of the scenario.
         json: Print one JSON object instead of text.
     """
-    written = written or WrittenOptions()
     plot, rrd, scenario = written.plot, written.rrd, written.scenario
     options.require_pictures(plot, rrd, files, drawn=files, of="file")
     options.require_new_target(scenario, files, suffix=".toml")
@@ -88,15 +87,11 @@ def identify(
         console.print_text(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
         )
-    if scenario is not None and robot is not None:
-        console.write_text(scenario, robot.text)
-        console.print_note(f"wrote {scenario}")
-    if plot is not None:
-        tl.draw.write_robot_figure(model, runs[0], plot)
-        console.print_note(f"wrote {plot}")
-    if rrd is not None:
-        tl.draw.write_robot_rrd(model, runs[0], rrd)
-        console.print_note(f"wrote {rrd}")
+    if robot is not None:
+        text = robot.text
+        console.write_asked(scenario, lambda path: console.write_text(path, text))
+    console.write_asked(plot, lambda path: tl.draw.write_robot_figure(model, runs[0], path))
+    console.write_asked(rrd, lambda path: tl.draw.write_robot_rrd(model, runs[0], path))
     return console.EXIT_FINE if any(axis.is_known for axis in model.axes) else console.EXIT_FAILED
 
 

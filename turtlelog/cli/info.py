@@ -128,8 +128,8 @@ def info(
     files: Files,
     /,
     *,
-    asked: InfoOptions | None = None,
-    reading: TopicOptions | None = None,
+    asked: InfoOptions = InfoOptions(),
+    reading: TopicOptions = TopicOptions(),
     jobs: Jobs = None,
     json: Json = False,
 ) -> int:
@@ -150,12 +150,9 @@ def info(
         jobs: Number of processes. Default: one per core if that is faster.
         json: Print one JSON list instead of text.
     """
-    asked = asked or InfoOptions()
     require_files(files)
     files = list_files(files)
-    describe = partial(
-        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=asked.clock
-    )
+    describe = partial(_read, choice=reading.build_choice(), is_asked=asked.clock)
     count = count_jobs(
         jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=asked.clock)
     )

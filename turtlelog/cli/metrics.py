@@ -21,7 +21,7 @@ from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasureOptions(options.MetricsAsked):
+class MeasureOptions:
     """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
@@ -109,14 +109,6 @@ class FolderOptions(WorkOptions):
 
     output: options.Output = None
 
-    def find(self, paths: Sequence[Path]) -> "list[tl.sweep.FoundRecording]":
-        """Return the given recordings, and those below given folders."""
-        return options.find_files(self.name_files(paths), self.output)
-
-    def list_files(self, paths: Sequence[Path]) -> list[Path]:
-        """Return the files that are given, or those below folders."""
-        return options.list_files(self.name_files(paths))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableAnswer:
@@ -133,11 +125,11 @@ def metrics(
     files: options.Files,
     /,
     *,
-    measuring: MeasureOptions | None = None,
+    measuring: MeasureOptions = MeasureOptions(),
     all_: Annotated[bool, Parameter(name="--all")] = False,
-    folders: FolderOptions | None = None,
-    formats: console.FormatOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    folders: FolderOptions = FolderOptions(),
+    formats: console.FormatOptions = console.FormatOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> int:
     """Measure recordings: where each run ends, and how its loops respond.
 
@@ -159,20 +151,18 @@ def metrics(
         all_: Show every metric, not only the essential ones.
     """
     options.require_files(files)
-    measuring = measuring or MeasureOptions()
-    choice = replace((topics or options.ReadingOptions()).build_choice(), allow_no_poses=True)
-    kind = (formats or console.FormatOptions()).choose()
-    patterns = measuring.list_patterns()
-    folders = folders or FolderOptions()
+    choice = replace(topics.build_choice(), allow_no_poses=True)
+    kind, files = formats.choose(), folders.name_files(files)
+    patterns = options.split_names(measuring.metric, "--metric")
     if folders.output is not None:
         if kind not in {"txt", "json"}:
             raise UsageError("--output: takes --json, no other format")
         plan = tl.sweep.plan_metric_table(measuring.build_settings(), only=patterns, topics=choice)
-        found = folders.find(files)
+        found = options.find_files(files, folders.output)
         inputs = [Path(one.path) for one in found]
         options.require_new_target(folders.output, inputs, suffix=".parquet")
         return _tell(tabulate(found, folders.output, plan, work=folders), kind)
-    files = folders.list_files(files)
+    files = options.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()
     essential = partial(list_needed, has_path=measuring.reference_path is not None)
@@ -235,7 +225,6 @@ def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
 def _refuse_patterns(
     patterns: Sequence[str] | None, declarations: "Collection[tl.Declaration]"
 ) -> None:
-    """Refuse patterns that match no metric of any run."""
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)

@@ -74,10 +74,10 @@ def replay(
     file: Annotated[options.Place | None, Parameter(name="FILE")] = None,
     /,
     *,
-    mode: ReplayOptions | None = None,
-    changes: ScenarioOptions | None = None,
+    mode: ReplayOptions = ReplayOptions(),
+    changes: ScenarioOptions = ScenarioOptions(),
     output: options.Output = None,
-    topics: options.TopicOptions | None = None,
+    topics: options.TopicOptions = options.TopicOptions(),
     json: options.Json = False,
 ) -> int:
     """Replay a recording and show where the result departs from it.
@@ -106,7 +106,6 @@ def replay(
         json: Print one JSON object instead of tables.
     """
     options.require_there([] if file is None else [file])
-    mode = mode or ReplayOptions()
     _require_sound(mode, changes, output)
     # A word after --law is its KIND. The last word is FILE if there is no other word.
     words = [*(mode.law or ())]
@@ -163,9 +162,7 @@ def _replay(
         of_law = answer_law_replay(file, run, by_law)
         return of_law, _format_law(run, by_law, of_law, details=mode.details), by_law
     found = tl.replay_loop(run, scenario, **settings)
-    if output is not None:
-        tl.write_recording(found.run, output)
-        console.print_note(f"wrote {output}")
+    console.write_asked(output, lambda path: tl.write_recording(found.run, path))
     answer = build_loop(file, run, found, output)
     return answer, _format_loop(run, found, answer, details=mode.details), found
 
@@ -174,19 +171,16 @@ def _replay_commands(
     file: Path,
     run: "Run",
     mode: ReplayOptions,
-    changes: ScenarioOptions | None,
+    changes: ScenarioOptions,
     output: Path | None,
 ) -> tuple[CommandReplayAnswer, str]:
     """Drive a plant with the commands of a run without poses, and write the plant's path."""
-    compared = {"--law": mode.law, "--expect-equal": mode.expect_equal or None}
-    for name, value in {**compared, "--tolerance": mode.tolerance}.items():
-        if value is not None:
-            raise UsageError(f"{name}: leave it out, {file} holds commands alone: no poses")
+    compared = {"--law": mode.law, "--expect-equal": mode.expect_equal}
+    advice = f"leave it out, {file} holds commands alone: no poses"
+    options.refuse_given({**compared, "--tolerance": mode.tolerance}, advice)
     scenario = tl.Scenario() if mode.scenario is None else tl.load_scenario(mode.scenario)
     found = tl.replay.drive_commands(run, change_scenario(scenario, changes))
-    if output is not None:
-        tl.write_recording(found.run, output)
-        console.print_note(f"wrote {output}")
+    console.write_asked(output, lambda path: tl.write_recording(found.run, path))
     x_m, y_m = map(float, found.run.poses.xy_m[-1])
     answer = CommandReplayAnswer(
         file=str(file),
@@ -230,9 +224,7 @@ def _format_commands(
     return "\n".join(lines)
 
 
-def _require_sound(
-    mode: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
-) -> None:
+def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path | None) -> None:
     """Refuse options that cannot be combined."""
     by_law = mode.law is not None
     if mode.plant and by_law:
@@ -240,7 +232,6 @@ def _require_sound(
     if (mode.plant or by_law) and output is not None:
         given_mode = "--plant" if mode.plant else "--law"
         raise UsageError(f"--output: leave out {given_mode}, which makes no run")
-    changes = changes or ScenarioOptions()
     given = {
         "--scenario": mode.scenario,
         "--tolerance": mode.tolerance,
@@ -259,17 +250,17 @@ def _require_sound(
 
 
 def _choose_replayed(
-    run: "Run", mode: ReplayOptions, changes: ScenarioOptions | None, kind: str | None = None
+    run: "Run", mode: ReplayOptions, changes: ScenarioOptions, kind: str | None = None
 ) -> "Scenario | None":
     """Return the scenario to replay; None for the unchanged scenario of the recording."""
-    assigned = {} if changes is None else changes.parse_assignments()
+    assigned = changes.parse_assignments()
     for key in assigned if mode.law is not None else ():
         if key.partition(".")[0] not in _OF_LAW:
             raise UsageError(
                 f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
                 " from the recording"
             )
-    if changes is None and kind is None and mode.scenario is None:
+    if changes == ScenarioOptions() and kind is None and mode.scenario is None:
         return None
     named = kind or assigned.get("law.kind")
     if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):

@@ -26,7 +26,7 @@ def report(
     output: Annotated[options.Place, Parameter(name=("--output", "-o"))],
     spec: options.Place | None = None,
     explain: Literal["auto", "worst", "none"] = "auto",
-    topics: options.ReadingOptions | None = None,
+    topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
 ) -> int:
     """Write a report on runs as one file of HTML, which opens without a network.
@@ -61,7 +61,7 @@ def report(
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
-    words += options.list_reading_words(topics or options.ReadingOptions())
+    words += options.list_reading_words(topics)
     with show_progress("drawing"):
         tl.draw.write_report(
             runs,

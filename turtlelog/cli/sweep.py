@@ -55,16 +55,12 @@ class PlanOptions:
     latin: bool = False
 
     def build_plan(self) -> "tl.sweep.SweepPlan":
-        """Return the requested rows.
-
-        Raises:
-            UsageError: If options cannot be combined.
-            SweepError: If nothing varies, or a value cannot be read.
-        """
+        """Return the requested rows."""
         sampling = None
         if self.sample is not None:
-            seed = self.seed or 0
-            sampling = tl.sweep.Sampling(count=self.sample, seed=seed, is_latin=self.latin)
+            sampling = tl.sweep.Sampling(
+                count=self.sample, seed=self.seed or 0, is_latin=self.latin
+            )
         elif self.seed is not None:
             raise UsageError(
                 "--seed: needs --sample COUNT; --grid seed=0:9 varies that of the scenario"
@@ -76,7 +72,7 @@ class PlanOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SweepTableOptions(options.MetricsAsked):
+class SweepTableOptions:
     """Options for the written files.
 
     Attributes:
@@ -127,9 +123,9 @@ def sweep(
     /,
     *,
     table: SweepTableOptions,
-    plan: PlanOptions | None = None,
-    changes: LawOptions | None = None,
-    work: SweepOptions | None = None,
+    plan: PlanOptions = PlanOptions(),
+    changes: LawOptions = LawOptions(),
+    work: SweepOptions = SweepOptions(),
     json: options.Json = False,
 ) -> int:
     """Vary a scenario, simulate and measure every variant, and write one table.
@@ -152,8 +148,7 @@ def sweep(
             `identify`, or a recording. Default: paper; with --law: textbook.
         json: Print one JSON object instead of a line.
     """
-    begun, work = time.monotonic(), work or SweepOptions()
-    plan = plan or PlanOptions()
+    begun = time.monotonic()
     prepared = _prepare(base, table, plan, changes, work)
     rows = prepared.plan.row_count
     if rows > _MANY_ROWS and not work.yes:
@@ -186,16 +181,16 @@ def _prepare(
     base: str | None,
     table: SweepTableOptions,
     plan: PlanOptions,
-    changes: LawOptions | None,
+    changes: LawOptions,
     work: SweepOptions,
 ) -> "tl.sweep.Sweep":
     inputs = [] if base is None else [make_path(base)]
     options.require_new_target(table.output, inputs, suffix=".parquet")
-    rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
+    rows, records = plan.build_plan(), table.build_records(work)
     prepared = tl.sweep.prepare_sweep(
         load_changed_scenario(base, changes),
         rows,
-        metrics=patterns,
+        metrics=options.split_names(table.metric, "--metric"),
         records=records,
         trust_law=work.trust_law,
         step_budget_s=options.choose_step_budget(work.step_budget_ms),

@@ -79,9 +79,9 @@ def theory(
     scenario: Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)] = None,
     /,
     *,
-    options: LoopOptions | None = None,
-    topics: ReadingOptions | None = None,
-    wishes: WishOptions | None = None,
+    options: LoopOptions = LoopOptions(),
+    topics: ReadingOptions = ReadingOptions(),
+    wishes: WishOptions = WishOptions(),
     details: bool = False,
     json: Json = False,
 ) -> None:
@@ -112,9 +112,8 @@ def theory(
         details: Also print the tables and sources that few people need.
         json: Print one JSON object instead of text.
     """
-    options = options or LoopOptions()
     try:
-        wanted = (wishes or WishOptions()).complete()
+        wanted = wishes.complete()
         if scenario is None:
             _answer_loop(options, wanted, details=details, json=json)
         else:
@@ -257,7 +256,7 @@ class _FileAnswer:
 def _answer_file(
     word: str,
     options: LoopOptions,
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     wanted: WishOptions,
     *,
     details: bool,
@@ -302,7 +301,7 @@ def _answer_file(
 
 
 def _read_models(
-    word: str, options: LoopOptions, topics: ReadingOptions | None
+    word: str, options: LoopOptions, topics: ReadingOptions
 ) -> "tuple[str, str, Sequence[tl.theory.LoopModel]]":
     """Return the name of a scenario or recording, its kind, and its loops."""
     path = make_path(word)

@@ -113,7 +113,8 @@ def show_default(value: object) -> str | None:
     return None if value is False or value is None else str(value)
 
 
-def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
+def read_whole(_: Any, tokens: Sequence[Token]) -> int:
+    """Return a whole number; a plain int would truncate 1.5 to 1."""
     text = tokens[0].value
     try:
         return int(text)
@@ -123,8 +124,7 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
         raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
 
 
-Whole = Annotated[int, Parameter(converter=_read_whole)]
-"""A whole number, because a plain int would truncate 1.5 to 1."""
+Whole = Annotated[int, Parameter(converter=read_whole)]
 
 
 def _find_text(description: Any) -> str:

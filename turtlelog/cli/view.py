@@ -86,10 +86,10 @@ def view(
     /,
     *,
     save: options.Place | None = None,
-    picture: PictureOptions | None = None,
-    window: WindowOptions | None = None,
-    movie: MovieOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    picture: PictureOptions = PictureOptions(),
+    window: WindowOptions = WindowOptions(),
+    movie: MovieOptions = MovieOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> None:
     """Open recordings in the Rerun viewer; several recordings are overlaid for comparison.
 
@@ -102,8 +102,6 @@ def view(
             shown unchanged.
         save: Write this .rrd file and open no window.
     """
-    picture, window = picture or PictureOptions(), window or WindowOptions()
-    movie = movie or MovieOptions()
     options.require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
@@ -219,7 +217,7 @@ def _prepare_rrds(
     save: Path | None,
     picture: PictureOptions,
     folder: Path,
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
 ) -> tuple[list[Path], "list[tl.Run]"]:
     """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
