@@ -174,31 +174,25 @@ def _format_across(
     more = len(conditions) - _MOST_NOTES
     if more > 0:
         conditions = [*conditions[:_MOST_NOTES], f"{describe_count(more, 'more note')}: --json."]
-    left_out: list[str] = []
-    if not only:
-        table, left_out = narrow_columns(table, summaries)
+    table, left_out = (table, []) if only else narrow_columns(table, summaries)
     table = replace(table, notes=(*list_cell_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
     reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
     if reached and _is_shortest_missed(table, summaries):
         reached += "; the shortest run does not"
     title = f"{table.title}{_describe_alike(table, summaries, ranking)}."
-    best = [*_name_best(table), title]
+    head = [*_name_best(table), title]
+    head += [f"{reached[0].upper()}{reached[1:]}."] if reached else []
+    following = [f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []
+    following += _list_next(summaries, names, table, ranking)
     return "\n".join(
         [
-            console.fill_lines(
-                [*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]
-            ),
+            console.fill_lines(head),
             *_list_best(table),
             *([console.fill_lines(above, indent=2)] if above else []),
             console.fit_body(console.cut_rows(table)),
             "",
-            console.fill_lines(
-                [
-                    *([f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []),
-                    *_list_next(summaries, names, table, ranking),
-                ]
-            ),
+            console.fill_lines(following),
         ]
     )
 
@@ -206,14 +200,11 @@ def _format_across(
 def _is_shortest_missed(table: "Table", summaries: "Sequence[RunSummary]") -> bool:
     """Return whether the shortest run does not reach the goal, but another run does."""
     ends = [one.goal_end for one in summaries]
-    titles = [column.title for column in table.columns]
-    shortest = [
-        row
-        for (row, column), mark in table.marks.items()
-        if (titles[column], mark) == ("run.duration", "best")
-    ]
     has_reached = [end is not None and end.verdict == "reached" for end in ends]
-    return any(has_reached) and any(not has_reached[row] for row in shortest)
+    return any(has_reached) and any(
+        mark == "best" and table.columns[column].title == "run.duration" and not has_reached[row]
+        for (row, column), mark in table.marks.items()
+    )
 
 
 def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:
@@ -277,13 +268,9 @@ def _list_best(table: "Table") -> list[str]:
 
 def _rank_best(table: "Table") -> list[tuple[str, str, str, str, str]]:
     """Return description, best run, metric, value and worst run, by importance."""
-    marked = [
-        place
-        for place, _ in enumerate(table.columns)
-        if any(place == column for _, column in table.marks)
-    ]
-    marked.sort(key=lambda place: _rank(table.columns[place].title))
-    said = [place for place in marked if _rank(table.columns[place].title) < len(_LABELS)]
+    ranks = {place: _rank(table.columns[place].title) for place in {row[1] for row in table.marks}}
+    marked = sorted(ranks, key=lambda place: (ranks[place], place))
+    said = [place for place in marked if ranks[place] < len(_LABELS)]
     return [_describe_best(table, place) for place in (said or marked)[:_MOST_SAID]]
 
 

@@ -148,10 +148,7 @@ def _tabulate(
 
 
 def _format_reference(
-    first: "RunSummary",
-    found: "Sequence[Compared]",
-    *,
-    shows_signals: bool,
+    first: "RunSummary", found: Sequence[Compared], *, shows_signals: bool
 ) -> str:
     """Return the distances of runs from a reference's path, then metrics and signals."""
     summaries, changes = tl.compare.shorten_names([first, *(one.summary for one in found)])
@@ -190,18 +187,12 @@ def _list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Itera
     at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
     is_on = round(worst.largest_m, 9) == 0.0
     if len(errors) == 1:
-        yield (
-            f"{name} stays on the path of {reference}, within 1e-9 m."
-            if is_on
-            else f"{name} departs from the path of {reference} {at}."
-        )
+        on = f"{name} stays on the path of {reference}, within 1e-9 m."
+        yield on if is_on else f"{name} departs from the path of {reference} {at}."
     else:
-        head = f"{len(errors)} runs beside {reference}"
-        yield (
-            f"{head}: all stay on its path, within 1e-9 m."
-            if is_on
-            else f"{head}: {name} departs most from its path, {at}."
-        )
+        off = f"{name} departs most from its path, {at}."
+        told = "all stay on its path, within 1e-9 m." if is_on else off
+        yield f"{len(errors)} runs beside {reference}: {told}"
     for name, error in errors.items():
         if not round(error.largest_apart_m, 9):
             continue
@@ -248,12 +239,10 @@ class _ReferenceAnswer:
 
 def _build_run(path: Path, compared: Compared) -> _HeldRun:
     found = compared.comparison
-    return _HeldRun(
+    return console.copy_fields(
+        _HeldRun,
+        found,
         file=str(path),
-        name=found.name,
-        overlap_s=found.overlap_s,
-        overlap_from_s=found.overlap_from_s,
-        notes=found.notes,
         signals=[console.copy_fields(_HeldSignal, one) for one in found.signals],
         metrics=[
             _HeldMetric(
@@ -319,13 +308,11 @@ def compare_with_robot(
 def _print(
     found: "Sequence[tuple[Path, tl.compare.RobotComparison]]", scenario: Path, kind: str
 ) -> None:
-    if kind == "json":
-        seeds = found[0][1].seeds
-        runs = [_build_robot(file, one) for file, one in found]
-        console.print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
-        return
     robots = [one for _, one in found]
-    if kind == "txt":
+    if kind == "json":
+        runs = [_build_robot(file, one) for file, one in found]
+        console.print_json(_RobotAnswer(reference=str(scenario), seeds=robots[0].seeds, runs=runs))
+    elif kind == "txt":
         console.print_text(_format_robots(robots, [str(file) for file, _ in found], str(scenario)))
     else:
         console.print_tables([tl.compare.tabulate_robots(robots)], kind)
@@ -351,25 +338,17 @@ def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], sce
         heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
     # The sentences contain the number of errors outside of the band.
     ranks = [0 if column.title in {"above", "below"} else None for column in table.columns]
+    narrow = tl.compare.narrow_table(replace(table, notes=()), console.find_width(), ranks)
     seeds = found[0].seeds
     means = (
         f"Each motion is simulated with {seeds} seeds." if seeds else "The scenario has no noise."
     )
-    return "\n".join(
-        [
-            console.fill_lines([*heads, *table.notes], indent=2),
-            console.fit_body(
-                replace(tl.compare.narrow_table(table, console.find_width(), ranks), notes=())
-            ),
-            "",
-            console.fill_lines(
-                [
-                    f"The simulated robot is driven with the recorded commands. {means}",
-                    f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
-                ]
-            ),
-        ]
-    )
+    following = [
+        f"The simulated robot is driven with the recorded commands. {means}",
+        f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
+    ]
+    head = console.fill_lines([*heads, *table.notes], indent=2)
+    return "\n".join([head, console.fit_body(narrow), "", console.fill_lines(following)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

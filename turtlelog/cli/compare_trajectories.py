@@ -332,11 +332,10 @@ class TrajectoriesAnswer:
 
 
 def _build_answer(file: Path, one: "TrajectoryComparison") -> TrajectoryAnswer:
-    return TrajectoryAnswer(
+    return console.copy_fields(
+        TrajectoryAnswer,
+        one,
         file=str(file),
-        name=one.name,
-        space=one.space,
-        align=one.align,
         rotation=one.alignment.rotation.tolist(),
         translation_m=one.alignment.translation_m.tolist(),
         scale=one.alignment.scale,
@@ -355,5 +354,4 @@ def _build_answer(file: Path, one: "TrajectoryComparison") -> TrajectoryAnswer:
             )
             for error in one.errors
         ],
-        notes=one.notes,
     )

@@ -106,11 +106,6 @@ def shows_colour() -> bool:
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def print_lines(lines: Iterable[str]) -> None:
-    """Print results, each in one line, whatever the result contains."""
-    print_text("\n".join(map(escape_controls, lines)))
-
-
 def print_tables(tables: "Sequence[tl.compare.Table]", kind: str) -> None:
     """Print tables in a format, separated by empty lines."""
     texts = (
@@ -382,10 +377,9 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         writer = csv.writer(spool, lineterminator="\n")
         is_shown = sys.stdout.isatty()  # else a program reads the cells
         for number, row in enumerate(rows):
-            texts = map(guard_cell, row)
-            cells = [
-                escape_controls(one) if is_shown and isinstance(one, str) else one for one in texts
-            ]
+            cells = [*map(guard_cell, row)]
+            if is_shown:
+                cells = [escape_controls(one) if isinstance(one, str) else one for one in cells]
             writer.writerows([cells] if number else [head, cells])
 
 

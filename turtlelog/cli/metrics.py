@@ -17,6 +17,7 @@ from turtlelog.cli.metrics_answer import list_needed, list_scatter, print_chosen
 from turtlelog.cli.usage import Whole
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
+from turtlelog.escapes import escape_controls
 
 
 @Parameter(name="*")
@@ -213,7 +214,7 @@ def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
             console.copy_fields(TableAnswer, done, output=str(done.output), unchanged=unchanged)
         )
     else:
-        console.print_lines([summarise_table(done)])
+        console.print_text(escape_controls(summarise_table(done)))
     for label, reason in done.errors:
         console.print_error(f"{label}: {reason}")
     more = done.failed - len(done.errors)

@@ -361,7 +361,6 @@ def _build_answer(
 
 
 def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
-    """Print how the runs ended, the content of figures, and the written files."""
     if json:
         print_json(answer)
         return

@@ -216,22 +216,18 @@ def _format_commands(
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
     sentences.append("No poses were recorded: nothing tells whether the robot went there.")
-    lines = [console.fill_lines(sentences)]
-    if answer.output is None:
-        lines.append(f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap")
-    else:
-        lines.append(f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png")
-    return "\n".join(lines)
+    following = f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap"
+    if answer.output is not None:
+        following = f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png"
+    return f"{console.fill_lines(sentences)}\n{following}"
 
 
 def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path | None) -> None:
-    """Refuse options that cannot be combined."""
-    by_law = mode.law is not None
-    if mode.plant and by_law:
+    if mode.plant and mode.law is not None:
         raise UsageError("--plant and --law: choose one")
-    if (mode.plant or by_law) and output is not None:
-        given_mode = "--plant" if mode.plant else "--law"
-        raise UsageError(f"--output: leave out {given_mode}, which makes no run")
+    given_mode = "--plant" if mode.plant else "--law"
+    if mode.plant or mode.law is not None:
+        options.refuse_given({"--output": output}, f"leave out {given_mode}, which makes no run")
     given = {
         "--scenario": mode.scenario,
         "--tolerance": mode.tolerance,
@@ -279,7 +275,6 @@ def _choose_replayed(
 
 
 def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
-    """Return the scenario before any change."""
     if name_or_path is None:
         return tl.scenario.restore_scenario(run)
     base = tl.load_scenario(name_or_path)
@@ -311,7 +306,6 @@ def _describe_software(run: "Run", changes: "Sequence[tl.run.SoftwareChange]") -
 def _format_law(
     run: "Run", found: "tl.replay.LawReplay", answer: LawReplayAnswer, *, details: bool
 ) -> str:
-    """Return whether a law commands as recorded, and its first difference."""
     law, first = escape_controls(found.scenario.law.kind), found.first_difference
     if first is None:
         head = f"{law} commands what was recorded{_describe_slack(found.signals)}"
@@ -358,7 +352,6 @@ def _format_declaration(found: "tl.replay.LawReplay | tl.replay.LoopReplay") -> 
 def _format_loop(
     run: "Run", found: "tl.replay.LoopReplay", answer: LoopReplayAnswer, *, details: bool
 ) -> str:
-    """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
     name = escape_controls(Path(answer.file).name)
     if first is None:

@@ -52,8 +52,8 @@ def report(
     options.require_files(files)
     options.require_there(files)
     files = options.list_files(files)
-    inputs = [*files, *([] if spec is None else [spec])]
-    options.require_new_target(output, inputs, suffix=".html")
+    specs = [] if spec is None else [spec]
+    options.require_new_target(output, [*files, *specs], suffix=".html")
     runs = options.read_runs(files, topics)
     found = _explain(runs, explain)
     pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
@@ -151,16 +151,18 @@ def build_check_lines(
     ]
 
 
+def _measure_miss(run: "tl.Run") -> float:
+    name = "final.position_error"
+    return tl.measure_run(run, only=[name])[name].value or 0.0
+
+
 def _explain(runs: "Sequence[tl.Run]", choice: str) -> "tl.draw.Explanation | None":
-    """Return the causes of the final error of the run to explain."""
     if choice == "none" or (choice == "auto" and len(runs) > 1):
         return None
-    name = "final.position_error"
     known = [run for run in runs if len(run.samples)]
-    misses_m = [tl.measure_run(run, only=[name])[name].value or 0.0 for run in known]
     if not known:
         return None
-    run = known[misses_m.index(max(misses_m))]
+    run = max(known, key=_measure_miss)
     try:
         tl.explain.require_trust(run, trust_law=False)
         found = tl.identify_run(run)

@@ -127,7 +127,6 @@ def run(
 def _require_sound(
     scenario: str | None, record: RecordOptions, live: LiveOptions, *, json: bool
 ) -> None:
-    """Refuse options that cannot be combined, and outputs that could not be written."""
     inputs = [] if scenario is None else [make_path(scenario)]
     options.require_new_target(record.output, inputs, suffix=".mcap")
     options.require_new_target(record.rrd, inputs, suffix=".rrd")
@@ -361,11 +360,7 @@ _Texts = Mapping[Path, tuple[int, bytes] | None]
 
 
 def _list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
-    """Return the files that determine a run: the file of the scenario, and the file of the law.
-
-    Raises:
-        UsageError: If no such file is named, or a file is missing.
-    """
+    """Return the files that determine a run: of the scenario and of the law, at least one."""
     place = (kind or "").rpartition(":")[0]
     law_file = Path(place) if place.endswith(".py") else None
     files = tuple(file for file in (scenario_file, law_file) if file is not None)

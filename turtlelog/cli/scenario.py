@@ -11,7 +11,13 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.console import print_note, print_text
 from turtlelog.cli.list_names import complete_keys, complete_law, complete_preset
-from turtlelog.cli.options import MaxDownload, Place, TopicOptions, read_chosen_run
+from turtlelog.cli.options import (
+    MaxDownload,
+    Place,
+    TopicOptions,
+    read_chosen_run,
+    refuse_given,
+)
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path
@@ -61,12 +67,7 @@ class LawOptions(ScenarioOptions):
     max_download: MaxDownload = None
 
     def find_law_kind(self) -> str | None:
-        """Return the kind of law in --law or --set.
-
-        Raises:
-            UsageError: If the options name two laws, or a law together with --commands, which
-                replaces the law.
-        """
+        """Return the kind of law in --law or --set; refuse two laws, or one beside --commands."""
         kind = self.parse_assignments().get("law.kind")
         if self.law is not None and kind not in (None, self.law):
             raise UsageError(f"--law {self.law} and --set law.kind={kind}: choose one")
@@ -92,8 +93,7 @@ class RowOptions:
     def load(self, scenario: str | None, options: LawOptions) -> "tl.Scenario":
         """Return the scenario to run, with the options applied."""
         if self.table is None:
-            if self.row is not None:
-                raise UsageError("--row: needs --from TABLE")
+            refuse_given({"--row": self.row}, "needs --from TABLE")
             return load_changed_scenario(scenario, options)
         if scenario is not None:
             raise UsageError(f"--from: leave out the scenario {scenario}")
@@ -178,10 +178,8 @@ def apply_options(
 
 def list_given_keys(options: ScenarioOptions) -> list[str]:
     """Return the keys of a scenario that the options set by name."""
-    return [
-        *options.parse_assignments(),
-        *([] if options.goal is None else _parse_goal(options.goal)),
-    ]
+    goal = {} if options.goal is None else _parse_goal(options.goal)
+    return [*options.parse_assignments(), *goal]
 
 
 def name_by_changes(

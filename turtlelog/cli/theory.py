@@ -1,8 +1,8 @@
 """`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
@@ -23,10 +23,6 @@ from turtlelog.cli.theory_loops import LoopAnswer, PidAnswer, build_integrator, 
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 _MOST_GAINS: Final = 100
 
@@ -143,7 +139,6 @@ _OPTIONS: Final = {
 
 
 def _answer_loop(options: LoopOptions, wanted: WishOptions, *, details: bool, json: bool) -> None:
-    """Print the answer for P, PI, PD or PID control of an integrator, at each Kp."""
     if options.assignments:
         raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
     kps = _parse_gains("1,2,4,10" if options.kp is None else options.kp)
@@ -236,7 +231,7 @@ class DeclaredLoopAnswer:
     status: Literal["ok", "unknown"]
     reason: str | None
     sources: Mapping[str, str]
-    left_out: list[str]
+    left_out: Sequence[str]
     most_dead_time_s: float | None
     largest_step: float | None
     sampled: PidAnswer | None
@@ -262,7 +257,6 @@ def _answer_file(
     details: bool,
     json: bool,
 ) -> None:
-    """Print the answer for each loop of a scenario or a recording."""
     given = options.list_terms()
     timing = {"--period": options.period, "--dead-time": options.dead_time}
     given += [name for name, value in timing.items() if value]
@@ -279,25 +273,30 @@ def _answer_file(
         print_text(format_file(label, word, answers, groups, wanted, shows_all=details))
         return
     recommended = {loop: one for one in groups for loop in one.loops}
-    loops = []
-    for found, model in ((one.found, one.model) for one in answers if one.model):
-        gains = recommended.get(model.loop.name)
-        answer = DeclaredLoopAnswer(
-            loop=model.loop.name,
-            signal=model.loop.signal,
-            command=model.loop.command,
-            status="ok" if found else "unknown",
-            reason=model.reason or None,
-            sources=dict(model.sources),
-            left_out=list(model.left_out),
-            most_dead_time_s=model.most_dead_time_s,
-            largest_step=None if model.limits is None else model.limits.step,
-            sampled=None if found is None else build_pid_loop(found),
-            recommended=[] if gains is None else build_recommended(gains),
-            kept_kp=None if gains is None else find_kept(gains, model.loop.name),
-        )
-        loops.append(answer)
+    loops = [
+        _build_declared(one.found, model, recommended.get(model.loop.name))
+        for one, model in zip(answers, models, strict=True)
+    ]
     print_json(_FileAnswer(name=name, source=source, loops=loops))
+
+
+def _build_declared(
+    found: "tl.theory.PidLoop | None", model: "tl.theory.LoopModel", gains: Recommended | None
+) -> DeclaredLoopAnswer:
+    return DeclaredLoopAnswer(
+        loop=model.loop.name,
+        signal=model.loop.signal,
+        command=model.loop.command,
+        status="ok" if found else "unknown",
+        reason=model.reason or None,
+        sources=model.sources,
+        left_out=model.left_out,
+        most_dead_time_s=model.most_dead_time_s,
+        largest_step=None if model.limits is None else model.limits.step,
+        sampled=None if found is None else build_pid_loop(found),
+        recommended=[] if gains is None else build_recommended(gains),
+        kept_kp=None if gains is None else find_kept(gains, model.loop.name),
+    )
 
 
 def _read_models(
@@ -334,11 +333,10 @@ def _identify(run: "tl.Run") -> dict[str, Any]:
 
 def _parse_gains(text: str) -> list[float]:
     try:
-        gains = [float(word) for word in text.split(",")]
+        gains = [*map(float, text.split(","))]
     except ValueError as err:
-        raise UsageError(
-            f"--kp {text[:60]}: must be gains with commas between, as in 1,2,4,10"
-        ) from err
+        expected = "gains with commas between, as in 1,2,4,10"
+        raise UsageError(f"--kp {text[:60]}: must be {expected}") from err
     if len(gains) > _MOST_GAINS:
         raise UsageError(f"--kp: takes at most {_MOST_GAINS} gains, not {len(gains)}")
     return gains

@@ -102,13 +102,12 @@ class RobustnessOptions:
     def count_runs(self) -> int:
         """Return the requested number of variants; 0 without a request."""
         if self.monte_carlo is None:
-            for name, is_given in (("--spread", self.spread), ("--robot", self.robot)):
-                if is_given:
-                    raise UsageError(f"{name}: needs --monte-carlo COUNT")
+            given = {"--spread": self.spread, "--robot": self.robot}
+            options.refuse_given(given, "needs --monte-carlo COUNT")
             return 0
         if not 1 <= self.monte_carlo <= _MOST_VARIANTS:
-            most = f"from 1 to {_MOST_VARIANTS:,}"
-            raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {most}")
+            bounds = f"from 1 to {_MOST_VARIANTS:,}"
+            raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {bounds}")
         return self.monte_carlo
 
     def list_variations(self, scenario: "tl.Scenario", varied: list[str]) -> "list[Variation]":

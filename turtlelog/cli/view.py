@@ -147,7 +147,6 @@ def view(
 
 
 def _tell(written: Sequence[Path], runs: "Sequence[tl.Run]") -> None:
-    """Print how the runs in a file ended, and the written files."""
     if written:
         ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
@@ -156,10 +155,9 @@ def _tell(written: Sequence[Path], runs: "Sequence[tl.Run]") -> None:
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
     if picture.at is not None and not abs(picture.at) < _LONGEST_S:
         raise UsageError(f"--at {picture.at:g}: must be seconds below {_LONGEST_S:g}")
-    if picture.at is not None and picture.snapshot is None:
-        raise UsageError("--at: needs --snapshot NAME.png")
-    if picture.size != _USUAL_SIZE and picture.snapshot is None:
-        raise UsageError("--size: needs --snapshot NAME.png")
+    if picture.snapshot is None:
+        given = {"--at": picture.at, "--size": picture.size != _USUAL_SIZE}
+        options.refuse_given(given, "needs --snapshot NAME.png")
     is_timed = picture.snapshot is not None or movie.movie is not None
     if picture.timeline != "sim_time" and not is_timed:
         raise UsageError("--timeline: needs --snapshot NAME.png or --movie NAME.mp4")
@@ -168,10 +166,9 @@ def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
 def _require_one_way(
     files: list[Path], outputs: Sequence[Path | None], window: WindowOptions
 ) -> None:
-    writes = any(output is not None for output in outputs)
-    if window.connect is not None and not window.follow:
-        raise UsageError("--connect: needs --follow")
-    if window.follow and (window.web or writes):
+    if not window.follow:
+        options.refuse_given({"--connect": window.connect}, "needs --follow")
+    if window.follow and (window.web or any(output is not None for output in outputs)):
         raise UsageError(
             "--follow: leave out --save, --snapshot, --movie and --web, which open no window"
         )
@@ -263,16 +260,14 @@ def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) ->
     if picture.at > end_s + _ROUNDING_S:
         raise UsageError(f"--at {picture.at}: must be at most {end_s:.3f} s, where it ends")
     if picture.at < start_s - _ROUNDING_S:
-        least = f"must be at least {start_s:.3f} s, where it begins"
-        raise UsageError(f"--at {picture.at}: {least}")
+        raise UsageError(f"--at {picture.at}: must be at least {start_s:.3f} s, where it begins")
     return picture.at
 
 
 def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     """Refuse a movie that cannot be written, before any file is read."""
     if movie.movie is None:
-        if movie.length is not None:
-            raise UsageError("--length: needs --movie NAME.mp4")
+        options.refuse_given({"--length": movie.length}, "needs --movie NAME.mp4")
         return
     suffix = movie.movie.suffix.lower()
     if suffix not in {".mp4", ".gif"}:
