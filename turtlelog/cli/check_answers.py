@@ -299,7 +299,6 @@ def _tell_value(result: "CheckResult", *, with_limit: bool = True) -> str:
 
 
 def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
-    """Yield bounds to confirm, and next commands."""
     if spec is None:
         return
     observed = sum(check.is_observed for check in spec.checks)

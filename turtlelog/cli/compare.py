@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.compare_answer import ChoiceOptions, compare_across
+from turtlelog.cli.compare_answer import ChoiceOptions, compare_across, list_needed
 from turtlelog.cli.compare_reference import (
     compare_with_reference,
     compare_with_robot,
@@ -137,7 +137,9 @@ def compare(
     """
     kind, rrd = formats.choose(), pictures.rrd
     if against.is_why:
-        _require_why_sense(against, choice, rrd)
+        options.refuse_given({"--metric": choice.metric}, f"--why {choice.metric} names the metric")
+        given = {"--align": against.align, **choice.name_values(), "--rrd": rrd}
+        options.refuse_given(given, "leave out --why")
         paths = [*([] if against.reference is None else [against.reference]), *files]
         return _compare_why(against, paths, plot=pictures.plot, topics=topics, kind=kind)
     files = options.list_files(files, without=against.reference)
@@ -184,12 +186,6 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
         options.refuse_given({"--align": against.align}, "needs --reference FILE")
     else:
         options.refuse_given(choice.name_values(), "leave out --reference")
-
-
-def _require_why_sense(against: ReferenceOptions, choice: ChoiceOptions, rrd: Path | None) -> None:
-    options.refuse_given({"--metric": choice.metric}, f"--why {choice.metric} names the metric")
-    given = {"--align": against.align, **choice.name_values(), "--rrd": rrd}
-    options.refuse_given(given, "leave out --why")
 
 
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:
@@ -304,7 +300,7 @@ def _find_pair(
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
     found = tl.compare.summarise_files(
         paths,
-        only=partial(_take_needed, needed),
+        only=partial(list_needed, needed=needed, is_usual=False),
         topics=topics.build_choice(),
         jobs=count_jobs(jobs, paths),
     )
@@ -340,10 +336,6 @@ def _find_pair(
 
 _MOST_NAMED: Final = 3
 """Largest number of unreadable recordings that a sentence names; stderr has a line for each."""
-
-
-def _take_needed(needed: tuple[str, ...], _: "tl.Run") -> tuple[str, ...]:
-    return needed  # of a run whose law lacks one, too: names alone would be refused
 
 
 def format_why(

@@ -210,7 +210,6 @@ def _require_folder(path: Path) -> None:
 
 
 def _write(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
-    """Write one output and read it back."""
     from turtlelog.log.exported_tables import require_read_back
     from turtlelog.log.table_files import require_same_poses
 

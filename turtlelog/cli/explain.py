@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -127,19 +128,18 @@ def explain(
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     again = found.resimulation
     error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
-    answer = ExplainAnswer(
+    answer = copy_fields(
+        ExplainAnswer,
+        found,
         file=str(file),
-        name=found.name,
         metric=tl.measure_run(run, only=[metric])[metric].to_dict(),
         identified=tuple(
             copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
             for key, one in found.findings.items()
         ),
         resimulation=None if again is None else asdict(again) | error,
-        tried=found.tried,
         attribution=attribution,
         in_words={} if attribution is None else dict(describe_causes(found, attribution)),
-        notes=found.notes,
         motion=None if motion is None else build_motion(file, run, motion),
     )
     if json:
@@ -266,6 +266,7 @@ class MotionAnswer:
 
 def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> MotionAnswer:
     """Return the facts as an answer."""
+    at_s = partial(tell_time, run)
 
     def build_rate(rows: int, periods: "tl.explain.Periods | None") -> RateAnswer:
         if periods is None:
@@ -276,17 +277,12 @@ def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> 
             low_s=periods.low_ns / 1e9,
             high_s=periods.high_ns / 1e9,
             longest_silence_s=periods.longest_ns / 1e9,
-            silence_at_s=tell_time(run, periods.longest_at_ns),
+            silence_at_s=at_s(periods.longest_at_ns),
         )
 
     delays, replay = found.delays, found.replay
     largest, outliers = (
-        [
-            ValueAnswer(
-                signal=one.signal, unit=one.unit, value=one.value, at_s=tell_time(run, one.time_ns)
-            )
-            for one in values
-        ]
+        [copy_fields(ValueAnswer, one, at_s=at_s(one.time_ns)) for one in values]
         for values in (found.largest, found.outliers)
     )
     return MotionAnswer(
@@ -298,7 +294,7 @@ def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> 
         outliers=outliers,
         jumps=[
             LeapAnswer(
-                at_s=tell_time(run, jump.time_ns),
+                at_s=at_s(jump.time_ns),
                 moved=jump.moved_m,
                 aside=jump.aside_m,
                 turned=jump.turned_rad,
@@ -306,8 +302,7 @@ def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> 
             for jump in found.jumps
         ],
         gaps=[
-            SilenceAnswer(start_s=tell_time(run, gap.start_ns), end_s=tell_time(run, gap.end_ns))
-            for gap in found.gaps
+            SilenceAnswer(start_s=at_s(gap.start_ns), end_s=at_s(gap.end_ns)) for gap in found.gaps
         ],
         command_delays=None
         if delays is None

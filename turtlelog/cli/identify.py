@@ -373,7 +373,6 @@ def _describe_acceleration(axis: "tl.identify.AxisModel") -> Iterator[str]:
 def _describe_wheels(
     axis: "tl.identify.AxisModel", beside: "tl.identify.Estimate"
 ) -> Iterator[str]:
-    """Yield the limit of the wheels, which both axes share, in sentences."""
     name, other = tl.identify.NAMES[axis.axis], _name_other(axis)
     ways = {
         "scaled": "a command beyond is reduced on both axes alike",

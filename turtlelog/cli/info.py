@@ -175,7 +175,6 @@ def info(
 def _read(
     path: Path, *, choice: "tl.log.ReadChoice", is_asked: bool
 ) -> "InfoAnswer | TurtlelogError":
-    """Return the contents of a file, or its error."""
     try:
         recording = tl.log.read_file_info(path, choice)
         summary = summarise(path, recording, choice, is_asked=is_asked)

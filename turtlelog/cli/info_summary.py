@@ -304,7 +304,6 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
 
 
 def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
-    """Return topic, rate and number of rows; empty without rows."""
     if not len(time_ns):
         return ""
     rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(run, note)

@@ -1,12 +1,12 @@
 """`turtlelog metrics`: measurement of recordings."""
 
+import re
 from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 
@@ -14,7 +14,7 @@ import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, list_scatter, print_chosen, print_essential
-from turtlelog.cli.usage import Whole
+from turtlelog.cli.usage import Whole, parse_option
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
@@ -62,19 +62,8 @@ class MeasureOptions:
             return tl.MeasureSettings(**given)
         except MeasureError as err:
             key, _, problem = str(err).partition(":")
-            raise UsageError(f"{_OPTIONS.get(key, key)}:{problem}") from err
-
-
-_OPTIONS: Final = MappingProxyType(
-    {
-        "band": "--band",
-        "initial": "--initial",
-        "final": "--final",
-        "dead_time_ticks": "--dead-time",
-        "goal_tolerance_m": "--goal-tolerance",
-    }
-)
-"""Settings by the typed option."""
+            option = re.sub(r"_(m|ticks)$", "", key).replace("_", "-")
+            raise UsageError(f"--{option}:{problem}") from err
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,7 +196,6 @@ def metrics(
 
 
 def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
-    """Print the result of a table, and the first unreadable files."""
     if kind == "json":
         unchanged = done.files - done.read
         console.print_json(
@@ -303,8 +291,5 @@ def _parse_value(option: str, text: str) -> Value:
     text = text.strip()
     if option == "--final" and text in {"reference", "last"}:
         return text
-    try:
-        return float(text)
-    except ValueError as err:
-        words = "reference, last, a number" if option == "--final" else "a number"
-        raise UsageError(f"{option} {text}: must be {words} or LOOP=VALUE,...") from err
+    words = "reference, last, a number" if option == "--final" else "a number"
+    return parse_option(option, text, float, f"{words} or LOOP=VALUE,...")

@@ -13,6 +13,7 @@ from cyclopts import Group, Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.console import print_run_notes
+from turtlelog.cli.usage import parse_option
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.errors import LogError, RemoteError, TurtlelogError, UsageError
 from turtlelog.files.text_files import describe_missing
@@ -162,18 +163,16 @@ def list_reading_words(options: ReadingOptions) -> list[str]:
 
 
 def _parse_wheels(text: str) -> tuple[float, ...]:
-    try:
+    def parse(text: str) -> tuple[float, ...]:
         return parse_wheels(tuple(map(float, text.split(","))))
-    except (ValueError, LogError) as err:
-        expected = "RADIUS,TRACK above 0 in metres, as in 0.033,0.16"
-        raise UsageError(f"--wheels {text[:60]}: must be {expected}") from err
+
+    expected = "RADIUS,TRACK above 0 in metres, as in 0.033,0.16"
+    return parse_option("--wheels", text, parse, expected)
 
 
 def _parse_length(text: str) -> float:
-    try:
-        return parse_wheelbase(float(text))
-    except (ValueError, LogError) as err:
-        raise UsageError(f"--wheelbase {text[:60]}: must be a length above 0 in metres") from err
+    expected = "a length above 0 in metres"
+    return parse_option("--wheelbase", text, lambda text: parse_wheelbase(float(text)), expected)
 
 
 def _split_column(text: str) -> tuple[str, str]:

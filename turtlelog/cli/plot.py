@@ -293,7 +293,6 @@ def _tell_whole(names: Iterable[str], page: "tl.draw.Page") -> None:
 
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
-    """Return the files of a movie without figures."""
     if movie.movie is None:
         raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
     if not files:
@@ -371,7 +370,6 @@ def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
 
 
 def _describe_shown(answer: PlotAnswer, runs: "Sequence[tl.Run]") -> str:
-    """Return one sentence on the content of the figures and their runs."""
     names = tl.compare.name_runs(runs)
     whose = join_words(names) if 0 < len(names) <= _MOST_NAMED else describe_count(len(runs), "run")
     of = f" of {whose}" if runs else " of the ideal loop"

@@ -200,7 +200,6 @@ def _replay_commands(
 def _format_commands(
     file: Path, found: "tl.replay.CommandReplay", answer: CommandReplayAnswer
 ) -> str:
-    """Return the path length and the end of the plant, and the limits of this answer."""
     kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
     end, name = answer.end, escape_controls(file.name)
     sentences = [

@@ -151,18 +151,14 @@ def build_check_lines(
     ]
 
 
-def _measure_miss(run: "tl.Run") -> float:
-    name = "final.position_error"
-    return tl.measure_run(run, only=[name])[name].value or 0.0
-
-
 def _explain(runs: "Sequence[tl.Run]", choice: str) -> "tl.draw.Explanation | None":
     if choice == "none" or (choice == "auto" and len(runs) > 1):
         return None
     known = [run for run in runs if len(run.samples)]
     if not known:
         return None
-    run = max(known, key=_measure_miss)
+    name = "final.position_error"
+    run = max(known, key=lambda run: tl.measure_run(run, only=[name])[name].value or 0.0)
     try:
         tl.explain.require_trust(run, trust_law=False)
         found = tl.identify_run(run)

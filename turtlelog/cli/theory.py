@@ -20,7 +20,7 @@ from turtlelog.cli.theory_gains import (
     find_kept,
 )
 from turtlelog.cli.theory_loops import LoopAnswer, PidAnswer, build_integrator, build_pid_loop
-from turtlelog.cli.usage import Whole
+from turtlelog.cli.usage import Whole, parse_option
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
 
@@ -332,11 +332,8 @@ def _identify(run: "tl.Run") -> dict[str, Any]:
 
 
 def _parse_gains(text: str) -> list[float]:
-    try:
-        gains = [*map(float, text.split(","))]
-    except ValueError as err:
-        expected = "gains with commas between, as in 1,2,4,10"
-        raise UsageError(f"--kp {text[:60]}: must be {expected}") from err
+    expected = "gains with commas between, as in 1,2,4,10"
+    gains = parse_option("--kp", text, lambda text: [*map(float, text.split(","))], expected)
     if len(gains) > _MOST_GAINS:
         raise UsageError(f"--kp: takes at most {_MOST_GAINS} gains, not {len(gains)}")
     return gains

@@ -304,7 +304,6 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
 
 
 def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
-    """Return the motion of a loop with its own gains, as text."""
     if own is None or not (own.is_kept or own.is_limited) or own.given.motion is None:
         return tell_motion(loop)
     rests = own.given.motion.settling_time_s is not None
@@ -340,7 +339,6 @@ def _join(head: Sequence[str], tables: "Sequence[tl.compare.Table]", rest: Seque
 
 
 def _narrow(table: "tl.compare.Table") -> "tl.compare.Table":
-    """Return a table with fewer of the least important columns."""
     ranks = [0 if column.title in {"damping", "stable"} else None for column in table.columns]
     return tl.compare.narrow_table(table, find_width(), ranks)
 
