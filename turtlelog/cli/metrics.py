@@ -2,8 +2,9 @@
 
 import re
 from array import array
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -58,12 +59,21 @@ class MeasureOptions:
             "goal_tolerance_m": self.goal_tolerance,
         }
         given = {name: value for name, value in asked.items() if value is not None}
-        try:
+        with _name_options():
             return tl.MeasureSettings(**given)
-        except MeasureError as err:
-            key, _, problem = str(err).partition(":")
-            option = re.sub(r"_(m|ticks)$", "", key).replace("_", "-")
-            raise UsageError(f"--{option}:{problem}") from err
+
+
+@contextmanager
+def _name_options() -> Iterator[None]:
+    """Replace the names of settings in errors by the options as typed."""
+    try:
+        yield
+    except MeasureError as err:
+        key, _, problem = str(err).partition(":")
+        if key not in {one.name for one in fields(tl.MeasureSettings)}:
+            raise
+        option = re.sub(r"_(m|ticks)$", "", key).replace("_", "-")
+        raise UsageError(f"--{option}:{problem}") from err
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +167,7 @@ def metrics(
     settings = measuring.build_settings()
     essential = partial(list_needed, has_path=measuring.reference_path is not None)
     errors: list[TurtlelogError] = []
-    with folders.find_place(files) as place:
+    with _name_options(), folders.find_place(files) as place:
         summarised = tl.compare.summarise_files(
             files,
             settings,

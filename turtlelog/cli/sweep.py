@@ -278,17 +278,21 @@ def _describe_best(output: Path) -> str:
     for patterns in (*([name] for name in _TOLD), None):
         with suppress(SweepError):
             results = tl.sweep.read_swept_results(output, patterns)
-            metric = next((one for one in results.metrics if np.isfinite(one.values).any()), None)
-            if metric is not None:
-                ends = float(np.nanmin(metric.values)), float(np.nanmax(metric.values))
-                low, high = format_range(*ends, metric.unit)
-                if low == high:
-                    all_have = np.isfinite(metric.values).all()
-                    where = "every run" if all_have else "every run that has a value"
-                    return f"{metric.name} is {low} in {where}"
-                least = results.tell_row(int(np.nanargmin(metric.values)))
-                axes = [axis for axis in results.axes if len(axis) > 1]
-                is_one = any("seed" in axis.keys for axis in axes)
-                run = " in a single run," if is_one else ""
-                return f"{metric.name} is {low} to {high}, least{run} with {least}"
+            for metric in results.metrics:
+                if np.isfinite(metric.values).any():
+                    return _describe_range(results, metric)
     return "no metric has a value in any row"
+
+
+def _describe_range(results: "tl.sweep.SweptResults", metric: "tl.sweep.SweptMetric") -> str:
+    import numpy as np
+
+    values = metric.values
+    low, high = format_range(float(np.nanmin(values)), float(np.nanmax(values)), metric.unit)
+    if low == high:
+        where = "every run" if np.isfinite(values).all() else "every run that has a value"
+        return f"{metric.name} is {low} in {where}"
+    least = results.tell_row(int(np.nanargmin(values)))
+    is_one = any("seed" in axis.keys and len(axis) > 1 for axis in results.axes)
+    run = " in a single run," if is_one else ""
+    return f"{metric.name} is {low} to {high}, least{run} with {least}"
