@@ -23,7 +23,7 @@ from turtlelog.cli.identify import format_robot
 from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
 from turtlelog.identify.axis_fit import fit_axis, list_ends
 from turtlelog.identify.axis_motion import read_axis_motion
-from turtlelog.identify.held_response import LaggedResponse, Structure, hold_commands, limit_softly
+from turtlelog.identify.held_response import HeldResponse, Structure, hold_commands, limit_softly
 from turtlelog.identify.robot_noise import StepNoise, Whitening, fit_noise
 from turtlelog.identify.structure_choice import is_rival
 from turtlelog.run import Run
@@ -79,10 +79,8 @@ def test_commands_follow_the_s_curves_of_a_plan_in_small_steps(jerk_time_s: floa
     turns = np.array([1.2, -0.7, 0.1, 0.25, 0.2, 1.4, 0.0])
     at_s, truth = np.arange(0.0, 6.0, 0.05), Strange(ramp=3.0, jerk=3.0 / jerk_time_s)
     wanted = find_headings(truth, command_s, turns, at_s)
-    commands = limit_softly(
-        hold_commands(command_s, truth.gain * turns, 0.0), 1.0 / 3.0, jerk_time_s
-    )
-    response = LaggedResponse(commands, truth.lag_s)
+    commands = limit_softly(hold_commands(command_s, truth.gain * turns), 1.0 / 3.0, jerk_time_s)
+    response = HeldResponse([commands], truth.lag_s)
     way, _ = response.evaluate(response.place(at_s - truth.dead_time_s))
     np.testing.assert_allclose(way - way[0], wanted, atol=2e-5)
 

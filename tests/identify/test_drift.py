@@ -16,15 +16,10 @@ from turtlelog.cli.identify import format_robot
 from turtlelog.explain.robot_log import draw_model
 from turtlelog.identify import AxisModel, Estimate, build_robot_scenario
 from turtlelog.identify.axis_fit import AxisFit, fit_axis, refit_axis, solve_part
-from turtlelog.identify.axis_motion import AXES, Axis, read_axis_motion
+from turtlelog.identify.axis_motion import AXES, Axis, find_rests, read_axis_motion
 from turtlelog.identify.fit_values import cover_parts, describe_fit
 from turtlelog.identify.held_response import Structure
-from turtlelog.identify.structure_choice import (
-    find_rests,
-    is_distinct,
-    measure_effect,
-    shows_drift,
-)
+from turtlelog.identify.structure_choice import is_distinct, measure_effect, shows_drift
 from turtlelog.run import Run
 
 SIZES: Final = (0.5, -0.5, 0.3, -0.3, 0.4, -0.2)

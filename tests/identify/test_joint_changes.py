@@ -119,6 +119,6 @@ def test_changes_within_a_tenth_of_a_second_are_joint(later_s: float, *, joint: 
     time_s = np.array([1.0, 2.0, 3.0])
     value = np.array([0.5, 0.0, 0.5])
     motion = read_axis_motion(identify_braking()[0], "turn_rate")
-    commands, beside = (hold_commands(one, value, 0.0) for one in (time_s, time_s + later_s))
+    commands, beside = (hold_commands(one, value) for one in (time_s, time_s + later_s))
     assert replace(motion, commands=commands, beside=beside).joint.tolist() == [joint] * 3
     assert not replace(motion, commands=commands, beside=None).joint.any()

@@ -28,7 +28,7 @@ from turtlelog.identify import (
 from turtlelog.identify.axis_fit import fit_axis
 from turtlelog.identify.axis_motion import read_axis_motion
 from turtlelog.identify.fit_values import cover_rivals, describe_fit
-from turtlelog.identify.held_response import LaggedResponse, Structure, hold_commands, limit_within
+from turtlelog.identify.held_response import HeldResponse, Structure, hold_commands, limit_within
 from turtlelog.identify.refused_axes import refuse_fit
 from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.run import Run
@@ -214,9 +214,9 @@ def test_the_model_predicts_the_motion_of_a_robot_with_limits(kind: str) -> None
 
 def test_a_limit_within_the_loop_that_is_never_reached_changes_nothing() -> None:
     at_s, values = np.array([0.1, 0.5, 0.9]), np.array([1.0, -1.0, 0.3])
-    commands, time_s = hold_commands(at_s, values, 0.0), np.linspace(0.0, 2.0, 50)
-    plain = LaggedResponse(commands, 0.2)
-    limited = LaggedResponse(limit_within(commands, 1e-3, 0.2), 0.2)
+    commands, time_s = hold_commands(at_s, values), np.linspace(0.0, 2.0, 50)
+    plain = HeldResponse([commands], 0.2)
+    limited = HeldResponse([limit_within(commands, 1e-3, 0.2)], 0.2)
     (way, rate), (other_way, other_rate) = (
         response.evaluate(response.place(time_s)) for response in (plain, limited)
     )

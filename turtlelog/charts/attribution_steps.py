@@ -14,16 +14,12 @@ _SAME: Final = 1e-6
 """Share of the largest value below which a step counts as 0: two platforms differ by less."""
 
 _DIGITS: Final = 4
-"""Number of digits of the largest value. All other values have as many decimals, so that printed
-values add up."""
+"""Number of digits of the largest value. All values have as many decimals, so that they add up."""
 
 _MOST_PERCENT: Final = 1000.0
-"""Largest part of a value in percent that is printed. For a value near 0, larger parts mean
-nothing."""
+"""Largest part of a value that is printed [%]. Near 0, larger parts mean nothing."""
 
-_MOST_NAMED: Final = 2
-"""Largest number of causes that the text at the last bar names; more would be wider than the
-picture."""
+_MOST_NAMED: Final = 2  # causes that the last bar names; more would be wider than the picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,28 +22,20 @@ would look like the plane.
 """
 
 _ROOM: Final = 1.25
-"""Half-width as a multiple of the furthest end's distance, with room for the dot and the text of
-the end."""
+"""Half-width as a multiple of the furthest end's distance, with room for its dot and text."""
 
 _TOLERANCES: Final = 3.0
-"""Smallest half-width as a multiple of the law's tolerance, so that the square of the tolerance is
-visible."""
+"""Smallest half-width, in tolerances of the law, so that their square is visible."""
 
 _LEAST_HALF_M: Final = 1e-3
 _HALVES: Final = ((1.2, 0.5), (1.5, 0.5), (2.5, 1.0), (4.0, 1.0), (6.0, 2.0), (8.0, 2.0))
 """Half-widths and distances between rings in one decade; each half-width has two or three rings."""
 
-_MOST_LISTED: Final = 3
-"""Largest number of distances in one label. With more, a label gives the smallest and the
-largest."""
-
-_MOST_TOLD: Final = 12
-"""Largest number of ends with text; with more, only the furthest has text, because text would hide
-the dots."""
+_MOST_LISTED: Final = 3  # distances in one label; of more, it gives the smallest and the largest
+_MOST_TOLD: Final = 12  # ends with text; of more, only the furthest, as text would hide the dots
 
 _LONGEST: Final = 16
-"""Longest name in a close-up [letters]. Such a name and its distance take half of a close-up 430
-pixels wide."""
+"""Longest name [letters]; with its distance it takes half of a close-up 430 pixels wide."""
 
 _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Upward offsets of text from its dot, best first [lines]."""
@@ -51,8 +43,7 @@ _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 _ANGLES_RAD: Final = np.radians([90.0, -90.0, 60.0, 120.0, -60.0, -120.0, 45.0, 135.0])
 """Angles for the names of the rings, best first [rad]; names above each other need least room."""
 
-_RING_POINTS: Final = 97
-"""Number of points of a ring: one per 4 degrees."""
+_RING_POINTS: Final = 97  # number of points of a ring: one per 4 degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -296,12 +287,10 @@ print a millimetre of a path of metres is thinner than the path's line."""
 _SHARE: Final = 0.1
 """Share of the largest deviation from which poses around it are in view: the whole excursion."""
 
-_ROOM_AROUND: Final = 1.15
-"""Half-width of the view, as a multiple of half of the excursion's size."""
+_ROOM_AROUND: Final = 1.15  # half-width of the view, as a multiple of half of the excursion's size
 
 _MOST_HALVES: Final = 10.0
-"""Largest half-width of the view, as a multiple of the largest deviation, which must stay visible
-next to a long segment."""
+"""Largest half-width, in largest deviations, which stay visible next to a long segment."""
 
 _LEAST_HALVES: Final = 1.5
 """Smallest half-width of the view, as such a multiple, so that both robot and path are in view."""

@@ -46,8 +46,7 @@ peak is marked with its overshoot."""
 SIGNS: Final[Mapping[MarkShape, str]] = MappingProxyType(
     {"disc": "●", "square": "■", "cross": "\N{MULTIPLICATION SIGN}"}
 )
-"""Letters that Rerun's viewer can draw. Other letters, such as the heavy multiplication sign, crash
-the viewer."""
+"""Letters that Rerun's viewer can draw. Others, such as the heavy multiplication sign, crash it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,10 +105,7 @@ class Characteristic:
 
 
 def list_mark_texts(mark: Characteristic, others: Iterable[Characteristic]) -> list[str]:
-    """Return the texts of a mark: for an overshoot, its peak and its part of the step.
-
-    Without an overshoot the peak is the only entry.
-    """
+    """Return a mark's texts: for an overshoot, its peak and its part of the step, if positive."""
     if mark.kind != "overshoot":
         return [mark.text]
     peaks = [one.text for one in others if one.kind == "peak" and one.loop == mark.loop]

@@ -42,16 +42,11 @@ A page 181 mm wide has 4,275 columns at 600 dpi."""
 
 Command = Literal["speed", "turn_rate"]
 
-SENSED_SIGNALS: Final = ("x", "y", "heading")
-"""Signals that may have been sensed."""
+SENSED_SIGNALS: Final = ("x", "y", "heading")  # signals that may have been sensed
 
 
 def require_near(runs: Sequence[Run]) -> None:
-    """Raise an error for poses too far away to be drawn.
-
-    Raises:
-        ShowError: If there is such a pose. The message has the run and the distance.
-    """
+    """Raise ShowError, with run and distance, for a pose too far away to be drawn."""
     for run in runs:
         far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
         if far_m > _FARTHEST_M:
@@ -246,10 +241,7 @@ def read_distance_to_reference(run: Run) -> Curve | None:
 
 
 def find_end_of_turn(run: Run) -> int | None:
-    """Return when the heading's loops first stop acting, before their pause [ns].
-
-    The result is None if a heading loop acts in the last declared phase, or if none ever acted.
-    """
+    """Return when heading loops first stop acting [ns]; None if they act last, or never did."""
     loops = list_loops(run, "heading")
     names = {loop.name for loop in loops}
     phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
@@ -377,8 +369,7 @@ _DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = {
     **dict.fromkeys(("world_velocity_x", "world_velocity_y"), ("along_track",)),
     "distance": ("along_track", "distance"),
 }
-"""Signals of the loops that determine the ideal response of a curve; along the line, all are
-equal."""
+"""Signals of the loops that determine a curve's ideal response; along the line, all are equal."""
 
 _ERRORS: Final = frozenset(
     {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
@@ -415,10 +406,7 @@ class LoopStep:
 
 
 def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
-    """Yield the step of each loop of a signal that theory can model, in declared order.
-
-    The reference is constant, the signal integrates the command, and the gain is known.
-    """
+    """Yield declared loops' steps with constant reference and known gain that theory can model."""
     signal = find_signal(run, signal_name)
     for loop in list_loops(run, signal_name):
         if loop.moves or not loop.has_theory:

@@ -18,28 +18,21 @@ from turtlelog.explain import Luck, LuckCurve
 _DIGITS: Final = 2
 """Number of digits of a value in text; neighbouring starts differ in the third digit."""
 
-_MOST_DIGITS: Final = 5
-"""Largest number of digits of two values that fewer digits do not distinguish."""
+_MOST_DIGITS: Final = 5  # digits of two values that fewer digits do not distinguish
 
 _SMALL: Final = 0.5
 """Share of the smallest value with all effects below which values are given by an upper bound."""
 
-_JUMP: Final = 0.02
-"""Smallest visible jump between neighbours, as a share of the picture's height."""
+_JUMP: Final = 0.02  # smallest visible jump between neighbours, as a share of the picture's height
 
 _SMOOTH: Final = 6.0
-"""Ratio to the step of a quarter of the neighbours from which a step is a jump instead of a
-slope."""
+"""Ratio to the lower quartile of steps from which a step is a jump instead of a slope."""
 
 _FROM_ZERO: Final = 0.5
-"""Ratio of smallest to largest value below which the axis begins at 0; for errors it always
-does."""
+"""Ratio of smallest to largest value below which the axis begins at 0; for errors, always."""
 
-_ROOM: Final = 0.06
-"""Margin above and below the curves, as a share of the axis."""
-
-_AROUND: Final = 1.12
-"""Half-width of the plane, as a multiple of the furthest end's distance."""
+_ROOM: Final = 0.06  # margin above and below the curves, as a share of the axis
+_AROUND: Final = 1.12  # half-width of the plane, as a multiple of the furthest end's distance
 
 WITH_ALL: Final = "with all effects"
 

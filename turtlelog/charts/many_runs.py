@@ -17,8 +17,7 @@ from turtlelog.run import Run
 from turtlelog.run.stop_reasons import AT_REST
 
 MANY: Final = len(FEW)
-"""Largest number of runs with distinct hues. With more, colours follow the order of the runs, and a
-bar shows this order."""
+"""Largest number of runs with distinct hues. Colours of more follow their order, as a bar shows."""
 
 _MOST_SWINGS: Final = 10
 """Largest number of sign changes of a command in the last half of a run that comes to rest. The
@@ -29,11 +28,8 @@ LONGEST_NAME: Final = 24
 
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
-_MOST_NAMED: Final = 2
-"""Largest number of runs that a title names; of more runs, it gives the number."""
-
-_MOST_KEYS: Final = 3
-"""Largest number of keys in a name; with more, the name would be as long as the replaced one."""
+_MOST_NAMED: Final = 2  # runs that a title names; of more runs, it gives the number
+_MOST_KEYS: Final = 3  # keys in a name; with more, the name would be as long as the replaced one
 
 _WORDS: Final[Mapping[str, str]] = {
     "loop.transport_delay_ticks": "delay",
@@ -250,15 +246,13 @@ def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
 
 
 MANY_PATHS: Final = 24
-"""Largest number of coloured paths in a plane. More paths cover each other, and only the last drawn
-would be visible."""
+"""Largest number of coloured paths in a plane. Of more, only the last drawn would be visible."""
 
 OUTLINE_LABEL: Final = "90 % of the ends of a gain"
 
 MEDIAN_LABEL: Final = "median end"
 
-_LEAST_RUNS: Final = 10
-"""Smallest number of ends of a gain for an outline; of fewer ends, nine tenths are all."""
+_LEAST_RUNS: Final = 10  # ends of a gain for an outline; of fewer ends, nine tenths are all
 
 _INSIDE: Final = 0.9
 

@@ -63,19 +63,12 @@ _SHADES: Final[tuple[Color, ...]] = (
     (188, 200, 42),
     (250, 206, 60),
 )
-"""Ramp of values in cells. Without a required contrast to the ground, it has twice the range of
-lightness."""
+"""Ramp of values in cells: with no required contrast, twice the range of lightness."""
 
-_OKABE_ITO: Final[tuple[Color, ...]] = (
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (213, 94, 0),
-    (204, 121, 167),
-    (230, 159, 0),
-    (0, 114, 178),
-)
-"""Palette of Okabe and Ito without its black, which is invisible on dark ground."""
+# Of the palette of Okabe and Ito.
+_YELLOW: Final[Color] = (240, 228, 66)
+_VERMILION: Final[Color] = (213, 94, 0)
+_PURPLE: Final[Color] = (204, 121, 167)
 
 GROUND: Final[Color] = (13, 13, 13)
 """Background of planes, also in a light theme. Plots follow the theme, like their cursor."""
@@ -87,11 +80,9 @@ TRACKED: Final[Color] = (95, 95, 95)
 """Colour of tracked paths: broad lines, dark enough that the driven path is visible on them."""
 
 WALLS: Final[Color] = (118, 118, 118)
-"""Colour of the end points of scans, which are below the driven paths and still visible on the
-ground."""
+"""Colour of scans' end points, below the driven paths and still visible on the ground."""
 
-SCAN: Final[Color] = (232, 128, 52)
-"""Colour of the robot's present scan."""
+SCAN: Final[Color] = (232, 128, 52)  # colour of the robot's present scan
 
 OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
     (26 + shade, 26 + shade, 28 + shade, 255)
@@ -101,10 +92,9 @@ OCCUPANCY_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
 tracked path."""
 
 COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
-    (*_OKABE_ITO[4], 0 if percent == 0 else 20 + percent) for percent in range(101)
+    (*_PURPLE, 0 if percent == 0 else 20 + percent) for percent in range(101)
 )
-"""Colours of costmap cells, through which lower layers stay visible. Cells without cost have no
-colour."""
+"""Colours of costmap cells: lower layers stay visible, and cells without cost have none."""
 
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
 """Colour of the paths of very many runs on dark ground; only their ends have other colours."""
@@ -113,11 +103,8 @@ GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
 
-COMMAND: Final[Color] = _OKABE_ITO[2]
-"""Colour of the arrow of the command at a turtle."""
-
-SHAPED: Final[Color] = FEW[3]
-"""Colour of shaped commands, before the limits."""
+COMMAND: Final[Color] = _YELLOW  # colour of the arrow of the command at a turtle
+SHAPED: Final[Color] = FEW[3]  # colour of shaped commands, before the limits
 
 MEASURED: Final[Color] = FEW[2]
 """Colour of the robot's response to a command: the reported or applied rate."""
@@ -125,40 +112,27 @@ MEASURED: Final[Color] = FEW[2]
 MODEL: Final[Color] = FEW[1]
 """Colour of an identified model's response to a command, which is shown only for a single run."""
 
-SENSED: Final[Color] = (128, 128, 128)
-"""Colour of sensed poses."""
-
-DROPPED_OUT: Final[Color] = (128, 128, 128)
-"""Colour of poses that dropped out."""
+SENSED: Final[Color] = (128, 128, 128)  # colour of sensed poses
+DROPPED_OUT: Final[Color] = (128, 128, 128)  # colour of poses that dropped out
 
 GHOST: Final[Color] = (170, 170, 170)
 """Colour of ghosts: a run without the acting effects, or the ideal loop."""
 
 IDEAL: Final[Color] = (128, 128, 128)
-"""Colour of ideal responses and moving references, with a contrast of at least 3.9:1 to white and
-to `GROUND`."""
+"""Colour of ideal responses and moving references: at least 3.9:1 to white and to `GROUND`."""
 
-DEAD_TIME: Final[Color] = _OKABE_ITO[4]
+DEAD_TIME: Final[Color] = _PURPLE
 """Colour of dead times: of the bar below the bars of the phases, and of spans in plots."""
 
-EVENT: Final[Color] = (176, 124, 64)
-"""Colour of events."""
-
-WALL_HIT: Final[Color] = _OKABE_ITO[3]
-"""Colour of a turtle's contacts with the wall."""
-
-PAUSED: Final[Color] = _OKABE_ITO[3]
-"""Colour of the start and end of a pause."""
-
-ERROR: Final[Color] = _OKABE_ITO[4]
-"""Colour of the arrow from the turtle to the goal."""
+EVENT: Final[Color] = (176, 124, 64)  # colour of events
+WALL_HIT: Final[Color] = _VERMILION  # colour of a turtle's contacts with the wall
+PAUSED: Final[Color] = _VERMILION  # colour of the start and end of a pause
+ERROR: Final[Color] = _PURPLE  # colour of the arrow from the turtle to the goal
 
 VIOLATION: Final[Color] = (208, 52, 44)
-"""Colour of violations of a check, with a contrast of 5:1 to white and of 3.7:1 to dark. No run and
-no phase has this red."""
+"""Colour of violations: 5:1 to white, 3.7:1 to dark. No run and no phase has this red."""
 
-FULFILLED: Final[Color] = (0, 103, 75)
-"""Colour of a check that holds, on white."""
+FULFILLED: Final[Color] = (0, 103, 75)  # colour of a check that holds, on white
 
 UNSTABLE: Final[Color] = (179, 38, 30)
 """Colour of unstable settings and of missing values, on white."""
@@ -250,8 +224,7 @@ def _mix(ramp: Sequence[Color], count: int) -> tuple[Color, ...]:
     return tuple(zip(reds, greens, blues, strict=True))
 
 
-MAIN: Final[Color] = choose_run_colors(1)[0]
-"""Colour of a single run."""
+MAIN: Final[Color] = choose_run_colors(1)[0]  # colour of a single run
 
 Dash = Literal["solid", "dashed", "dotted", "dash-dot"]
 Marker = Literal["up", "diamond", "down", "plus", "star", "left", "right"]
@@ -273,8 +246,7 @@ _DASHES: Final["Mapping[CurveKind, Dash]"] = {
 }
 """Dashes of all kinds of curves except the run's own."""
 
-LIMIT_DASH: Final[Dash] = "dashed"
-"""Dash of limits and tolerances; references are solid."""
+LIMIT_DASH: Final[Dash] = "dashed"  # dash of limits and tolerances; references are solid
 
 SUPPOSED_DASH: Final[Dash] = "dashed"
 """Dash of curves that did not happen: a run without some effects, the output of a model."""
@@ -306,12 +278,10 @@ def choose_dash(kind: "CurveKind") -> Dash:
     return _DASHES.get(kind, "solid")
 
 
-_FEW_TURTLES: Final = 4
-"""Largest number of turtles of full size; more are smaller."""
+_FEW_TURTLES: Final = 4  # largest number of turtles of full size; more are smaller
 
 _SMALLEST_TURTLE: Final = 0.3
-"""Smallest size of a turtle as a share of the full size: a shell of 4 pixels, as large as the
-dot."""
+"""Smallest share of a turtle's full size: a shell of 4 pixels, as large as the dot."""
 
 
 def choose_turtle_size(turtles: int) -> float:

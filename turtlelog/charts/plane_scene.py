@@ -21,8 +21,7 @@ from turtlelog.run.paths import Path
 Point = tuple[float, float]
 
 _POINTS_PER_TURN: Final = 1440
-"""Points of a drawn circle. The drawn circle differs from the exact one by 2.4e-6 of the radius,
-about the rounding of poses."""
+"""Points of a drawn circle: off by 2.4e-6 of the radius, about the rounding of poses."""
 
 
 def list_starts(runs: Sequence[Run]) -> Values:
@@ -56,15 +55,13 @@ def is_in_world(runs: Sequence[Run]) -> bool:
 
 
 _FAR_M: Final = 10_000.0
-"""Distance from the origin beyond which coordinates are shifted [m], because their tick labels
-would touch."""
+"""Distance from which coordinates are shifted [m], because their tick labels would touch."""
 
 LEAST_SHOWN_M: Final = 0.5
 """Smallest side of a plane [m]; in a smaller plane, noise of poses would look like a path."""
 
 _STILL_M: Final = 1e-3
-"""Extent within which a robot counts as not moved [m], because poses have noise and a
-resolution."""
+"""Extent within which a robot has not moved [m]: poses have noise and a resolution."""
 
 _STILL_RAD: Final = 1e-3
 
@@ -201,23 +198,17 @@ def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
 
 
 _LEAST_SHARE: Final = 0.01
-"""Smallest visible gap as a share of a run's duration. In a column of 70 mm, a shorter gap is
-narrower than a millimetre."""
+"""Smallest visible gap as a share of the duration: in a column of 70 mm, a millimetre."""
 
 _LEAST_NS: Final = 1_000_000_000
 """Length from which a gap always interrupts curves [ns], because a view can be zoomed. Shorter gaps
 in a long run are single poses that a busy computer lost."""
 
-_MOST_NAMED: Final = 5
-"""Largest number of gaps with text, the longest gaps; more text would cover the curves."""
+_MOST_NAMED: Final = 5  # gaps with text, the longest gaps; more text would cover the curves
 
 
 def list_seen_gaps(run: Run) -> list[tuple[float, float, str]]:
-    """Return the longest gaps in the poses that a picture can show, in order of time.
-
-    Returns:
-        Start and end of each gap, from the first sample [s], and its length in words.
-    """
+    """Return start and end from the first sample [s], in order, and words of the longest gaps."""
     return list_time_gaps(run.poses.time_ns, run.start_ns, _find_least_ns(run), "poses")
 
 

@@ -164,15 +164,12 @@ def take_magnitude(curve: Curve) -> Curve:
     return replace(curve, values=np.where(sizes < _LEAST_MAGNITUDE, np.nan, sizes))
 
 
-_MOST_APART: Final = 3
-"""Largest number of views side by side; with more, each would be narrower than a legend."""
+_MOST_APART: Final = 3  # views side by side; with more, each would be narrower than a legend
 
 _LARGEST_RATIO: Final = 20.0
-"""Largest ratio of magnitudes of curves in one plot. Smaller curves would take less than a
-twentieth of the height, and look like zero."""
+"""Largest ratio of magnitudes in one plot. Smaller curves, below a twentieth, look like zero."""
 
-_MOST_TOGETHER: Final = len(FEW)
-"""Largest number of curves in one plot; more curves would share hues."""
+_MOST_TOGETHER: Final = len(FEW)  # curves in one plot; more curves would share hues
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,12 +252,10 @@ def _add_unit(title: str, unit: str) -> str:
     return f"{title} [{unit}]" if unit else title
 
 
-HEADROOM: Final = 1.25
-"""End of a command's range, as a multiple of its most extreme value."""
+HEADROOM: Final = 1.25  # end of a command's range, as a multiple of its most extreme value
 
 _ROOM: Final = 0.08
-"""Margin above and below measured values, as a share of their range, or of the value if all values
-are equal."""
+"""Margin above and below measured values, as a share of their range, or else of the value."""
 
 _LEAST_ROOM: Final = 1e-9
 """Smallest margin if all values are equal, in the plot's unit, because a range needs a height."""
@@ -269,12 +264,10 @@ _ROOM_AROUND_0: Final = 0.1
 """Margin if all values are 0, in the plot's unit; ticks of a smaller range are hard to read."""
 
 _AT_REST: Final = 0.01
-"""Share of a plot's height within which a curve rests: less than a line's width in print at 40
-mm."""
+"""Share of a plot's height within which a curve rests: below a line's width in print at 40 mm."""
 
 _LEAST_SIDE: Final = 0.15
-"""Smallest visible part of a command's range on either side of 0, as a share of its largest limit,
-times `HEADROOM`."""
+"""Smallest part of a command's range on each side of 0, of its largest limit times `HEADROOM`."""
 
 
 def label_time(runs: Sequence[Run]) -> str:
@@ -325,11 +318,9 @@ _LARGE: Final = 0.2
 """Share of the largest change from which a change counts; noise and resolution are smaller."""
 
 _LEAST_HELD_S: Final = 0.15
-"""Time from which a held command counts as a level [s]; commands come at 10 Hz and more, with
-jitter."""
+"""Time from which a held command is a level [s]; commands come at 10 Hz and more, with jitter."""
 
-_MOST: Final = 60
-"""Largest number of changes that are drawn, the largest changes; more would be a grey block."""
+_MOST: Final = 60  # changes that are drawn, the largest changes; more would be a grey block
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

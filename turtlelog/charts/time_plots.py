@@ -355,8 +355,7 @@ def label_error(quantity: Quantity) -> str:
 TIMELINE: Final = "sim_time"
 WALL_TIMELINE: Final = "wall_time"
 
-_MOST_PHASES: Final = 8
-"""Largest number of phase timelines of a run; each takes 8 bytes per row and entity in a view."""
+_MOST_PHASES: Final = 8  # phase timelines of a run; each takes 8 bytes per row and entity in a view
 
 
 def name_phase_timeline(phase: str) -> str:
@@ -366,10 +365,7 @@ def name_phase_timeline(phase: str) -> str:
 
 
 def find_phase_zeros(run: Run) -> dict[str, int]:
-    """Return the timelines of the phases after the first declared phase, with their zeros.
-
-    Zeros are in the run's time [ns].
-    """
+    """Return the timelines of phases after the first, with their zeros in the run's time [ns]."""
     phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
     starts_ns: dict[str, int] = {}
     for span in run.find_phase_spans():
@@ -390,11 +386,8 @@ def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
     return xy_m, np.interp(time_s, own_s, heading_rad)
 
 
-_STILL_S: Final = 1.5
-"""Time without motion at the end [s], for reading the distances of the runs."""
-
-_MOST_STILL: Final = 0.3
-"""Largest share of this time in the movie."""
+_STILL_S: Final = 1.5  # time without motion at the end [s], for reading the distances of the runs
+_MOST_STILL: Final = 0.3  # largest share of this time in the movie
 
 _SLOWEST: Final = 0.25
 """Slowest motion: a run of half a second takes two seconds, so that each pose is visible."""
@@ -428,9 +421,12 @@ def plan_film(
     zeros_ns = tuple(_find_zero_ns(run, timeline) for run in runs)
     ends_ns = [run.poses.time_ns[[0, -1]] - zero for run, zero in zip(runs, zeros_ns, strict=True)]
     first_s, last_s = float(np.min(ends_ns)) / 1e9, float(np.max(ends_ns)) / 1e9
-    whole_s = _choose_length(last_s - first_s) if length_s is None else length_s
-    still_s = min(_STILL_S, _MOST_STILL * whole_s)
-    driving = max(round((whole_s - still_s) * pictures_per_s), 2)
+    span_s = last_s - first_s
+    if length_s is None:  # real time, within limits
+        shortest_s = min(span_s / _SLOWEST + _STILL_S, 3.0)
+        length_s = float(np.clip(span_s + _STILL_S, shortest_s, 10.0))
+    still_s = min(_STILL_S, _MOST_STILL * length_s)
+    driving = max(round((length_s - still_s) * pictures_per_s), 2)
     still = max(round(still_s * pictures_per_s), 1)
     moments = np.linspace(first_s, last_s, driving)
     return Film(
@@ -438,13 +434,8 @@ def plan_film(
         zeros_ns=zeros_ns,
         time_s=np.append(moments, np.full(still, last_s)),
         driving=driving,
-        pace=(last_s - first_s) * pictures_per_s / driving,
+        pace=span_s * pictures_per_s / driving,
     )
-
-
-def _choose_length(span_s: float) -> float:
-    """Return the default length of a movie [s]: real time, within limits."""
-    return float(np.clip(span_s + _STILL_S, min(span_s / _SLOWEST + _STILL_S, 3.0), 10.0))
 
 
 def _find_zero_ns(run: Run, timeline: str) -> int:

@@ -249,7 +249,7 @@ def _describe_since(run: Run) -> dict[str, str]:
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     if run.poses.speed_m_s is not None:
         return {}
-    from turtlelog.compare.pose_notes import describe_poses  # only bags need it
+    from turtlelog.measure.pose_notes import describe_poses  # only bags need it
 
     return describe_poses(run, metrics)
 

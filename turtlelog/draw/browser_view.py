@@ -62,8 +62,7 @@ _KINDS: Final[Mapping[str, str]] = {
 }
 """Files of the page by name, with the content types that a browser expects."""
 
-_HOSTS: Final = frozenset({"127.0.0.1", "localhost"})
-"""Names of this machine."""
+_HOSTS: Final = frozenset({"127.0.0.1", "localhost"})  # names of this machine
 
 _RECORDING: Final = "application/octet-stream"
 _PATIENCE_S: Final = 30.0

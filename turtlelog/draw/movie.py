@@ -26,18 +26,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from turtlelog.charts import plane_scene, plotted_curves
+from turtlelog.charts import plane_scene, plotted_curves, time_plots
 from turtlelog.charts.close_up import CloseUp, Lettering, format_length, list_miss_labels
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.plane_scene import part_path
-from turtlelog.charts.time_plots import (
-    TIME_PLOTS,
-    TIMELINE,
-    Film,
-    list_controlled,
-    locate_run,
-    plan_film,
-)
+from turtlelog.charts.time_plots import TIME_PLOTS, TIMELINE, Film
 from turtlelog.compare import order_by_gain
 from turtlelog.draw.figures.figure_curves import NAMES_HEIGHT, choose_run_lines, name_runs_above
 from turtlelog.draw.figures.page import LOOKS, fix_style, use_looks
@@ -51,8 +44,7 @@ Picture = NDArray[np.uint8]
 """Pixels of a picture, shape (height, width, 3): red, green and blue."""
 
 _SIZES: Final = {".mp4": (1280, 720), ".gif": (800, 450)}
-"""Widths and heights [pixels]: the size of a slide, and a size for a page with text next to the
-movie."""
+"""Widths and heights [pixels]: of a slide, and of a page with text next to the movie."""
 
 
 def write_movie(
@@ -91,7 +83,7 @@ def write_movie(
             f" {length_s:g}"
         )
     runs = order_by_gain(runs)
-    film = plan_film(
+    film = time_plots.plan_film(
         runs, timeline=timeline, length_s=length_s, pictures_per_s=PICTURES_PER_S[suffix]
     )
     pictures = draw_pictures(runs, film, size=_SIZES[suffix], on_picture=on_picture)
@@ -109,12 +101,7 @@ _COLORS: Final = 128
 
 
 def require_encoder(suffix: str) -> None:
-    """Load the encoder for files with a suffix.
-
-    Raises:
-        ShowError: If there is no movie format with this suffix.
-        LibraryError: If the encoder is not installed.
-    """
+    """Load the encoder for a suffix; ShowError without a format, LibraryError without encoder."""
     if suffix not in _SIZES:
         raise ShowError(f"movie: expected a name that ends in .mp4 or .gif, found {suffix!r}")
     load_library("cv2" if suffix == ".mp4" else "PIL.Image")
@@ -157,12 +144,10 @@ def _encode_gif(pictures: Iterable[Picture], path: Path) -> None:
     )
 
 
-SHORTEST_S: Final = 1.0
-"""Shortest movie [s]; shorter movies would be a picture."""
+SHORTEST_S: Final = 1.0  # shortest movie [s]; shorter movies would be a picture
 
 LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
-"""Longest movie [s] by format. An .mp4 takes 3 s of work per second. A .gif is made from all
-pictures at once, 22 MB per second."""
+"""Longest movie [s]. An .mp4 takes 3 s of work per second, a .gif 22 MB of memory."""
 
 _INCH: Final = (12.8, 7.2)
 _LOOKS: Final = {
@@ -176,16 +161,14 @@ _LOOKS: Final = {
     "lines.linewidth": 2.2,
     "axes.linewidth": 1.0,
 }
-"""Settings of matplotlib. If the picture is a slide, text is legible from the last row of the
-audience."""
+"""Settings of matplotlib: on a slide, text is legible from the last row of the audience."""
 
 _PLANE: Final = (0.055, 0.095, 0.48, 0.79)
 _CURVES: Final = ((0.63, 0.725, 0.35, 0.16), (0.63, 0.49, 0.35, 0.16))
 _GOAL: Final = (0.63, 0.035, 0.35, 0.345)
 _TALL_CURVES: Final = ((0.63, 0.53, 0.35, 0.355), (0.63, 0.095, 0.35, 0.355))
 
-_FAINT: Final = 0.22
-"""Opacity of the path that is not driven yet."""
+_FAINT: Final = 0.22  # opacity of the path that is not driven yet
 
 _BESIDE: Final = fix_style(color="0.5", linewidth=1.2, linestyle=":", zorder=1.5)
 """Style of ideal responses and references."""
@@ -195,17 +178,14 @@ _TURTLE_SIZE: Final = 0.045
 """Size of a turtle as a share of the plane's half-width, large enough to see the heading."""
 
 _NEAR: Final = 3.0
-"""Distance from the goal, in half-widths of the close-up, below which a robot counts as near: it
-arrives within about a second."""
+"""Distance in half-widths of the close-up from which a robot is near: about a second away."""
 
-_MOST_POINTS: Final = 2000
-"""Largest number of points of a trail: more than the picture is wide."""
+_MOST_POINTS: Final = 2000  # points of a trail: more than the picture is wide
 
 _LETTERS: Final = Lettering(letter=0.095, line=0.22, gap=0.16, reach=1.85)
 """Size of text at 13 points in the view of the goal, whose half-height is 90 points."""
 
-_USUAL: Final = ("heading", "speed")
-"""Default curves of a robot whose loops are unknown."""
+_USUAL: Final = ("heading", "speed")  # default curves of a robot whose loops are unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,7 +267,7 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
     stage = _Stage(
         figure=figure,
         film=film,
-        places=[locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
+        places=[time_plots.locate_run(run, zero_ns, film.time_s) for run, zero_ns in pairs],
     )
     close_up = find_named_close_up(runs)
     _set_plane(stage, runs, looks)
@@ -340,7 +320,7 @@ def _start_trail(axes: Axes, run: Run, zero_ns: int, look: Look) -> _Growing:
 
 def _choose_plots(runs: Sequence[Run]) -> list[str]:
     """Return the names of two plots: signals of the loops, in declared order."""
-    controlled = [plot for run in runs for plot in list_controlled(run)]
+    controlled = [plot for run in runs for plot in time_plots.list_controlled(run)]
     found = dict.fromkeys([*controlled, *_USUAL])
     return [
         name for name in found if any(plotted_curves.has_own(run, TIME_PLOTS[name]) for run in runs)

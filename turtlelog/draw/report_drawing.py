@@ -20,14 +20,11 @@ from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 
-MOST_POINTS: Final = 2000
-"""Largest number of points of a curve: more than a screen has columns, so that omitted points are
-invisible before a zoom."""
+MOST_POINTS: Final = 2000  # points of a curve: a screen has fewer columns
 
 
 _FAR: Final = 1e3
-"""Magnitude from which 32-bit numbers lose a tenth of a millimetre or millisecond, so that 64 bits
-are used."""
+"""Magnitude from which 64 bits are used: 32 bits lose a tenth of a millimetre or millisecond."""
 
 RING: Final = "#8a8a8a"
 
@@ -96,8 +93,7 @@ def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
     return figure
 
 
-_MOST_TOLD: Final = 4
-"""Largest number of ends with distances; with more ends, distances would hide each other."""
+_MOST_TOLD: Final = 4  # ends with distances; with more ends, distances would hide each other
 
 
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
@@ -237,8 +233,7 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
         )  # fmt: skip
 
 
-MOST_VIOLATIONS: Final = 6
-"""Largest number of failed checks with a plot; the table lists all failed checks."""
+MOST_VIOLATIONS: Final = 6  # failed checks with a plot; the table lists all failed checks
 
 RED: Final = to_hex(VIOLATION)
 
@@ -249,10 +244,7 @@ _CLOSE: Final = 0.3
 def draw_violations(
     plots: Plots, found: Sequence[tuple[ViolatedSignal, Color | None]], x_range: Any
 ) -> None:
-    """Draw the signal of each failed check, in its run's colour, on the common time axis.
-
-    The page gets places `violation-0`, `violation-1` and so on.
-    """
+    """Draw failed checks' signals on the common time axis, at `violation-0`, `violation-1` ..."""
     for number, (violated, color) in enumerate(found[:MOST_VIOLATIONS]):
         _draw_violation(plots, f"violation-{number}", violated, color or MAIN, x_range)
 
@@ -365,10 +357,7 @@ _MOST_NAMED: Final = 6
 
 
 def describe_plot(title: str, curves: Sequence[tuple[str, Values]]) -> str:
-    """Return a description of a plot over time: start, end and range of each run's curve.
-
-    The title contains the unit of the values; values that are not finite are gaps.
-    """
+    """Describe a plot over time by each run's start, end and range; NaN is a gap."""
     finite = [(name, values[np.isfinite(values)]) for name, values in curves]
     known = [(name, values) for name, values in finite if len(values)]
     if not known:

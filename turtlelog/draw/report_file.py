@@ -56,19 +56,12 @@ _KINDS: Final[Mapping[CurveKind, str]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Explanation:
-    """The causes of a metric of one of the runs.
+    """The causes of a metric of one of the runs."""
 
-    Attributes:
-        run: Explained run, one of those in the report.
-        attribution: Attribution of the metric; None if there is no attribution.
-        what_ifs: Runs without causes, as from `simulate_what_ifs`.
-        note: Reason why there is no attribution; empty if there is one.
-    """
-
-    run: Run
-    attribution: Attribution | None = None
-    what_ifs: Mapping[str, Run] = field(default_factory=dict)
-    note: str = ""
+    run: Run  # explained run, one of those in the report
+    attribution: Attribution | None = None  # None if there is none, for the reason in `note`
+    what_ifs: Mapping[str, Run] = field(default_factory=dict)  # as from `simulate_what_ifs`
+    note: str = ""  # reason why there is no attribution; empty if there is one
 
 
 def write_report(

@@ -20,30 +20,22 @@ from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 
-_MOST_OF_ALL: Final = 24_000
-"""Largest number of points of one signal over all runs. 12 runs have all of their points; each
-point takes 11 bytes of the file."""
+_MOST_OF_ALL: Final = 24_000  # points of a signal, 11 bytes each; 12 runs have all of their points
 
 _LEAST_POINTS: Final = 200
 _ROOM: Final = 0.012
 """Margin before and after the time axis, as a share, so that dots at its ends are complete."""
 
-_MOST_STATES: Final = 6
-"""Largest number of plots of law states."""
-
-_MOST_TIPS: Final = 6
-"""Largest number of curves whose values are all shown at the cursor. Of more curves, only the one
-under the cursor is shown, because tips would hide the plot."""
+_MOST_STATES: Final = 6  # plots of law states
+_MOST_TIPS: Final = 6  # curves with tips together; of more, which would hide the plot, only one has
 
 _GHOST: Final[frozenset[plotted_curves.CurveKind]] = frozenset({"run"})
 """Kinds of curves that are drawn for a ghost: only its own."""
 
-_DIMMED: Final = 0.3
-"""Opacity of a run that never settles, below runs that settle."""
+_DIMMED: Final = 0.3  # opacity of a run that never settles, below runs that settle
 
 _WIDTH: Final = 1.8
-_THIN: Final = 1.2
-"""Width of all curves except the run's own curve [pixels]."""
+_THIN: Final = 1.2  # width of all curves except the run's own curve [pixels]
 
 _STROKES: Final[Mapping[palette.Dash, str]] = {
     "solid": "solid",
@@ -298,8 +290,7 @@ def _keep_in_view(figure: Any, curves: Sequence[Values]) -> None:
     figure.title.text += f", close up: single values go to {far:.4g}"
 
 
-MOST_MARKED: Final = 4
-"""Largest number of runs with marks; with more runs, marks would hide each other."""
+MOST_MARKED: Final = 4  # runs with marks; with more runs, marks would hide each other
 
 _DEAD: Final = to_hex(palette.DEAD_TIME)
 
@@ -312,8 +303,7 @@ _NEAR: Final = 0.2
 """Distance between dots, as a share of the width, below which their texts are one below another."""
 
 _LATE: Final = 0.6
-"""Share of the width from which text is on the left of dots, because it would leave the plot on the
-right."""
+"""Share of the width from which text is left of its dot, because it would leave the plot."""
 
 _SHAPES: Final[Mapping[curve_marks.MarkShape, str]] = {
     "disc": "circle",

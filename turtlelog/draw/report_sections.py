@@ -21,42 +21,25 @@ from turtlelog.explain import Attribution, choose_named, write_sentences
 from turtlelog.measure import Metric
 from turtlelog.run import CUT_SHORT, Run
 
-_MOST_DIFFERING: Final = 8
-"""Largest number of keys in a table of differences; more keys would be wider than a page."""
-
-_LEAST_PERCENT: Final = 0.4
-"""Smallest visible width of a bar [% of the width]."""
+_MOST_DIFFERING: Final = 8  # keys in a table of differences; more keys would be wider than a page
+_LEAST_PERCENT: Final = 0.4  # smallest visible width of a bar [% of the width]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckLine:
-    """The result of a check, as text.
+    """The result of a check, as text."""
 
-    Attributes:
-        run: Name of the run, or of a file that could not be read.
-        check: Name of the check.
-        verdict: `PASS`, `FAIL` or `SKIPPED`.
-        value: Measured value with its unit; empty without a value.
-        limit: Limit with its unit; empty without a limit.
-        margin: Margin with its unit; empty without a margin.
-        expected: Expectation, as written.
-        first_violation_s: Time of the first violation [s]; None if it has no time.
-        reason: Reason why the check fails or is skipped, if values do not show the reason.
-        names: Names of the signals in the check.
-        signal: Violated signal with its band; None if no signal is violated.
-    """
-
-    run: str
-    check: str
-    verdict: str
-    value: str = ""
-    limit: str = ""
-    margin: str = ""
-    expected: str = ""
-    first_violation_s: float | None = None
-    reason: str = ""
-    names: tuple[str, ...] = ()
-    signal: ViolatedSignal | None = None
+    run: str  # name of the run, or of a file that could not be read
+    check: str  # name of the check
+    verdict: str  # `PASS`, `FAIL` or `SKIPPED`
+    value: str = ""  # measured value with its unit; empty without a value
+    limit: str = ""  # limit with its unit; empty without a limit
+    margin: str = ""  # margin with its unit; empty without a margin
+    expected: str = ""  # expectation, as written
+    first_violation_s: float | None = None  # first violation [s]; None if it has no time
+    reason: str = ""  # why the check fails or is skipped, if values do not show it
+    names: tuple[str, ...] = ()  # names of the signals in the check
+    signal: ViolatedSignal | None = None  # violated signal with its band; None without violation
 
 
 def show(text: object) -> str:
@@ -175,10 +158,7 @@ def write_provenance(
     versions: Iterable[str],
     command: str,
 ) -> str:
-    """Return the provenance of the report: programs, command, and file and sha256 of each run.
-
-    Unknown files, keys and commands are empty.
-    """
+    """Return the report's provenance: programs, command, file and sha256 of each run if known."""
     rows = [
         f'<tr><th scope="row">{show(name)}</th><td>{show(file)}</td><td><code>{show(key)}</code>'
         f"</td><td>{show(run.source)}</td></tr>"
@@ -227,8 +207,7 @@ def _wrap_table(title: str, heads: Sequence[str], rows: Sequence[str]) -> str:
     )
 
 
-_MOST_NAMED: Final = 4
-"""Largest number of runs or checks that a sentence names; of more, it gives the number."""
+_MOST_NAMED: Final = 4  # runs or checks that a sentence names; of more, it gives the number
 
 
 def conclude_runs(
@@ -273,10 +252,7 @@ def _list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -
 
 
 def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
-    """Return a sentence on failed and skipped checks; empty without checks.
-
-    Each verdict follows the names of its run and its check.
-    """
+    """Return a sentence on failed and skipped checks, given as run, check and verdict, if any."""
     judged = [found for found in verdicts if found[2] != "SKIPPED"]
     failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
     skipped = len(verdicts) - len(judged)

@@ -135,8 +135,7 @@ _FORMATS: Final[Mapping[str, Callable[[Table], str]]] = {
     "tex": format_latex,
 }
 
-TABLE_FORMATS: Final = tuple(_FORMATS)
-"""Formats of tables, named as the suffixes of their files."""
+TABLE_FORMATS: Final = tuple(_FORMATS)  # formats of tables, named as the suffixes of their files
 
 
 def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -> str:
@@ -336,8 +335,7 @@ def _break(text: str, width: int) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-_NARROW_LETTERS: Final = 42
-"""Longest row of one of two columns [letters]."""
+_NARROW_LETTERS: Final = 42  # longest row of one of two columns [letters]
 
 _MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = {
     "txt": {"best": "{}*", "worst": "{}!"},

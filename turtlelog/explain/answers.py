@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from turtlelog.display import fit_line
+from turtlelog.replay import Departure as Departure
 
 SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
@@ -32,8 +33,7 @@ freedom, a contribution that is 0 seems to differ in 1 of 190 runs. For six such
 is 3 % of runs."""
 
 THIS_SEED: Final = "this seed"
-"""Name of the line with the effect of the run's own seed, which the contributions do not
-contain."""
+"""Name of the line with the effect of the run's own seed, which no contribution contains."""
 
 THIS_SEED_MEANS: Final = "the value of its own seed, less the mean over seeds"
 
@@ -255,7 +255,7 @@ class Attribution:
     def acting(self) -> tuple[str, ...]:
         """Causes that change the value in any combination."""
         names = {one.cause for one in self.contributions if one.contribution}
-        names.update(name for case in self.together if case.value for name in case.causes)
+        names |= {name for case in self.together if case.value for name in case.causes}
         return tuple(name for name in self.causes if name in names)
 
     @property
@@ -263,20 +263,21 @@ class Attribution:
         """Causes that change the value, or decide whether there is a value."""
         if not self.without_value:
             return self.acting
-        cases = (*self.without_value, *self.with_value)
-        named = {name for case in cases for name in case.causes}
+        sets = *self.without_value, *self.with_value
+        named = {name for one in sets for name in one.causes}
         return tuple(name for name in self.causes if name in named) or self.causes
 
     @property
     def changing(self) -> tuple[Contribution, ...]:
         """Contributions and other causes that change the value or the ending of the run."""
-        least, found = _ROUNDING * abs(self.divided), []
-        for one in (*self.contributions, *self.others):
+        least = _ROUNDING * abs(self.divided)
+
+        def changes(one: Contribution) -> bool:
             apart = 0.0 if one.alone is None else one.alone - self.divided
-            sizes = (apart, one.size, one.standard_error or 0.0)
-            if one.ending or any(abs(size) > least for size in sizes):
-                found.append(one)
-        return tuple(found)
+            return max(abs(apart), abs(one.size), one.standard_error or 0.0) > least
+
+        every = (*self.contributions, *self.others)
+        return tuple(one for one in every if one.ending or changes(one))
 
     @property
     def divided(self) -> float:
@@ -301,36 +302,6 @@ class Attribution:
 
 SEED: Final = "seed"
 """Name of the line with the effect of the two seeds, relative to the means over seeds."""
-
-ROBOT: Final = "robot"
-"""Basis of a robot's log: its model, driven by the recorded commands."""
-
-Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Departure:
-    """The earliest difference of two runs.
-
-    Attributes:
-        part: Part that differs first. `start`: the first pose. `robot`: the motion after equal
-            commands. `sensor`: the sensed pose. `controller`: the answer to an equal pose.
-            `timing`: the time of a sample or command. `end`: one run is longer.
-        signal: Name of the signal that differs.
-        unit: Unit of the values; empty for a name or a count.
-        time_s: Time of the difference from the first sample, or else from the first pose [s].
-        first: Value of the first run; None if it has no value there.
-        second: Value of the second run.
-        samples: Number of equal samples before the difference.
-    """
-
-    part: Part
-    signal: str
-    unit: str
-    time_s: float
-    first: float | str | None
-    second: float | str | None
-    samples: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

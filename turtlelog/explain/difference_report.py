@@ -9,7 +9,6 @@ from typing import Any, Final
 from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
 from turtlelog.explain.answer_words import NAMED, write_joint_parts, write_missing
 from turtlelog.explain.answers import (
-    ROBOT,
     SAME,
     SEED,
     Change,
@@ -17,7 +16,7 @@ from turtlelog.explain.answers import (
     Side,
     is_clear,
 )
-from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, TIMES
+from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 

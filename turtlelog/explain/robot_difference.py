@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import join_words
 from turtlelog.explain import answers, robot_log
-from turtlelog.explain.answers import ROBOT, Change, Contribution, ExplainedDifference, Side
+from turtlelog.explain.answers import Change, Contribution, ExplainedDifference, Side
 from turtlelog.explain.contributions import ORDERS, divide_game, sample_game
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
-from turtlelog.explain.robot_log import COMMANDS, RobotLog
+from turtlelog.explain.robot_log import COMMANDS, ROBOT, RobotLog
 from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
 from turtlelog.identify.robot_model import AxisModel

@@ -34,6 +34,9 @@ PATH: Final = "path"
 TIMES: Final = "pose times"
 """Parts that belong to no axis."""
 
+ROBOT: Final = "robot"
+"""Basis of a robot's log: its model, driven by the recorded commands."""
+
 CHANCE: Final = (NOISE, TIMES)
 """Parts that are chance instead of causes, because they do not belong to the robot."""
 

@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
 from turtlelog.explain import answers
@@ -31,8 +29,7 @@ from turtlelog.explain.scenario_from_log.resimulation import (
 from turtlelog.explain.scenario_from_log.trace import mark_breaks, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.measure import describe_no_metric, list_metrics, measure_run
-from turtlelog.replay import differences
-from turtlelog.replay.loop_replay import compare_ends
+from turtlelog.replay import find_departure as find_departure
 from turtlelog.run import Run, require_run
 from turtlelog.run.loops import Cause
 from turtlelog.scenario import Scenario, flatten_scenario
@@ -397,45 +394,3 @@ def _shift_effects(
     ]
     acting = [one for one in shifts if one.first or one.second]
     return tuple(sorted(acting, key=lambda one: -abs(one.shift)))
-
-
-_PARTS: Final[Mapping[str, answers.Part]] = {
-    **dict.fromkeys(("stop", "samples", "poses", "commands"), "end"),
-    **dict.fromkeys(("sample_time", "pose_read", "command_time"), "timing"),
-    **dict.fromkeys(differences.SENSED, "sensor"),
-    **dict.fromkeys(("x", "y", "heading", "applied_speed", "applied_turn_rate"), "robot"),
-}
-"""Parts by the signal that differs; every other signal belongs to the controller."""
-
-
-def find_departure(first: Run, second: Run) -> answers.Departure | None:
-    """Return the first difference of two runs; None if all their common data are equal.
-
-    Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
-    samples read are compared.
-    """
-    by_tick = differences.has_ticks(first) and differences.has_ticks(second)
-    pair = differences.pair_by_tick if by_tick else differences.pair_by_sample
-    # Rows are matched by sample number. At equal times, causes come before their consequences.
-    is_whole = not differences.count_missing_samples(second.samples)
-    pairings = [one for one in pair(first, second) if len(one.time_ns)] if is_whole else []
-    found = [differences.compare_pairing(one, tolerance=0.0).first_difference for one in pairings]
-    for name, count in differences.count_recorded_rows(first, second, by_tick=by_tick).items():
-        apart = differences.find_count_difference(first, name, count)
-        end_ns = min(first.end_ns, second.end_ns)
-        found.append(apart and replace(apart, time_ns=end_ns))
-    earliest = differences.find_earliest([*found, compare_ends(first, second.stop_reason)])
-    if earliest is None:
-        return None
-    part = _PARTS.get(earliest.signal, "controller")
-    if part == "robot" and earliest.time_ns <= first.poses.time_ns[0]:
-        part = "start"
-    return answers.Departure(
-        part=part,
-        signal=earliest.signal,
-        unit=next((one.unit for one in pairings if one.signal == earliest.signal), ""),
-        time_s=float(earliest.time_ns - first.start_ns) / 1e9,
-        first=earliest.recorded,
-        second=earliest.replayed,
-        samples=int(np.searchsorted(first.samples.time_ns, earliest.time_ns)),
-    )

@@ -100,6 +100,7 @@ class StepModel:
         self.moved = np.concatenate([motion.moved for motion in self.motions])
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
         self.shared = np.concatenate([motion.shared for motion in self.motions])
+        self.commands = np.concatenate([motion.commands.value for motion in self.motions])
 
     def prepare(self, lag_s: float, *extras: float) -> list[HeldResponse]:
         """Return the response of each run's commands for a time constant and further parameters."""
@@ -168,6 +169,11 @@ class AxisFit:
     white: Values
     is_outlier: NDArray[np.bool_]
     whitening: Whitening
+
+    @property
+    def extras(self) -> dict[str, float]:
+        """Further parameters of the structure by name."""
+        return dict(zip(self.model.structure.names, self.parameters[EXTRA:].tolist(), strict=True))
 
     @property
     def badness(self) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
-from turtlelog.measure.travel_direction import find_travel_direction
+from turtlelog.measure.pose_notes import find_travel_direction
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
@@ -123,24 +123,24 @@ class AxisMotion:
         first = np.searchsorted(others_s, changes_s - _TOGETHER_S)
         return np.asarray(first < np.searchsorted(others_s, changes_s + _TOGETHER_S, side="right"))
 
-    def is_resting(self, dead_time_s: float, settled_s: float) -> NDArray[np.bool_]:
-        """Return whether both commands are 0 in each step, for some time after they act [s]."""
-        return _is_idle(self, self.commands, dead_time_s, settled_s) & self.is_alone(
-            dead_time_s, settled_s
-        )
-
     def is_alone(self, dead_time_s: float, settled_s: float = 0.0) -> NDArray[np.bool_]:
         """Return whether the command of the other axis is 0 in each step, for some time [s]."""
         if self.beside is None:
             return np.ones(len(self.moved), dtype=bool)
         return _is_idle(self, self.beside, dead_time_s, settled_s)
 
-    def take(self, steps: slice) -> "AxisMotion":
-        """Return some of the steps."""
-        moved, direction_rad = self.moved[steps], self.direction_rad[steps]
-        first, stops = self.first[steps], self.stops
-        taken = _select(self.time_s, first, moved, direction_rad, self.commands, stops)
-        return replace(taken, beside=self.beside)
+    def take(self, steps: slice | NDArray[np.bool_]) -> "AxisMotion":
+        """Return some of the steps, with the poses between which they lie."""
+        first, is_used = self.first[steps], np.zeros(len(self.time_s), dtype=bool)
+        is_used[first], is_used[first + 1] = True, True
+        place = np.cumsum(is_used) - 1
+        return replace(
+            self,
+            time_s=self.time_s[is_used],
+            first=place[first],
+            moved=self.moved[steps],
+            direction_rad=self.direction_rad[steps],
+        )
 
 
 def _is_idle(
@@ -161,16 +161,16 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     command_s = run.commands.time_ns / 1e9
     first = np.arange(len(moved))
     if not len(command):
-        none, held = moved[:0], hold_commands(command_s, command, 0.0)
-        return _select(time_s, first[:0], none, none, held)
+        none, held = moved[:0], hold_commands(command_s, command)
+        return AxisMotion(
+            time_s=none, first=first[:0], moved=none, direction_rad=none, commands=held
+        )
     begins_s, ends_s = time_s[:-1], time_s[1:]
     stops = find_silent_stops(command_s, command, time_s, moved)
     # A 0 where the robot stopped without a command; the time of this stop is uncertain.
     stop_s = np.array([stop.stop_s for stop in stops])
     places = np.searchsorted(command_s, stop_s, side="right")
-    commands = hold_commands(
-        np.insert(command_s, places, stop_s), np.insert(command, places, 0.0), 0.0
-    )
+    commands = hold_commands(np.insert(command_s, places, stop_s), np.insert(command, places, 0.0))
     for stop in stops:
         is_sound &= (ends_s <= stop.begin_s + _SILENCE_S) | (begins_s >= stop.end_s)
     earlier = ends_s <= command_s[0]
@@ -179,13 +179,20 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     stands = total_s > 0.0 and abs(float(moved[earlier].sum())) <= most
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
-    other = get_commands(run, OTHER[axis])
     direction_rad = 0.0 * moved
     if axis == "speed":
         heading_rad = np.unwrap(poses.heading_rad)
         direction_rad = np.interp(0.5 * (begins_s + ends_s), run.poses.time_ns / 1e9, heading_rad)
-    motion = _select(time_s, first[used], moved[used], direction_rad[used], commands, tuple(stops))
-    return replace(motion, beside=hold_commands(command_s, other, 0.0))
+    motion = AxisMotion(
+        time_s=time_s,
+        first=first,
+        moved=moved,
+        direction_rad=direction_rad,
+        commands=commands,
+        stops=tuple(stops),
+        beside=hold_commands(command_s, get_commands(run, OTHER[axis])),
+    )
+    return motion.take(used)
 
 
 def turn_to_travel(run: Run) -> PoseColumns:
@@ -234,31 +241,50 @@ def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArr
     return np.asarray((latest >= 0) & (begins_s <= over_s + _MEMORY_S))
 
 
-def _select(
-    time_s: Values,
-    first: NDArray[np.int64],
-    moved: Values,
-    direction_rad: Values,
-    commands: HeldInput,
-    stops: tuple[SilentStop, ...] = (),
-) -> AxisMotion:
-    """Keep the poses between which some steps lie."""
-    is_used = np.zeros(len(time_s), dtype=bool)
-    is_used[first], is_used[first + 1] = True, True
-    place = np.cumsum(is_used) - 1
-    return AxisMotion(
-        time_s=time_s[is_used],
-        first=place[first],
-        moved=moved,
-        direction_rad=direction_rad,
-        commands=commands,
-        stops=stops,
-    )
-
-
 def count_steps(motions: Sequence[AxisMotion]) -> int:
     """Return the total number of steps of the runs."""
     return sum(len(motion.moved) for motion in motions)
+
+
+_SETTLES: Final = 3.0
+"""Time constants after which a robot counts as at rest: 5 % of its rate is left, which the model
+explains to a tenth."""
+
+
+def find_rests(
+    motions: Sequence[AxisMotion], dead_time_s: float, lag_s: float
+) -> NDArray[np.bool_]:
+    """Return the steps of runs in which both commands are 0, and earlier ones have faded."""
+    delays = dead_time_s, _SETTLES * lag_s
+    return np.concatenate(
+        [_is_idle(one, one.commands, *delays) & one.is_alone(*delays) for one in motions]
+    )
+
+
+_FITTED: Final = 2 / 3
+"""Share of each log that is fitted; the rest of the log is predicted, once its end, once its
+beginning."""
+
+Parts = tuple[list[AxisMotion], list[AxisMotion]]
+"""Some steps of each run, which are fitted, and its other steps, which are predicted."""
+
+
+def split_motions(motions: Sequence[AxisMotion]) -> list[Parts]:
+    """Return the steps of each run that are fitted, and those predicted: the last, then the first.
+
+    A part without small commands cannot confirm a deadband, but it can be fitted.
+    """
+    splits = []
+    for is_first in (True, False):
+        pairs = []
+        for motion in motions:
+            count = len(motion.moved)
+            cut = int((_FITTED if is_first else 1.0 - _FITTED) * count)
+            sides = motion.take(slice(cut)), motion.take(slice(cut, None))
+            if 0 < cut < count:
+                pairs.append(sides if is_first else sides[::-1])
+        splits.append(([known for known, _ in pairs], [ahead for _, ahead in pairs]))
+    return splits
 
 
 _SILENCE_S: Final = 0.4

@@ -146,7 +146,7 @@ def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
     low = fit.model.structure.deadband
     if not low:
         return None
-    sizes = np.abs(np.concatenate([motion.commands.value for motion in fit.model.motions]))
+    sizes = np.abs(fit.model.commands)
     high = float(sizes[sizes > low].min())
     return Estimate(value=0.5 * (low + high), low=low, high=high, unit=unit)
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,11 +84,11 @@ class HeldInput:
         return Places(held=held, since_s=since_s, value=value, slope=slope, way=way)
 
 
-def hold_commands(time_s: Values, value: Values, before: float) -> HeldInput:
-    """Return held commands without repeated values; `before` is that before the first command."""
-    changes = np.flatnonzero(np.diff(value, prepend=before))
+def hold_commands(time_s: Values, value: Values) -> HeldInput:
+    """Return held commands without repeated values; the command before the first is 0."""
+    changes = np.flatnonzero(np.diff(value, prepend=0.0))
     first_s = time_s[0] - 1.0 if len(time_s) else 0.0
-    value = np.concatenate([[before], value[changes]])
+    value = np.concatenate([[0.0], value[changes]])
     time_s = np.concatenate([[first_s], time_s[changes]])
     return integrate_commands(time_s, value, np.zeros(len(value)))
 
@@ -195,37 +195,51 @@ def limit_within(
     return integrate_commands(*np.array(rows).T)
 
 
-class HeldResponse(Protocol):
-    """The displacement of a robot with a gain of 1."""
+class HeldResponse:
+    """The displacement of a robot with given time constants and a gain of 1.
 
-    def place(self, time_s: Values) -> Any:
-        """Return the command that is held at each time minus the dead time [s]."""
+    The response to several inputs, the wheels' commands, is the mean of the responses to each.
+    """
 
-    def evaluate(self, places: Any) -> tuple[Values, Values]:
-        """Return the integral of the rate, up to a constant, and the rate itself."""
+    def __init__(
+        self,
+        inputs: Sequence[HeldInput],
+        lag_s: float,
+        product_s2: float = 0.0,
+        drift: float = 0.0,
+    ) -> None:
+        """Store inputs, sum b [s] and product c [s^2] of the time constants, and an added rate.
 
-
-class LaggedResponse:
-    """The response of a robot with given time constants and a gain of 1."""
-
-    def __init__(self, commands: HeldInput, lag_s: float, product_s2: float = 0.0) -> None:
-        """Take the sum b of the time constants [s], and their product c [s^2]; 0: first order."""
-        self._commands, self._lag_s, self._product_s2 = commands, lag_s, product_s2
+        A product of 0 stands for a single time constant.
+        """
+        self._inputs, self._lag_s, self._product_s2 = inputs, lag_s, product_s2
+        self._drift = drift
+        split = _split(lag_s, product_s2)
         self._parts = [
-            (share, lag, _list_transients(commands, lag))
-            for share, lag in _split(lag_s, product_s2)
+            [(share, lag, _list_transients(commands, lag)) for share, lag in split]
+            for commands in inputs
         ]
 
-    def place(self, time_s: Values) -> Places:
-        """Return the command that is held at each time minus the dead time [s]."""
-        return self._commands.place(time_s)
+    def place(self, time_s: Values) -> tuple[Values, list[Places]]:
+        """Return times minus the dead time [s], and where they are among the inputs."""
+        return time_s, [commands.place(time_s) for commands in self._inputs]
 
-    def evaluate(self, places: Places) -> tuple[Values, Values]:
+    def evaluate(self, heard: tuple[Values, list[Places]]) -> tuple[Values, Values]:
         """Return the integral of the rate, up to a constant, and the rate itself."""
+        time_s, places = heard
+        responses = [*map(self._respond, places, self._parts)]
+        way, rate = responses[0] if len(responses) == 1 else np.mean(responses, axis=0)
+        if self._drift:
+            return way + self._drift * time_s, rate + self._drift
+        return way, rate
+
+    def _respond(
+        self, places: Places, parts: Sequence[tuple[Any, Any, NDArray[Any]]]
+    ) -> tuple[Values, Values]:
         # Rate after all transients have faded: on a ramp it lags by the time constant.
         rate = places.value - self._lag_s * places.slope
         way = places.way - self._lag_s * rate - self._product_s2 * places.slope
-        for share, lag, transients in self._parts:
+        for share, lag, transients in parts:
             left = share * transients[places.held] * np.exp(places.since_s * (-1.0 / lag))
             way, rate = way - (lag * left).real, rate + left.real
         return way, rate
@@ -262,45 +276,6 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
     return left
 
 
-class MeanResponse:
-    """The mean of responses: the speed of two wheels."""
-
-    def __init__(self, parts: Sequence[LaggedResponse]) -> None:
-        """Take the responses."""
-        self._parts = parts
-
-    def place(self, time_s: Values) -> list[Places]:
-        """Return the commands that are held at each time minus the dead time [s]."""
-        return [response.place(time_s) for response in self._parts]
-
-    def evaluate(self, places: list[Places]) -> tuple[Values, Values]:
-        """Return the integral of the rate, up to a constant, and the rate itself."""
-        both = [
-            np.stack(response.evaluate(place))
-            for response, place in zip(self._parts, places, strict=True)
-        ]
-        way, rate = np.mean(both, axis=0)
-        return way, rate
-
-
-class DriftingResponse:
-    """A response with a constant rate added to it."""
-
-    def __init__(self, response: HeldResponse, drift: float) -> None:
-        """Take a response, and the added rate for a gain of 1 [m/s or rad/s]."""
-        self._response, self._drift = response, drift
-
-    def place(self, time_s: Values) -> tuple[Any, Values]:
-        """Return the command that is held at each time minus the dead time [s], and this time."""
-        return self._response.place(time_s), time_s
-
-    def evaluate(self, places: tuple[Any, Values]) -> tuple[Values, Values]:
-        """Return the integral of the rate, up to a constant, and the rate itself."""
-        place, time_s = places
-        way, rate = self._response.evaluate(place)
-        return way + self._drift * time_s, rate + self._drift
-
-
 _LEAST_TIGHTNESS: Final = 1e-6
 """Reciprocal of what stands for no limit of an axis without the other [s/m or s/rad]."""
 
@@ -332,11 +307,11 @@ COUPLED: Final[tuple[Bound, ...]] = ("reduced", "scaled", "clipped", "yielding")
 or leaves this axis what the other does not need; or the other axis alone decides by how much this
 one is reduced: all that commands of one size show."""
 
-_STEPS: Final = MappingProxyType(
-    {"product": 1e-7, "slowness": 1e-4, "tightness": 1e-4, "coupling": 1e-4, "reverse": 1e-4}
-    | {"friction": 1e-5, "jerk_time": 1e-4, "slowness_beside": 1e-4, "drift": 1e-4}
-)
-"""Steps for derivatives with respect to the further parameters, in their units."""
+_STEP: Final = 1e-4
+"""Step for derivatives with respect to a further parameter, in its unit."""
+
+_FINE_STEPS: Final = MappingProxyType({"product": 1e-7, "friction": 1e-5})
+"""The same for small parameters."""
 
 _OF_ORDER: Final = MappingProxyType(
     {
@@ -414,7 +389,7 @@ class Structure:
     @property
     def steps(self) -> list[float]:
         """Step sizes for differences with respect to the further parameters."""
-        return [_STEPS[name] for name in self.names]
+        return [_FINE_STEPS.get(name, _STEP) for name in self.names]
 
     @property
     def bends(self) -> bool:
@@ -438,62 +413,48 @@ class Structure:
         `beside` are the commands of the other axis; None if they are 0.
         """
         values = dict(zip(self.names, extras, strict=True))
-        if self.has_drift:
-            others = [values[name] for name in self.without_drift.names]
-            response = self.without_drift.respond(commands, lag_s, others, beside)
-            return DriftingResponse(response, values["drift"])
         if self.order == "limited_wheels" and beside is not None:
-            return self._respond_wheels(commands, lag_s, values, beside)
-        if len(self.names) > len(_OF_ORDER[self.order]) or self.deadband:
-            commands = _shape_commands(commands, self, values, beside)
+            inputs = _limit_wheels(commands, lag_s, values, beside)
+        else:
+            inputs = [self._limit(self._shape(commands, values, beside), lag_s, values)]
+        return HeldResponse(inputs, lag_s, values.get("product", 0.0), values.get("drift", 0.0))
+
+    def _shape(
+        self, commands: HeldInput, values: Mapping[str, float], beside: HeldInput | None
+    ) -> HeldInput:
+        if not (self.bound or self.has_reverse or self.has_friction or self.deadband):
+            return commands
+        coupling: Any = 0.0
+        if beside is not None and "coupling" in values:
+            commands = _join_times(commands, beside)
+            coupling = values["coupling"] * np.abs(beside.place(commands.time_s).value)
+        size = np.maximum(np.abs(commands.value) - values.get("friction", 0.0), 0.0)
+        value = np.where(commands.value < 0.0, -values.get("reverse", 1.0), 1.0) * size
+        value[np.abs(commands.value) <= self.deadband] = 0.0
+        tightness = values.get("tightness", 0.0)
+        if self.bound in COUPLED:
+            # The gain is that of the smallest command, so without the other axis none is smaller.
+            smallest = np.abs(value[value != 0.0]).min(initial=math.inf)
+            tightness = min(max(tightness, _LEAST_TIGHTNESS), 1.0 / smallest)
+        if self.bound != "rate" and tightness > 0.0:
+            value = _bound_wheels(self.bound, tightness * value, coupling) / tightness
+        return integrate_commands(commands.time_s, value, commands.slope)
+
+    def _limit(self, commands: HeldInput, lag_s: float, values: Mapping[str, float]) -> HeldInput:
         if self.order == "limited_before":
-            commands = limit_changes(commands, values["slowness"])
-        elif self.order == "limited_softly":
-            commands = limit_softly(commands, values["slowness"], values["jerk_time"])
-        elif self.order in {"limited_within", "limited_wheels"} or self.bound == "rate":
+            return limit_changes(commands, values["slowness"])
+        if self.order == "limited_softly":
+            return limit_softly(commands, values["slowness"], values["jerk_time"])
+        if self.order in {"limited_within", "limited_wheels"} or self.bound == "rate":
             tightness = values.get("tightness", 0.0) if self.bound == "rate" else 0.0
             most = 1.0 / tightness if tightness > 0.0 else math.inf
-            commands = limit_within(commands, values.get("slowness", 0.0), lag_s, most)
-        return LaggedResponse(commands, lag_s, values.get("product", 0.0))
-
-    def _respond_wheels(
-        self, commands: HeldInput, lag_s: float, values: Mapping[str, float], beside: HeldInput
-    ) -> MeanResponse:
-        """Return the mean response of both wheels, each with a limit of its acceleration."""
-        slowness = max(values["slowness"], _LEAST_SLOWNESS)
-        commands = _join_times(commands, beside)
-        turns = values["slowness_beside"] / slowness * beside.place(commands.time_s).value
-        wheels = [
-            integrate_commands(commands.time_s, commands.value + way * turns, commands.slope)
-            for way in (-1.0, 1.0)
-        ]
-        limited = [limit_within(wheel, slowness, lag_s) for wheel in wheels]
-        return MeanResponse([LaggedResponse(wheel, lag_s) for wheel in limited])
+            return limit_within(commands, values.get("slowness", 0.0), lag_s, most)
+        return commands
 
 
 SECOND_ORDER: Final = Structure(order="second_order")
 LIMITED_WHEELS: Final = Structure(order="limited_wheels")
 FIRST_ORDER: Final = Structure()
-
-
-def _shape_commands(
-    commands: HeldInput, structure: Structure, values: Mapping[str, float], beside: HeldInput | None
-) -> HeldInput:
-    coupling: Any = 0.0
-    if beside is not None and "coupling" in values:
-        commands = _join_times(commands, beside)
-        coupling = values["coupling"] * np.abs(beside.place(commands.time_s).value)
-    size = np.maximum(np.abs(commands.value) - values.get("friction", 0.0), 0.0)
-    value = np.where(commands.value < 0.0, -values.get("reverse", 1.0), 1.0) * size
-    value[np.abs(commands.value) <= structure.deadband] = 0.0
-    tightness = values.get("tightness", 0.0)
-    if structure.bound in COUPLED:
-        # The gain is that of the smallest command, so without the other axis none is smaller.
-        smallest = np.abs(value[value != 0.0]).min(initial=math.inf)
-        tightness = min(max(tightness, _LEAST_TIGHTNESS), 1.0 / smallest)
-    if structure.bound != "rate" and tightness > 0.0:
-        value = _bound_wheels(structure.bound, tightness * value, coupling) / tightness
-    return integrate_commands(commands.time_s, value, commands.slope)
 
 
 def _bound_wheels(bound: Bound, value: Values, beside: Any) -> Values:
@@ -506,6 +467,20 @@ def _bound_wheels(bound: Bound, value: Values, beside: Any) -> Values:
         )
     most = np.maximum(1.0 - beside, 0.0) if bound == "yielding" else 1.0
     return np.asarray(np.clip(value, -most, most))
+
+
+def _limit_wheels(
+    commands: HeldInput, lag_s: float, values: Mapping[str, float], beside: HeldInput
+) -> list[HeldInput]:
+    """Return the inputs of both wheels, each with a limit of its acceleration."""
+    slowness = max(values["slowness"], _LEAST_SLOWNESS)
+    commands = _join_times(commands, beside)
+    turns = values["slowness_beside"] / slowness * beside.place(commands.time_s).value
+    wheels = (
+        integrate_commands(commands.time_s, commands.value + way * turns, commands.slope)
+        for way in (-1.0, 1.0)
+    )
+    return [limit_within(wheel, slowness, lag_s) for wheel in wheels]
 
 
 def _join_times(commands: HeldInput, beside: HeldInput) -> HeldInput:

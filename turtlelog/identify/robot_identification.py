@@ -18,14 +18,15 @@ from turtlelog.identify.axis_motion import (
     UNITS,
     Axis,
     count_steps,
+    find_rests,
     get_commands,
     read_axis_motion,
 )
 from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiting, describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
-from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure, find_rests
-from turtlelog.measure.travel_direction import describe_sideways, find_travel_direction
+from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure
+from turtlelog.measure.pose_notes import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
@@ -88,11 +89,8 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         for run in runs
         if (sideways := describe_sideways(run))
     ]
-    for list_notes in (
-        *(_compare_runs, _note_one_size, _note_one_beside, _note_backward),
-        _note_drift,
-    ):
-        notes += [note for model in models for note in list_notes(runs, model)]
+    for note in (_compare_runs, _note_one_size, _note_one_beside, _note_backward, _note_drift):
+        notes += [text for model in models for text in note(runs, model)]
     notes += [
         f"The {NAMES[model.axis]} stops by itself where no command comes,"
         f" {describe_count(len(waits_s), 'time')}: it is down to half {min(waits_s):.2f} to"

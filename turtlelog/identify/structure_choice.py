@@ -12,17 +12,12 @@ from itertools import product
 from typing import Final, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
-from turtlelog.identify.axis_motion import AxisMotion
+from turtlelog.identify.axis_motion import AxisMotion, Parts, find_rests, split_motions
 from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
 from turtlelog.identify.robot_noise import LEAST_STEP, Whitening, fit_noise
-
-_FITTED: Final = 2 / 3
-"""Share of each log that is fitted; the rest of the log is predicted, once its end, once its
-beginning."""
 
 _ASKS: Final = 8.0
 """Possible decrease of the sum of squares from which a further parameter is tried, in variances;
@@ -43,10 +38,6 @@ a change of 2 % does in one second."""
 _AT_REST: Final = 0.5
 """Smallest share of a drift that the mean rate at rest must have: then it is nearer to the drift
 than to rest. A robot that only veers while it drives does not drift."""
-
-_SETTLES: Final = 3.0
-"""Time constants after which a robot counts as at rest: 5 % of its rate is left, which the model
-explains to a tenth."""
 
 RESTED_S: Final = 1.0
 """Shortest total rest that shows a drift [s]: thirty poses of a usual robot."""
@@ -115,9 +106,6 @@ one by one."""
 _LEAST_LAG_S: Final = 0.02
 """Time constant at which the search for a second one starts, if the first is nearly 0 [s]."""
 
-Parts = tuple[list[AxisMotion], list[AxisMotion]]
-"""Some steps of each run, which are fitted, and its other steps, which are predicted."""
-
 
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
     """Return the fit of the best structure for the motion, and the fits of its rivals.
@@ -125,7 +113,7 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
     Friction with a steep gain looks like a deadband if few commands are small, and a search that
     begins with friction never leaves it. Therefore such a search is repeated without friction.
     """
-    splits = _split(fit.model.motions)
+    splits = split_motions(fit.model.motions)
     if not all(known for known, _ in splits):
         return fit, []
     tried: dict[Structure, AxisFit] = {}
@@ -205,13 +193,10 @@ def is_rival(fit: AxisFit, other: AxisFit) -> bool:
 
 def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
     """Return whether another structure has a clearly smaller residual and a different response."""
-    nothing = {"reverse": 1.0}
-    errors = np.sqrt(np.maximum(np.diag(other.covariance), 0.0))
-    for place, name in enumerate(other.model.structure.names, EXTRA):
-        off = abs(float(other.parameters[place]) - nothing.get(name, 0.0))
-        if name not in fit.model.structure.names and off <= axis_fit.NORMAL_95 * float(
-            errors[place]
-        ):
+    errors = np.sqrt(np.maximum(np.diag(other.covariance)[EXTRA:], 0.0)).tolist()
+    for (name, value), error in zip(other.extras.items(), errors, strict=True):
+        off = abs(value - (1.0 if name == "reverse" else 0.0))
+        if name not in fit.extras and off <= axis_fit.NORMAL_95 * error:
             return False
     is_clear = fit.badness - other.badness >= _CLEARLY
     if not is_clear or other.parameters[GAIN] <= 0.0:
@@ -230,10 +215,9 @@ def is_soft(structure: Structure, other: Structure) -> bool:
 
 def shows_gain(fit: AxisFit) -> bool:
     """Return whether enough commands stay below the bound of a fit to determine its gain."""
-    names = fit.model.structure.names
-    if "tightness" not in names:
+    tightness = fit.extras.get("tightness")
+    if tightness is None:
         return True
-    tightness = float(fit.parameters[EXTRA + names.index("tightness")])
     below_s = moving_s = 0.0
     for motion in fit.model.motions:
         held_s = np.diff(motion.commands.time_s, append=motion.time_s[-1])
@@ -250,13 +234,12 @@ def shows_drift(fit: AxisFit) -> bool:
     In a log without rests, the steps while the other axis rests must show it: a robot that turns
     about another point than the one it reports seems to drift as long as it turns.
     """
-    names = fit.model.structure.names
-    if "drift" not in names:
+    drift = fit.extras.get("drift")
+    if drift is None:
         return True
-    place = EXTRA + names.index("drift")
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
-    drift = float(fit.parameters[place])
-    at_rest = find_rests(fit.model.motions, dead_time_s, lag_s) & ~fit.is_outlier
+    at_rest = find_rests(fit.model.motions, dead_time_s, lag_s)
+    at_rest &= ~fit.is_outlier
     rested_s = float(fit.model.duration_s[at_rest].sum())
     if rested_s >= RESTED_S:
         off = float(fit.residual[at_rest].sum()) / rested_s / gain if gain > 0.0 else 0.0
@@ -266,22 +249,15 @@ def shows_drift(fit: AxisFit) -> bool:
     if np.count_nonzero(alone) <= len(fit.parameters):
         return False
     moves, covariance = axis_fit.solve_part(fit, alone)
-    surely = _SURELY * float(np.sqrt(max(covariance[place, place], 0.0)))
-    return bool((drift + moves[place]) * np.sign(drift) > surely)
-
-
-def find_rests(
-    motions: Sequence[AxisMotion], dead_time_s: float, lag_s: float
-) -> NDArray[np.bool_]:
-    """Return the steps of runs in which both commands are 0, and earlier ones have faded."""
-    return np.concatenate([one.is_resting(dead_time_s, _SETTLES * lag_s) for one in motions])
+    # A drift is the last further parameter.
+    surely = _SURELY * float(np.sqrt(max(covariance[-1, -1], 0.0)))
+    return bool((drift + moves[-1]) * np.sign(drift) > surely)
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
     """Return the largest difference of two models in a step, as a fraction of the largest rate."""
     rates = [
-        one.model.linearise(one.parameters)[0][~other.is_outlier]
-        / one.model.duration_s[~other.is_outlier]
+        (one.model.linearise(one.parameters)[0] / one.model.duration_s)[~other.is_outlier]
         for one in (fit, other)
     ]
     return float(np.abs(rates[0] - rates[1]).max() / max(np.abs(rates[0]).max(), LEAST_STEP))
@@ -294,41 +270,35 @@ Starts = list[tuple[float, ...]]
 def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     """Yield structures with one difference, with start values of their further parameters."""
     structure = fit.model.structure
-    known = dict(zip(structure.names, fit.parameters[EXTRA:].tolist(), strict=True))
-    commands = np.concatenate([motion.commands.value for motion in fit.model.motions])
+    known, commands = fit.extras, fit.model.commands
     levels = np.unique(np.abs(commands))
 
     def start(other: Structure, **value: float) -> tuple[float, ...]:
         return tuple((known | value)[name] for name in other.names)
 
-    yield from _list_orders(fit, known, commands)
+    yield from _list_orders(fit)
     largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
+    frictions = [share * largest for share in _FRICTIONS]
     bounds = [known["tightness"]] if "tightness" in known else []
     bounds += [1.0 / (share * largest) for share in _BOUNDS]
     for other, name, values in (
         (replace(structure, bound="command"), "tightness", bounds),
         (replace(structure, bound="rate"), "tightness", bounds),
         (replace(structure, has_reverse=True), "reverse", [1.0] if turns_back else []),
-        (
-            replace(structure, has_friction=True),
-            "friction",
-            [share * largest for share in _FRICTIONS],
-        ),
+        (replace(structure, has_friction=True), "friction", frictions),
         (replace(structure, has_drift=True), "drift", [_find_drift(fit)]),
     ):
         if values and other != structure and _is_open(other, commands):
             yield other, [start(other, **{name: value}) for value in values]
-    yield from _list_coupled(fit, known, largest)
+    yield from _list_coupled(fit, largest)
     small = levels[(levels > 0.0) & (levels <= 0.5 * levels[-1])]
     for deadband in _find_deadbands(fit, small) if len(small) else []:
         other = replace(structure, deadband=deadband)
         yield other, [start(other)]
 
 
-def _list_orders(
-    fit: AxisFit, known: dict[str, float], commands: Values
-) -> Iterator[tuple[Structure, Starts]]:
-    structure = fit.model.structure
+def _list_orders(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
+    structure, known, commands = fit.model.structure, fit.extras, fit.model.commands
     lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
     span = max(float(np.ptp(commands)), LEAST_STEP)
     if known.get("tightness", 0.0) > 0.0:  # commands beyond the bound change no more than it
@@ -352,8 +322,7 @@ def _list_orders(
 
 def _list_wheels(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
     """Yield a limit of the wheels' acceleration; nothing if the other axis rests."""
-    known = dict(zip(fit.model.structure.names, fit.parameters[EXTRA:].tolist(), strict=True))
-    commands = np.concatenate([motion.commands.value for motion in fit.model.motions])
+    known, commands = fit.extras, fit.model.commands
     span = max(float(np.ptp(commands)), LEAST_STEP)
     beside = max(
         (float(np.ptp(one.beside.value)) for one in fit.model.motions if one.beside), default=0.0
@@ -364,17 +333,16 @@ def _list_wheels(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         yield LIMITED_WHEELS, starts
 
 
-def _list_coupled(
-    fit: AxisFit, known: dict[str, float], largest: float
-) -> Iterator[tuple[Structure, Starts]]:
+def _list_coupled(fit: AxisFit, largest: float) -> Iterator[tuple[Structure, Starts]]:
     """Yield limits of the wheels; none if the other axis rests, or the first is not promising."""
     others = [motion.beside.value for motion in fit.model.motions if motion.beside is not None]
     beside = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
     if not beside:
         return
-    alone = [known[name] for name in known if name == "tightness"]
+    known = fit.extras
+    alone = [known["tightness"]] if "tightness" in known else []
     alone += [1.0 / (share * largest) for share in _ALONE]
-    couplings = [known[name] for name in known if name == "coupling"]
+    couplings = [known["coupling"]] if "coupling" in known else []
     couplings += [1.0 / (share * beside) for share in _BESIDE]
     for bound in COUPLED:
         other = replace(fit.model.structure, bound=bound)
@@ -430,33 +398,12 @@ def _choose_starts(fit: AxisFit, structure: Structure, starts: Starts) -> Starts
         return starts
     asks = {("reverse", 1.0): 1.1, ("drift", 0.0): 0.1}
     moved = [
-        tuple(
-            asks.get((name, value), value)
-            for name, value in zip(structure.names, extras, strict=True)
-        )
+        tuple(asks.get(pair, pair[1]) for pair in zip(structure.names, extras, strict=True))
         for extras in starts
     ]
     gains = _measure_reductions(fit, structure, moved)
     rows = {max(range(len(gains)), key=lambda row: gains[row][by]) for by in (0, 1)}
     return [starts[row] for row in sorted(rows) if gains[row][0] >= _ASKS]
-
-
-def _split(motions: Sequence[AxisMotion]) -> list[Parts]:
-    """Return the steps of each run that are fitted, and those predicted: the last, then the first.
-
-    A part without small commands cannot confirm a deadband, but it can be fitted.
-    """
-    splits = []
-    for is_first in (True, False):
-        pairs = []
-        for motion in motions:
-            count = len(motion.moved)
-            cut = int((_FITTED if is_first else 1.0 - _FITTED) * count)
-            sides = motion.take(slice(cut)), motion.take(slice(cut, None))
-            if 0 < cut < count:
-                pairs.append(sides if is_first else sides[::-1])
-        splits.append(([known for known, _ in pairs], [ahead for _, ahead in pairs]))
-    return splits
 
 
 def _measure_reductions(

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path, PurePath
 from struct import Struct
-from types import MappingProxyType
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -50,8 +49,8 @@ from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 LIBRARY: Final = f"turtlelog/{__version__}"
 """Name of the program, written to the header of each file."""
 
-_NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
-_NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
+_NOTHING: Final[Mapping[str, Mapping[str, str]]] = {}
+_NO_FILES: Final[Mapping[str, bytes]] = {}
 
 _COMPRESSION: Final = "zstd"
 _INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries

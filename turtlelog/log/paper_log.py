@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from sys import intern
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -30,13 +29,11 @@ _Whole = NDArray[np.int64]
 
 _PHASES: Final = {name: number for number, name in enumerate(DECLARATION.phase_names)}
 
-_STATES: Final = MappingProxyType(
-    {
-        "ROTACIONAR": _PHASES["rotate"],
-        "TRANSLADAR": _PHASES["translate"],
-        "FINALIZADO": _PHASES[DONE],
-    }
-)
+_STATES: Final = {
+    "ROTACIONAR": _PHASES["rotate"],
+    "TRANSLADAR": _PHASES["translate"],
+    "FINALIZADO": _PHASES[DONE],
+}
 """Phase number by the name of a state, which is the state AFTER the callback."""
 
 _NUMBERS: Final = (
@@ -216,29 +213,27 @@ def _shorten(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-_PARAMETERS: Final = MappingProxyType(
-    {
-        "law.kp_angular": ("controller_gains", "Kp_angular"),
-        "law.kp_linear": ("controller_gains", "Kp_linear"),
-        "law.heading_tolerance_rad": ("tolerances", "angle"),
-        "law.position_tolerance_m": ("tolerances", "linear"),
-        "limits.speed_m_s": ("speed_limits", "max_linear_speed"),
-        "limits.turn_rate_rad_s": ("speed_limits", "max_angular_speed"),
-        "goal.x_m": ("target_position", "x"),
-        "goal.y_m": ("target_position", "y"),
-    }
-)
+_PARAMETERS: Final = {
+    "law.kp_angular": ("controller_gains", "Kp_angular"),
+    "law.kp_linear": ("controller_gains", "Kp_linear"),
+    "law.heading_tolerance_rad": ("tolerances", "angle"),
+    "law.position_tolerance_m": ("tolerances", "linear"),
+    "limits.speed_m_s": ("speed_limits", "max_linear_speed"),
+    "limits.turn_rate_rad_s": ("speed_limits", "max_angular_speed"),
+    "goal.x_m": ("target_position", "x"),
+    "goal.y_m": ("target_position", "y"),
+}
 """Section and name in the metadata, by scenario key."""
 
-_PLACES: Final = MappingProxyType({name: f"data.{name}" for name in (*_NUMBERS, "state")})
+_PLACES: Final = {name: f"data.{name}" for name in (*_NUMBERS, "state")}
 
 _MOST_SIGNS: Final = 2**17
 """Largest number of lists, objects and keys of a JSON text: thousands of times the number in a
 log."""
 
-_HEADINGS: Final = MappingProxyType(
-    {name: name for name in (*_NUMBERS, "state")} | {"error_angle": "error_angle_rad"}
-)
+_HEADINGS: Final = {name: name for name in (*_NUMBERS, "state")} | {
+    "error_angle": "error_angle_rad"
+}
 """Name of each list in the CSV layout."""
 
 

@@ -6,7 +6,6 @@ Headings are judged by the direction of travel.
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -48,20 +47,18 @@ class PoseShape:
 _STAMPED: Final = PoseShape(position="pose.position.", orientation="pose.orientation.")
 _COVARIANT: Final = PoseShape(position="pose.pose.position.", orientation="pose.pose.orientation.")
 _TRANSFORM: Final = PoseShape(position="transform.translation.", orientation="transform.rotation.")
-POSE_TYPES: Final[Mapping[str, tuple[int, PoseShape | None]]] = MappingProxyType(
-    {
-        "turtlesim/msg/Pose": (0, None),
-        "turtlesim_msgs/msg/Pose": (0, None),
-        "nav_msgs/msg/Odometry": (1, _COVARIANT),
-        "geometry_msgs/msg/PoseStamped": (2, _STAMPED),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": (2, _COVARIANT),
-        "geometry_msgs/msg/Pose": (3, PoseShape(position="position.", orientation="orientation.")),
-        "geometry_msgs/msg/Pose2D": (3, PoseShape(position="", heading="theta")),
-        "geometry_msgs/msg/TransformStamped": (4, _TRANSFORM),
-        **dict.fromkeys(TRANSFORM_TYPES, (5, None)),
-        FIX: (6, None),
-    }
-)
+POSE_TYPES: Final[Mapping[str, tuple[int, PoseShape | None]]] = {
+    "turtlesim/msg/Pose": (0, None),
+    "turtlesim_msgs/msg/Pose": (0, None),
+    "nav_msgs/msg/Odometry": (1, _COVARIANT),
+    "geometry_msgs/msg/PoseStamped": (2, _STAMPED),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (2, _COVARIANT),
+    "geometry_msgs/msg/Pose": (3, PoseShape(position="position.", orientation="orientation.")),
+    "geometry_msgs/msg/Pose2D": (3, PoseShape(position="", heading="theta")),
+    "geometry_msgs/msg/TransformStamped": (4, _TRANSFORM),
+    **dict.fromkeys(TRANSFORM_TYPES, (5, None)),
+    FIX: (6, None),
+}
 """The message types of poses: the priority among the topics of a bag, and the fields of the pose.
 
 The lowest priority number is first: odometry, because it has rates, then types with stamps, and

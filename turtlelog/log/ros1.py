@@ -18,9 +18,9 @@ from typing import BinaryIO, Final
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
-from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
+from turtlelog.log.engine.cdr import ENCAPSULATION
 from turtlelog.log.engine.limits import UNPACKED_FILE, Allowance, grow_bound, unpack_chunk
 from turtlelog.log.engine.message_types import (
     TEXT,
@@ -30,7 +30,7 @@ from turtlelog.log.engine.message_types import (
     read_type,
     shorten_type,
 )
-from turtlelog.log.engine.records import COUNTED_HEAD, MESSAGE_HEAD, RECORD, gather_heads
+from turtlelog.log.engine.records import COUNTED_HEAD
 from turtlelog.log.file_access import DamageError
 from turtlelog.log.mcap_writer import ChunkRows, McapFile
 
@@ -168,9 +168,12 @@ def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
 
 def _take(copy: _Copy, operation: int, header: Mapping[str, bytes], data: bytes) -> None:
     if operation == _CHUNK:
-        for inner, part in _iterate_records(_unpack(copy, header, data)):
+        parts = _iterate_parts(_unpack(copy, header, data), _IN_RECORD)
+        for inner in map(_read_header, parts):
+            if (body := next(parts, None)) is None:
+                raise LogError(_IN_RECORD)
             if (kind := _find(inner, "op", 1)[0]) != _CHUNK:
-                _take(copy, kind, inner, part)
+                _take(copy, kind, inner, body)
     elif operation == _MESSAGE:
         _take_message(copy, header, data)
     elif operation == _CONNECTION:
@@ -211,15 +214,6 @@ def _unpack_bz2(data: bytes, most: int) -> bytes:
         if not part and unpacker.needs_input and not unpacker.eof:
             raise LogError("expected sound bz2 data, found the end of the chunk within it")
     return bytes(found)
-
-
-def _iterate_records(data: bytes) -> Iterator[tuple[Mapping[str, bytes], bytes]]:
-    """Yield header and data of the records in a chunk."""
-    parts = _iterate_parts(data, _IN_RECORD)
-    for header in parts:
-        if (body := next(parts, None)) is None:
-            raise LogError(_IN_RECORD)
-        yield _read_header(header), body
 
 
 def _iterate_parts(data: bytes, complaint: str) -> Iterator[bytes]:
@@ -317,14 +311,12 @@ def _read(stream: BinaryIO, size: int) -> bytes:
     return bytes(found)
 
 
-_ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 _HEADER: Final = f"{'=' * 80}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
 """Header of ROS 1, which counts messages. Definitions always include the header."""
 
 _RENAMED: Final = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types that have another name in ROS 2."""
 
-Places = NDArray[np.int64]
 _Step = Callable[["_Message"], None]
 
 
@@ -343,28 +335,19 @@ def read_ros1_type(name: str, text: str) -> MessageType:
     return read_type(name, text if has_header else f"{text.rstrip()}\n{_HEADER}")
 
 
-def convert_ros1(fields: tuple[Field, ...], data: bytes, starts: Places) -> tuple[bytes, Places]:
-    """Return ROS 1 messages, given as records with their starts, as records of CDR messages."""
-    heads, steps = gather_heads(data, starts), _plan(fields)
-    ends = starts + RECORD.size + heads["length"].astype(np.int64)
-    found, places = bytearray(), np.empty_like(starts)
-    for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        message = _Message(data[start + MESSAGE_HEAD : end])
-        try:
-            for step in steps:
-                step(message)
-        except LogError as err:
-            raise LogError(f"message {number}: {err}") from err
-        if message.place != len(message.data):
-            raise LogError(
-                f"message {number}: expected {message.place} bytes, found {len(message.data)}"
-            )
-        heads["length"][number] = COUNTED_HEAD + len(_ENCAPSULATION) + len(message.body)
-        places[number] = len(found)
-        found += heads[number].tobytes()
-        found += _ENCAPSULATION
-        found += message.body
-    return bytes(found), places
+def build_converter(fields: tuple[Field, ...]) -> Callable[[bytes], bytes]:
+    """Return a function that converts a ROS 1 message with these fields to CDR."""
+    steps = _plan(fields)
+
+    def convert(data: bytes) -> bytes:
+        message = _Message(data)
+        for step in steps:
+            step(message)
+        if message.place != len(data):
+            raise LogError(f"expected {message.place} bytes, found {len(data)}")
+        return ENCAPSULATION + message.body
+
+    return convert
 
 
 class _Message:

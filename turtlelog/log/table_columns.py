@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -17,79 +16,71 @@ from turtlelog.errors import LogError
 
 Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
 
-QUANTITIES: Final[Mapping[str, Quantity]] = MappingProxyType(
-    {
-        **dict.fromkeys(("t", "t_nanosec"), "time"),
-        **dict.fromkeys("xyz", "length"),
-        "heading": "angle",
-        **dict.fromkeys(("qx", "qy", "qz", "qw"), "number"),
-        "speed": "speed",
-        "turn_rate": "turn_rate",
-        "command_speed": "speed",
-        "command_turn_rate": "turn_rate",
-    }
-)
+QUANTITIES: Final[Mapping[str, Quantity]] = {
+    **dict.fromkeys(("t", "t_nanosec"), "time"),
+    **dict.fromkeys("xyz", "length"),
+    "heading": "angle",
+    **dict.fromkeys(("qx", "qy", "qz", "qw"), "number"),
+    "speed": "speed",
+    "turn_rate": "turn_rate",
+    "command_speed": "speed",
+    "command_turn_rate": "turn_rate",
+}
 """Quantities of a table by field; `speed` and `turn_rate` are measured values of the robot."""
 
-UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
-    {
-        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-        "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-        "angle": {"rad": 1.0, "deg": math.pi / 180.0, "compass": -math.pi / 180.0},
-        "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
-        "turn_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
-        "number": {"1": 1.0},
-    }
-)
+UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "angle": {"rad": 1.0, "deg": math.pi / 180.0, "compass": -math.pi / 180.0},
+    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
+    "turn_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
+    "number": {"1": 1.0},
+}
 """Units by quantity, the standard unit first, each with its factor to the standard unit.
 
 An angle of a compass [deg] is 0 to the north, which is +y, and clockwise."""
 
-_SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),
-        **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), "us"),
-        **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
-        **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
-        **{name: name for name in ("cm", "mm", "rpm", "1", "compass")},
-        **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
-        **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), "deg"),
-        **dict.fromkeys(("m/s", "m_s", "mps", "m_per_s"), "m/s"),
-        **dict.fromkeys(("cm/s", "cm_s"), "cm/s"),
-        **dict.fromkeys(("mm/s", "mm_s"), "mm/s"),
-        **dict.fromkeys(("km/h", "km_h", "kmh", "kph"), "km/h"),
-        **dict.fromkeys(("rad/s", "rad_s", "radps", "rad_per_s", "rads/s"), "rad/s"),
-        **dict.fromkeys(("deg/s", "deg_s", "degps", "dps", "deg_per_s", "°/s"), "deg/s"),
-    }
-)
+_SPELLINGS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+    **{name: name for name in ("cm", "mm", "rpm", "1", "compass")},
+    **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
+    **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), "deg"),
+    **dict.fromkeys(("m/s", "m_s", "mps", "m_per_s"), "m/s"),
+    **dict.fromkeys(("cm/s", "cm_s"), "cm/s"),
+    **dict.fromkeys(("mm/s", "mm_s"), "mm/s"),
+    **dict.fromkeys(("km/h", "km_h", "kmh", "kph"), "km/h"),
+    **dict.fromkeys(("rad/s", "rad_s", "radps", "rad_per_s", "rads/s"), "rad/s"),
+    **dict.fromkeys(("deg/s", "deg_s", "degps", "dps", "deg_per_s", "°/s"), "deg/s"),
+}
 """Common spellings of units."""
 
-_NAMES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
-        " stamp_sec stamp_secs elapsed elapsed_time sim_time ros_time sec secs seconds",
-        "t_nanosec": "",  # only together with seconds
-        **{
-            axis: f"{axis} pos_{axis} position_{axis} p{axis} {axis}_pos {axis}_position {axis}pos"
-            f" pose_{axis} t{axis} pose_position_{axis} pose_pose_position_{axis}"
-            f" transform_translation_{axis} translation_{axis} p_rs_r_{axis}"
-            for axis in "xyz"
-        },
-        "heading": "heading yaw theta psi pos_theta pose_theta heading_angle yaw_angle"
-        " orientation_yaw pose_yaw",
-        **{
-            f"q{axis}": f"q{axis} q_{axis} quat_{axis} quaternion_{axis} orientation_{axis}"
-            f" rotation_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"
-            f" transform_rotation_{axis} q_rs_{axis}"
-            for axis in "xyzw"
-        },
-        "speed": "speed v vel velocity linear_velocity linear_speed lin_vel forward_speed linear_x"
-        " vel_linear_x twist_linear_x twist_twist_linear_x",
-        "turn_rate": "turn_rate omega w wz yaw_rate yawrate angular_velocity angular_speed"
-        " ang_vel angular_z vel_angular_z twist_angular_z twist_twist_angular_z",
-    }
-)
+_NAMES: Final[Mapping[str, str]] = {
+    "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
+    " stamp_sec stamp_secs elapsed elapsed_time sim_time ros_time sec secs seconds",
+    "t_nanosec": "",  # only together with seconds
+    **{
+        axis: f"{axis} pos_{axis} position_{axis} p{axis} {axis}_pos {axis}_position {axis}pos"
+        f" pose_{axis} t{axis} pose_position_{axis} pose_pose_position_{axis}"
+        f" transform_translation_{axis} translation_{axis} p_rs_r_{axis}"
+        for axis in "xyz"
+    },
+    "heading": "heading yaw theta psi pos_theta pose_theta heading_angle yaw_angle"
+    " orientation_yaw pose_yaw",
+    **{
+        f"q{axis}": f"q{axis} q_{axis} quat_{axis} quaternion_{axis} orientation_{axis}"
+        f" rotation_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"
+        f" transform_rotation_{axis} q_rs_{axis}"
+        for axis in "xyzw"
+    },
+    "speed": "speed v vel velocity linear_velocity linear_speed lin_vel forward_speed linear_x"
+    " vel_linear_x twist_linear_x twist_twist_linear_x",
+    "turn_rate": "turn_rate omega w wz yaw_rate yawrate angular_velocity angular_speed"
+    " ang_vel angular_z vel_angular_z twist_angular_z twist_twist_angular_z",
+}
 """Known column names by field, in lower case, with _ for other characters."""
 
 _COMMANDS: Final = frozenset({"cmd", "command", "commanded", "commands"})

@@ -1,7 +1,6 @@
 from .breaks import (
     PoseGap as PoseGap,
     PoseJump as PoseJump,
-    describe_breaks as describe_breaks,
     find_gaps as find_gaps,
     find_jumps as find_jumps,
 )
@@ -36,6 +35,13 @@ from .metric_list import (
     measure_run as measure_run,
     miss_metric as miss_metric,
 )
+from .pose_notes import (
+    TravelDirection as TravelDirection,
+    describe_breaks as describe_breaks,
+    describe_sideways as describe_sideways,
+    describe_travel as describe_travel,
+    find_travel_direction as find_travel_direction,
+)
 from .rates import (
     Outlier as Outlier,
     describe_outliers as describe_outliers,
@@ -59,10 +65,4 @@ from .signals import (
 from .step_response import (
     find_overshoot as find_overshoot,
     find_settling_time as find_settling_time,
-)
-from .travel_direction import (
-    TravelDirection as TravelDirection,
-    describe_sideways as describe_sideways,
-    describe_travel as describe_travel,
-    find_travel_direction as find_travel_direction,
 )

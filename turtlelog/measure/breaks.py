@@ -17,7 +17,6 @@ motion comes from poses further away. A step is a correction under four conditio
 - It is in one step alone, and the poses on either side agree. A stray pose, in contrast, returns.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -25,15 +24,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, join_words
 from turtlelog.measure.rates import (
     GAP_STEPS,
     NEIGHBOURS,
-    describe_repetition,
     find_changing_rows,
     find_usual_step,
 )
 from turtlelog.measure.reductions import compute_median
+from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
 from turtlelog.run.angles import subtract_headings
 
@@ -47,15 +45,12 @@ _STRAYS: Final = 0.05
 """Largest share of steps that lead out and back at once and count as stray poses. Noise and a
 second program lead out and back all the time."""
 
-_TOLD: Final = 0.1
-"""Share of a jump from which the distance driven meanwhile is mentioned."""
-
 _TURNED_RAD: Final = 0.1
 """Turn of a jump from which the displacement is measured along the heading before it, because there
 is no mean heading. At this turn, both directions differ by 3 deg, 5 % of the displacement to the
 side."""
 
-_ROUNDING: Final = 1e-5
+ROUNDING: Final = 1e-5
 """Largest effect of the 32-bit rounding of two poses on a step [m, rad]."""
 
 ACCELERATION: Final = (2.0, 10.0)
@@ -110,14 +105,14 @@ class PoseJump:
 def find_gaps(run: Run) -> tuple[PoseGap, ...]:
     """Return the segments of time without poses, each longer than four usual steps."""
     time_ns = run.poses.time_ns
+    rows = find_gap_rows(time_ns)
+    if not len(rows):
+        return ()
+    usual_ns = int(compute_median(np.diff(time_ns)))
+    starts_ns, ends_ns = time_ns[rows - 1].tolist(), time_ns[rows].tolist()
     return tuple(
-        PoseGap(
-            row=row,
-            start_ns=int(time_ns[row - 1]),
-            end_ns=int(time_ns[row]),
-            usual_ns=int(compute_median(np.diff(time_ns))),
-        )
-        for row in find_gap_rows(time_ns).tolist()
+        PoseGap(row=row, start_ns=start_ns, end_ns=end_ns, usual_ns=usual_ns)
+        for row, start_ns, end_ns in zip(rows.tolist(), starts_ns, ends_ns, strict=True)
     )
 
 
@@ -135,8 +130,12 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
     strays), or a correction of the pose (`find_corrections`).
     """
+    return recall(run, "jumps", lambda: _find_jumps(run))
+
+
+def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses = run.poses
-    if _has_courses(run):  # a course turns with the positions, and is not independent
+    if has_courses(run):  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = find_changing_rows(poses)
     if len(rows) < len(poses):
@@ -144,17 +143,11 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     if len(poses) < 3:
         return ()
     steps = measure_steps(poses)
+    ways = moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
+    is_jump = _find_jump_steps(poses, ways, steps[2])
+    if not is_jump.any():
+        return ()
     step_ns = np.diff(poses.time_ns)
-    usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
-    moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
-    applied = [poses.speed_m_s, poses.turn_rate_rad_s]
-    is_jump = np.zeros(len(step_ns), dtype=bool)
-    if poses.speed_m_s is None:
-        is_jump |= find_corrections(poses)
-    together = np.hypot(*(poses.xy_m[2:] - poses.xy_m[:-2]).T), np.abs(steps[2][1:] + steps[2][:-1])
-    ways = zip((moved, turned), together, applied, ACCELERATION, strict=True)
-    for way, net, seen, acceleration in ways:
-        is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
     is_late = step_ns > LATE * compute_median(step_ns)
     ahead_m, aside_m, turned_rad = (_find_excess(step, step_ns, is_late) for step in steps)
     beyond_m, beyond_rad = np.hypot(ahead_m, aside_m), np.abs(turned_rad)
@@ -183,50 +176,28 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
     )
 
 
-def _has_courses(run: Run) -> bool:
+def _find_jump_steps(
+    poses: PoseColumns, ways: tuple[Values, Values], turned_rad: Values
+) -> NDArray[np.bool_]:
+    """Return which steps are jumps; `ways` are their magnitudes in the plane and in heading."""
+    step_ns = np.diff(poses.time_ns)
+    usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
+    applied = (poses.speed_m_s, poses.turn_rate_rad_s)
+    together = (
+        np.hypot(*(poses.xy_m[2:] - poses.xy_m[:-2]).T),
+        np.abs(turned_rad[1:] + turned_rad[:-1]),
+    )
+    is_jump = np.zeros(len(step_ns), dtype=bool)
+    if poses.speed_m_s is None:
+        is_jump |= find_corrections(poses)
+    for way, net, seen, acceleration in zip(ways, together, applied, ACCELERATION, strict=True):
+        is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
+    return is_jump
+
+
+def has_courses(run: Run) -> bool:
     """Return whether headings are courses over ground, as of a satellite receiver."""
     return "heading" in run.notes
-
-
-def describe_breaks(run: Run) -> dict[str, str]:
-    """Return a sentence on `repeated`, `jumps` and `gaps`, for each that is not empty."""
-    found = {}
-    if changes := describe_repetition(run.poses):
-        found["repeated"] = f"most positions repeat the one before; they change at {changes}"
-    if jumps := find_jumps(run):
-        found["jumps"] = _describe_jumps(jumps, run.start_ns, is_north=_has_courses(run))
-    if gaps := find_gaps(run):
-        longest = max(gaps, key=lambda gap: gap.end_ns - gap.start_ns)
-        which = "" if len(gaps) == 1 else "the longest "
-        length_s = (longest.end_ns - longest.start_ns) / 1e9
-        found["gaps"] = (
-            f"{describe_count(len(gaps), 'gap')}, {which}{length_s:.2f} s without a pose from"
-            f" {(longest.start_ns - run.start_ns) / 1e9:.1f} s; usual are"
-            f" {longest.usual_ns / 1e6:.0f} ms"
-        )
-    return found
-
-
-def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int, *, is_north: bool) -> str:
-    largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
-    which = "" if len(jumps) == 1 else "the largest "
-    names = ("m ahead", "m back", "m to the left", "m to the right")
-    names = ("m east", "m west", "m north", "m south") if is_north else names
-    signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
-    way_m = float(np.hypot(largest.moved_m, largest.aside_m))
-    least_m = _ROUNDING
-    beyond_s2 = largest.excess_m / ACCELERATION[0], largest.excess_rad / ACCELERATION[1]
-    if largest.excess_m <= _TOLD * way_m and beyond_s2[0] < beyond_s2[1]:
-        least_m = np.inf  # the displacement has no meaning if the heading jumps
-    parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
-    if abs(largest.turned_rad) > _ROUNDING:
-        parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
-    at_s = (largest.time_ns - start_ns) / 1e9
-    beyond = ""
-    if abs(largest.excess_m - way_m) > _TOLD * way_m and np.isfinite(least_m):
-        beyond = f", {largest.excess_m:.3g} m more than it drove"
-    count = describe_count(len(jumps), "jump")
-    return f"{count}, {which}{join_words(parts)} at {at_s:.1f} s{beyond}"
 
 
 def _find_far_steps(
@@ -240,7 +211,7 @@ def _find_far_steps(
         rate = float((lasting / usual_ns[1:]).max()) * 1e9
         rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
         reached = np.maximum(rate, acceleration * usual_ns / 1e9)
-        is_far = np.asarray(way > _FAST * reached * usual_ns / 1e9 + _ROUNDING)
+        is_far = np.asarray(way > _FAST * reached * usual_ns / 1e9 + ROUNDING)
         if is_far.mean() <= _STRAYS:
             break
     return is_far
@@ -332,7 +303,7 @@ class _Motion:
 
 def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
     """Return which steps between poses are corrections of the position or the heading."""
-    found = np.zeros(max(len(poses) - 1, 0), dtype=np.bool_)
+    found = np.zeros(len(poses) - 1, dtype=np.bool_)
     if len(found) <= 2 * _AROUND:
         return found
     ahead_m, aside_m, turned_rad = measure_steps(poses)

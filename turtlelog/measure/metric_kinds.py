@@ -39,7 +39,6 @@ from turtlelog.run import Run
 from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 if TYPE_CHECKING:
-    from turtlelog.measure.breaks import PoseJump
     from turtlelog.measure.metric_list import MeasureSettings
     from turtlelog.measure.pose_noise import WhiteNoise
 
@@ -99,16 +98,11 @@ class RunContext:
         """Poses far enough apart in time for differences; None for a single pose."""
         if len(self.run.poses) < 2:
             return None
-        return rates.space_poses(self.run, [jump.row for jump in self.jumps])
-
-    @cached_property
-    def jumps(self) -> "tuple[PoseJump, ...]":
-        """Jumps of the poses; none if the plant's speed is recorded, as of a simulation."""
         if self.run.poses.speed_m_s is not None:
-            return ()
+            return rates.space_poses(self.run)
         from turtlelog.measure.breaks import find_jumps  # only poses of other robots jump
 
-        return find_jumps(self.run)
+        return rates.space_poses(self.run, [jump.row for jump in find_jumps(self.run)])
 
     @cached_property
     def noise(self) -> "WhiteNoise | None":

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from turtlelog.measure.breaks import measure_steps
 from turtlelog.measure.rates import find_changing_rows, space_poses
 from turtlelog.measure.reductions import compute_median
+from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
 
 Values = NDArray[np.float64]
@@ -110,7 +111,10 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    poses = run.poses
+    return recall(run, "scatter", lambda: _find_scatter(run.poses))
+
+
+def _find_scatter(poses: PoseColumns) -> Scatter:
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses

@@ -17,7 +17,7 @@ import math
 import pathlib
 from collections.abc import Callable
 from io import StringIO
-from typing import Final
+from typing import Final, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -32,6 +32,7 @@ from turtlelog.run.loops import ControlLoop
 from turtlelog.run.paths import Path, PathFollower
 
 Values = NDArray[np.float64]
+_Value = TypeVar("_Value")
 
 
 def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
@@ -148,7 +149,7 @@ def _trace_reference(run: Run, path: Path) -> Values | None:
     if held_xy_m is None:
         return None
     first_m = _find_first_arc(run, path)
-    return _recall(run, "reference", lambda: trace_path(path, held_xy_m, first_m or 0.0))[0]
+    return recall(run, "reference", lambda: trace_path(path, held_xy_m, first_m or 0.0))[0]
 
 
 def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
@@ -166,7 +167,7 @@ def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
         along_m, offset_m = (np.concatenate(pair) for pair in zip(before, after, strict=True))
         return along_m, offset_m
 
-    return _recall(run, "poses", trace)
+    return recall(run, "poses", trace)
 
 
 def _find_first_arc(run: Run, path: Path) -> float | None:
@@ -179,18 +180,15 @@ def _find_first_arc(run: Run, path: Path) -> float | None:
     return path.find_point((x_m, y_m, float(samples.reference_heading_rad[0])))
 
 
-_TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
-"""Cache of path coordinates of poses and references, which are found row by row. Entries last as
-long as their run."""
+_KNOWN: Final[WeakKeyDictionary[Run, dict[str, object]]] = WeakKeyDictionary()
 
 
-def _recall(
-    run: Run, what: str, trace: Callable[[], tuple[Values, Values]]
-) -> tuple[Values, Values]:
-    known = _TRACES.setdefault(run, {})
+def recall(run: Run, what: str, compute: Callable[[], _Value]) -> _Value:
+    """Return what is slow to find in a run; it is computed once, and lasts as long as the run."""
+    known = _KNOWN.setdefault(run, {})
     if what not in known:
-        known[what] = trace()
-    return known[what]
+        known[what] = compute()
+    return cast("_Value", known[what])
 
 
 def hold_reference(run: Run, column: Values | None) -> Values | None:

@@ -13,9 +13,11 @@ from .differences import (
     SignalDifference as SignalDifference,
 )
 from .loop_replay import (
+    Departure as Departure,
     LawReplay as LawReplay,
     LoopReplay as LoopReplay,
     ReplayError as ReplayError,
+    find_departure as find_departure,
     replay_law as replay_law,
     replay_loop as replay_loop,
 )

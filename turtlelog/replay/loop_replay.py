@@ -1,9 +1,9 @@
-"""Replay of a recording in closed loop, or of its poses through a law alone."""
+"""Replay of a recording in closed loop, or of its poses through a law alone; where runs depart."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -404,4 +404,74 @@ def _describe_declaration(declaration: Declaration) -> tuple[str, ...]:
         f"phases {', '.join(phases)}",
         f"states {', '.join(declaration.states) or 'none'}",
         "a goal" if declaration.uses_goal else "no goal",
+    )
+
+
+Part = Literal["start", "robot", "sensor", "controller", "timing", "end"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Departure:
+    """The earliest difference of two runs.
+
+    Attributes:
+        part: Part that differs first. `start`: the first pose. `robot`: the motion after equal
+            commands. `sensor`: the sensed pose. `controller`: the answer to an equal pose.
+            `timing`: the time of a sample or command. `end`: one run is longer.
+        signal: Name of the signal that differs.
+        unit: Unit of the values; empty for a name or a count.
+        time_s: Time of the difference from the first sample, or else from the first pose [s].
+        first: Value of the first run; None if it has no value there.
+        second: Value of the second run.
+        samples: Number of equal samples before the difference.
+    """
+
+    part: Part
+    signal: str
+    unit: str
+    time_s: float
+    first: float | str | None
+    second: float | str | None
+    samples: int
+
+
+_PARTS: Final[Mapping[str, Part]] = {
+    **dict.fromkeys(("stop", "samples", "poses", "commands"), "end"),
+    **dict.fromkeys(("sample_time", "pose_read", "command_time"), "timing"),
+    **dict.fromkeys(differences.SENSED, "sensor"),
+    **dict.fromkeys(("x", "y", "heading", "applied_speed", "applied_turn_rate"), "robot"),
+}
+"""Parts by the signal that differs; every other signal belongs to the controller."""
+
+
+def find_departure(first: Run, second: Run) -> Departure | None:
+    """Return the first difference of two runs; None if all their common data are equal.
+
+    Poses are compared tick by tick if both runs contain all ticks. Otherwise only the poses that
+    samples read are compared.
+    """
+    by_tick = differences.has_ticks(first) and differences.has_ticks(second)
+    pair = differences.pair_by_tick if by_tick else differences.pair_by_sample
+    # Rows are matched by sample number. At equal times, causes come before their consequences.
+    is_whole = not differences.count_missing_samples(second.samples)
+    pairings = [one for one in pair(first, second) if len(one.time_ns)] if is_whole else []
+    found = [differences.compare_pairing(one, tolerance=0.0).first_difference for one in pairings]
+    for name, count in differences.count_recorded_rows(first, second, by_tick=by_tick).items():
+        apart = differences.find_count_difference(first, name, count)
+        end_ns = min(first.end_ns, second.end_ns)
+        found.append(apart and replace(apart, time_ns=end_ns))
+    earliest = differences.find_earliest([*found, compare_ends(first, second.stop_reason)])
+    if earliest is None:
+        return None
+    part = _PARTS.get(earliest.signal, "controller")
+    if part == "robot" and earliest.time_ns <= first.poses.time_ns[0]:
+        part = "start"
+    return Departure(
+        part=part,
+        signal=earliest.signal,
+        unit=next((one.unit for one in pairings if one.signal == earliest.signal), ""),
+        time_s=float(earliest.time_ns - first.start_ns) / 1e9,
+        first=earliest.recorded,
+        second=earliest.replayed,
+        samples=int(np.searchsorted(first.samples.time_ns, earliest.time_ns)),
     )

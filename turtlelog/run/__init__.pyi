@@ -3,6 +3,7 @@ from .angles import find_quaternions as find_quaternions, turn_headings as turn_
 from .columns import (
     Clock as Clock,
     CommandColumns as CommandColumns,
+    Event as Event,
     PoseColumns as PoseColumns,
     SampleColumns as SampleColumns,
     Trajectory as Trajectory,
@@ -12,10 +13,8 @@ from .columns import (
 )
 from .run import (
     LAW as LAW,
-    Event as Event,
     GoalLine as GoalLine,
     Parameter as Parameter,
-    PhaseSpan as PhaseSpan,
     Run as Run,
     SoftwareChange as SoftwareChange,
     describe_changes as describe_changes,
@@ -25,4 +24,9 @@ from .run import (
     require_run as require_run,
 )
 from .stop_reasons import CUT_SHORT as CUT_SHORT
-from .tables import TABLES as TABLES, slice_run as slice_run, tabulate_run as tabulate_run
+from .tables import (
+    TABLES as TABLES,
+    PhaseSpan as PhaseSpan,
+    slice_run as slice_run,
+    tabulate_run as tabulate_run,
+)

@@ -1,4 +1,4 @@
-"""The columns of a run and the poses of a trajectory, checked and made read-only; their clock."""
+"""The columns and events of a run, and the poses of a trajectory, checked; their clock."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -228,6 +228,22 @@ class SampleColumns(Columns):
         _freeze(self, "sample")
         _require_rising(self.time_ns, "sample.time_ns", strictly=False)
         _require_rising(self.sequence, "sample.sequence", strictly=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """A notable event of a run.
+
+    Attributes:
+        time_ns: Time of the event [ns].
+        kind: `wall_hit`, `commands_dropped`, `poses_dropped`, `commands_lost`, `poses_lost` or
+            `stop`.
+        text: Description in one sentence.
+    """
+
+    time_ns: int
+    kind: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,56 +15,27 @@ from turtlelog.run.columns import (
     Clock,
     Columns,
     CommandColumns,
+    Event,
     PoseColumns,
     Rebuilding,
     SampleColumns,
     rebuild_value,
 )
-from turtlelog.run.loops import PAUSE, Declaration
+from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path, restore_path
 from turtlelog.run.stop_reasons import CUT_SHORT, find_goal_end
 from turtlelog.run.tables import (
     TABLES,
+    PhaseSpan,
     build_pandas,
     build_xarray,
+    find_phase_spans,
     iterate_arrow,
     locate_stretch,
     slice_run,
 )
 
 Parameter = bool | int | float | str | list[Any]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """A notable event of a run.
-
-    Attributes:
-        time_ns: Time of the event [ns].
-        kind: `wall_hit`, `commands_dropped`, `poses_dropped`, `commands_lost`, `poses_lost` or
-            `stop`.
-        text: Description in one sentence.
-    """
-
-    time_ns: int
-    kind: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhaseSpan:
-    """A segment of time in one phase, [start_ns, end_ns].
-
-    Attributes:
-        phase: Name of the phase.
-        start_ns: Time of the first sample in the phase [ns]; for a pause, of the last sample before
-            the pause.
-        end_ns: Start time of the next span, or end time of the run [ns].
-    """
-
-    phase: str
-    start_ns: int
-    end_ns: int
 
 
 GOAL_SET: Final = "goal_set_ns"
@@ -408,28 +379,7 @@ class Run:
 
         If a run ends while its controller is blocked, the last phase is this pause.
         """
-        phase, time_ns, names = self.samples.phase, self.samples.time_ns, self.phase_names
-        if not len(phase):
-            return ()
-        firsts = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist()]
-        afters = [*firsts[1:], len(phase)]
-        ends_ns = [*time_ns[firsts[1:]].tolist(), self.end_ns]
-        spans = []
-        for first, after, end_ns in zip(firsts, afters, ends_ns, strict=True):
-            name, start_ns = names[phase[first]], int(time_ns[first])
-            if after < len(phase) or self._ends_blocked():
-                last_ns = int(time_ns[after - 1])
-                spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=last_ns))
-                name, start_ns = PAUSE, last_ns
-            spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=end_ns))
-        return tuple(spans)
-
-    def _ends_blocked(self) -> bool:
-        """Whether the last sample's command was published after the sample's time, or never."""
-        published, answered = self.commands.time_ns, self.samples.time_ns
-        if len(published) < len(answered):
-            return self.end_ns > int(answered[-1])
-        return len(published) == len(answered) and bool(published[-1] > answered[-1])
+        return find_phase_spans(self)
 
 
 def require_run(run: object, name: str = "run") -> None:

@@ -1,10 +1,10 @@
-"""A run as flat tables and in slices, and values usable as tables, for Arrow, pandas and others."""
+"""A run as flat tables, in slices and in phases; values usable as tables by Arrow and pandas."""
 
 import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import RunError
 from turtlelog.libraries import load_library
 from turtlelog.run.columns import PAIRS, Columns, take_rows
-from turtlelog.run.loops import format_declaration
+from turtlelog.run.loops import PAUSE, format_declaration
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
@@ -270,3 +270,46 @@ def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tu
 
 def _select(time_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> NDArray[np.bool_]:
     return np.asarray((time_ns >= start_ns) & (time_ns <= end_ns))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseSpan:
+    """A segment of time in one phase, [start_ns, end_ns].
+
+    Attributes:
+        phase: Name of the phase.
+        start_ns: Time of the first sample in the phase [ns]; for a pause, of the last sample before
+            the pause.
+        end_ns: Start time of the next span, or end time of the run [ns].
+    """
+
+    phase: str
+    start_ns: int
+    end_ns: int
+
+
+def find_phase_spans(run: "Run") -> tuple[PhaseSpan, ...]:
+    """Return the phases of a run in order, as `Run.find_phase_spans` describes them."""
+    phase, time_ns, names = run.samples.phase, run.samples.time_ns, run.phase_names
+    if not len(phase):
+        return ()
+    firsts = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist()]
+    afters = [*firsts[1:], len(phase)]
+    ends_ns = [*time_ns[firsts[1:]].tolist(), run.end_ns]
+    spans = []
+    for first, after, end_ns in zip(firsts, afters, ends_ns, strict=True):
+        name, start_ns = names[phase[first]], int(time_ns[first])
+        if after < len(phase) or _ends_blocked(run):
+            last_ns = int(time_ns[after - 1])
+            spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=last_ns))
+            name, start_ns = PAUSE, last_ns
+        spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=end_ns))
+    return tuple(spans)
+
+
+def _ends_blocked(run: "Run") -> bool:
+    """Return whether the last sample's command was published after its time, or never."""
+    published, answered = run.commands.time_ns, run.samples.time_ns
+    if len(published) < len(answered):
+        return run.end_ns > int(answered[-1])
+    return len(published) == len(answered) and bool(published[-1] > answered[-1])

@@ -24,16 +24,8 @@ from turtlelog.processes import count_cores
 from turtlelog.run.loops import PAUSE, Declaration
 from turtlelog.run.stop_reasons import name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
-from turtlelog.simulate import declare_scenario, many, simulate_run
+from turtlelog.simulate import compiled_loop, declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
-from turtlelog.simulate.compiled_loop import (
-    CompiledRunner,
-    build_pieces,
-    compile_loop,
-    compile_rows,
-    draw_streams,
-    name_loop,
-)
 from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep import batch_arrays as arrays
@@ -50,8 +42,7 @@ _TOO_LARGE: Final = arrays.STATUSES.index(Status.TOO_LARGE)
 _NO_ROWS: Final = np.zeros(0, [("failure", np.int64), ("samples", np.int64)])
 
 _STRETCH: Final = 32
-"""Number of rows in one call: enough for a negligible overhead, few enough that all cores finish
-together."""
+"""Number of rows in one call: negligible overhead, and all cores finish together."""
 
 _COMPARED: Final[set[many.CompiledCode]] = set()
 """Compiled loops of user laws that this process has already compared with plain runs."""
@@ -67,14 +58,15 @@ class Batch(NamedTuple):
 @cache
 def _find_batch(kind: arrays.Kind, coverage: arrays.Coverage) -> many.CompiledCode:
     def load() -> Batch:
-        loop = compile_loop(*kind)
+        loop = compiled_loop.compile_loop(*kind)
         measure = many.call_beside(coverage.compiler)
-        return Batch(loop, compile_rows(loop, measure, arrays.type_measurement(coverage)))
+        kind_of_rows = arrays.type_measurement(coverage)
+        return Batch(loop, compiled_loop.compile_rows(loop, measure, kind_of_rows))
 
     def is_batch_kept() -> bool:
         if not many.is_loop_kept(*kind):
             return False
-        names = f"rows_{name_loop(*kind)}", arrays.name_measurement(coverage)
+        names = f"rows_{compiled_loop.name_loop(*kind)}", arrays.name_measurement(coverage)
         return all(is_kept(many.ENTRY, name) for name in names)
 
     return many.CompiledCode(
@@ -98,26 +90,16 @@ def find_batch(base: Scenario) -> many.CompiledCode | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredRows:
-    """Results of rows, in their order.
+    """Results of rows, in their order."""
 
-    Attributes:
-        values: Values by metric, shape (n,) each; NaN for a missing value.
-        statuses: Indices into `STATUSES` by metric, shape (n,) each; -1 for rows that failed.
-        stop_reasons: Stop reason of each row; None for rows that failed.
-        failed: Reason of each failure; None for rows that did not fail.
-        samples: Number of samples of each row, shape (n,).
-        compiled: Number of rows simulated and measured by the compiled loop, not as single runs.
-        notes: Notes on the compiled code of a user's law, one line each.
-    """
-
-    values: Mapping[str, NDArray[np.float64]]
-    statuses: Mapping[str, NDArray[np.int8]]
-    stop_reasons: list[str | None]
-    failed: list[str | None]
-    samples: NDArray[np.int64]
-    compiled: int = 0
+    values: Mapping[str, NDArray[np.float64]]  # by metric, shape (n,) each; NaN if missing
+    statuses: Mapping[str, NDArray[np.int8]]  # indices into `STATUSES`, likewise; -1 if failed
+    stop_reasons: list[str | None]  # stop reason of each row; None for rows that failed
+    failed: list[str | None]  # reason of each failure; None for rows that did not fail
+    samples: NDArray[np.int64]  # number of samples of each row, shape (n,)
+    compiled: int = 0  # number of rows that the compiled loop simulated, not as single runs
     interpreted: int = 0
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # notes on the compiled code of a user's law, one line each
 
 
 def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
@@ -258,7 +240,7 @@ class _Work:
             plain = simulate_run(scenario, step_budget_s=self._step_budget_s)
         except TurtlelogError:  # the row has the reason
             return
-        runner = CompiledRunner(self._step_budget_s)
+        runner = compiled_loop.CompiledRunner(self._step_budget_s)
         compiled = runner.simulate(kernel.loop, scenario, scenario.plant.facts)
         if compiled is not None:
             self.notes += many.describe_compiled_difference(scenario.law.kind, plain, compiled)
@@ -341,13 +323,13 @@ class _Work:
         has_rows = hasattr(local, "rows") and len(local.rows.ticks) >= ticks
         if not has_rows or len(local.rows.samples) < samples:
             rows = kernel.loop.kinds.allocate(ticks, samples)
-            pieces = build_pieces(prepared.path)
+            pieces = compiled_loop.build_pieces(prepared.path)
             local.rows = rows._replace(table=prepared.table, pieces=pieces)
             loops = len(self._declaration.loops)
             local.memory = arrays.allocate_memory(ticks, samples, loops, prepared.path)
             local.seed = None
         if local.seed != seed:
-            draw_streams(local.rows, prepared.streams, seed, ticks, samples)
+            compiled_loop.draw_streams(local.rows, prepared.streams, seed, ticks, samples)
             local.seed = seed
         return local.rows, local.memory
 

@@ -44,8 +44,7 @@ CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbe
 COURSES: Final = {name: kind for name, kind in RUN_METRICS.items() if kind.numbers is not None}
 """Metrics of the whole run by id, in column order, after those of all loops."""
 
-STATUSES: Final = tuple(Status)
-"""Statuses in the order of their numbers."""
+STATUSES: Final = tuple(Status)  # statuses in the order of their numbers
 
 OK: Final = STATUSES.index(Status.OK)
 
@@ -84,21 +83,13 @@ FIRST_POSE: Final = slice(-2, None)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """Laws that one compiled measurement covers.
+    """Laws that one compiled measurement covers."""
 
-    Attributes:
-        name: Name of the measurement in numba's cache.
-        compiler: Function that compiles it, as `module:function`.
-        curves: Names of the metrics in `CURVES` that a loop of these laws may have.
-        functions: Functions that the outermost function calls for the inputs of metrics.
-        uses: Number of rows of `Memory.numbers`.
-    """
-
-    name: str
-    compiler: str
-    curves: tuple[str, ...]
-    functions: Mapping[str, loop_parts.Function]
-    uses: int
+    name: str  # name of the measurement in numba's cache
+    compiler: str  # function that compiles it, as `module:function`
+    curves: tuple[str, ...]  # names of the metrics in `CURVES` that a loop of these laws may have
+    functions: Mapping[str, loop_parts.Function]  # called for the inputs of metrics
+    uses: int  # number of rows of `Memory.numbers`
 
 
 def _choose_curves(references: Collection[str]) -> tuple[str, ...]:
@@ -156,8 +147,7 @@ def find_coverage(scenario: Scenario) -> Coverage | None:
     return GOALS if is_goal and has_heading else None
 
 
-_MOST_PHASES: Final = 60
-"""Largest number of phases of a law: each has a bit of 64."""
+_MOST_PHASES: Final = 60  # phases of a law: each has a bit of 64
 
 
 def allocate_memory(
@@ -270,33 +260,20 @@ in combination."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PreparedRows:
-    """Rows as arrays of shape (n,) for the compiled loop.
+    """Rows as arrays of shape (n,) for the compiled loop."""
 
-    Attributes:
-        rows: Row numbers.
-        others: Rows that the loop cannot simulate.
-        starts: Start states.
-        states: States that the loop changes.
-        lines: Lines from start to goal.
-        table: Table of the law, shared by all rows.
-        path: Path, shared by all rows; None if they track none.
-        streams: Names of the random streams that any row needs.
-        ticks: Largest possible number of ticks of a row.
-        samples: Largest possible number of samples of a row.
-    """
-
-    rows: NDArray[np.int64]
-    others: list[int]
+    rows: NDArray[np.int64]  # row numbers
+    others: list[int]  # rows that the loop cannot simulate
     settings: NDArray[Any]
-    starts: NDArray[Any]
-    states: NDArray[Any]
-    lines: NDArray[Any]
-    table: NDArray[np.float64]
-    path: Path | None
+    starts: NDArray[Any]  # start states
+    states: NDArray[Any]  # states that the loop changes
+    lines: NDArray[Any]  # lines from start to goal
+    table: NDArray[np.float64]  # table of the law, shared by all rows
+    path: Path | None  # path, shared by all rows; None if they track none
     seeds: NDArray[Any]
-    streams: frozenset[str]
-    ticks: int
-    samples: int
+    streams: frozenset[str]  # names of the random streams that any row needs
+    ticks: int  # largest possible number of ticks of a row
+    samples: int  # largest possible number of samples of a row
 
     def take(self, places: NDArray[np.int64]) -> "PreparedRows":
         """Return some of the rows."""

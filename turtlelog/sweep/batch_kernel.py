@@ -33,17 +33,11 @@ TURN_RAD: Final = 2.0 * math.pi
 
 
 class Memory(NamedTuple):
-    """Work arrays for the largest number of poses or samples, filled again for every row.
+    """Work arrays for the largest number of poses or samples, filled again for every row."""
 
-    Attributes:
-        numbers: One row per use: first the rows of `reductions`, then those named here.
-        rows: Row numbers.
-        spans: A `SPAN` for each loop.
-    """
-
-    numbers: Any
-    rows: Any
-    spans: Any
+    numbers: Any  # one row per use: first the rows of `reductions`, then those named here
+    rows: Any  # row numbers
+    spans: Any  # A `SPAN` for each loop
 
 
 HEADINGS, VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)
@@ -193,10 +187,7 @@ def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
 
 
 def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
-    """Add the samples of one phase.
-
-    A loop's segment includes a pause, and ends at the first sample of another phase.
-    """
+    """Add one phase's samples; a segment includes a pause, and ends at the next other phase."""
     if loop.phases >> phase & 1 != 0:
         if span.first < 0:
             span.first = begin
@@ -355,10 +346,7 @@ def _follow_bearing(row: Row, first: int, values: Any) -> None:
 
 
 def _read_target(row: Row, loop: Any, first: int, values: Any) -> float:
-    """Return the target value of a curve.
-
-    A heading target gets the full turns of the last value.
-    """
+    """Return the target value of a curve; a heading's gets the full turns of the last value."""
     if loop.reference == _BEARING_NOW:
         return _find_bearing(row, first)
     wanted = _read_constant(row, loop)

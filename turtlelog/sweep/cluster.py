@@ -13,13 +13,10 @@ from turtlelog.processes import Watched
 
 T = TypeVar("T")
 
-_CONNECT_S: Final = 3.0
-"""Time limit for answers of a scheduler or worker [s]: a wrong address gives an error within 10
-s."""
+_CONNECT_S: Final = 3.0  # time limit for answers [s]: a wrong address gives an error within 10 s
 
 _SILENT_S: Final = 30.0
-"""Time without an answer from which a scheduler counts as gone [s]; a busy scheduler answers in 1
-s."""
+"""Time from which a silent scheduler counts as gone [s]; a busy one answers in 1 s."""
 
 _EXAMPLE: Final = "tcp://host:8786"
 

@@ -17,8 +17,7 @@ from turtlelog.log.file_info import METADATA_FILE
 from turtlelog.log.ros2.bag_files import list_bag_files
 
 ENDINGS: Final = (*BAG_SUFFIXES, ".bag", ".csv", ".json", ".parquet", ".tsv", ".tum")
-"""Suffixes of recordings. A .txt file is read only if it is named, because most .txt files are
-prose."""
+"""Suffixes of recordings. A .txt file, mostly prose, is read only if it is named."""
 
 _BAG_MARK: Final = b"rosbag2_bagfile_information"
 _TABLE_MARK: Final = b"turtlelog.kind"
@@ -36,18 +35,14 @@ _TABLE_HEADS: Final = (b"run,Kp [", b"file,run,", b"verdict,file,check,")
 class FoundRecording:
     """A recording to read, with its size and time when it was found.
 
-    Attributes:
-        path: Path of the file or folder.
-        label: Name in tables: relative to the given folder, with slashes. For several folders or a
-            file given by name, the name as given. Invalid Unicode is escaped.
-        size: Size of the file, or of all files in the bag's folder [bytes]; -1 if unknown.
-        mtime_ns: Time of the last change, or for a folder of its newest file [ns]; -1 if unknown.
+    The label is relative to the given folder; for several folders or a file given by name, the name
+    as given.
     """
 
-    path: str
-    label: str
-    size: int
-    mtime_ns: int
+    path: str  # path of the file or folder
+    label: str  # name in tables, with slashes; invalid Unicode is escaped
+    size: int  # size of the file, or of all files in the bag's folder [bytes]; -1 if unknown
+    mtime_ns: int  # time of the last change, or for a folder of its newest file [ns]; -1 if unknown
 
 
 def find_recordings(
@@ -208,11 +203,7 @@ def stat_recording(path: Path) -> tuple[int, int]:
 
 
 def list_contents(path: Path) -> list[Path]:
-    """Return the files of a recording: the file itself, or the files in a bag's folder.
-
-    Raises:
-        OSError: If the folder cannot be listed.
-    """
+    """Return the file itself, or the files in a bag's folder; OSError if it cannot be listed."""
     return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
 
 

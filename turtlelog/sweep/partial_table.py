@@ -32,9 +32,8 @@ class Key(NamedTuple):
     unit: str = ""
 
 
-FILE: Final = Key("file")
-ERROR: Final = Key("error")
-"""First and last column about the file, in tables of recordings."""
+FILE: Final = Key("file")  # first column of tables of recordings
+ERROR: Final = Key("error")  # last column about the file
 
 Row = Mapping[Key, Cell]
 _NONES: Final[Mapping[str, Any]] = {"text": -1, "real": np.nan, "whole": -(2**63)}
@@ -185,11 +184,8 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 _MAGIC: Final = b"turtlelog sweep 1\n"
-_FRAME: Final = struct.Struct("<II")
-"""Length and checksum of the following compressed data."""
-
-_MOST_BYTES: Final = 2**30
-"""Largest length of a part [bytes]. A larger length is a sign of damage."""
+_FRAME: Final = struct.Struct("<II")  # length and checksum of the following compressed data
+_MOST_BYTES: Final = 2**30  # largest length of a part [bytes]. A larger length is a sign of damage
 
 _SMALL_PART: Final = 2**23
 _MOST_PACKED: Final = 2

@@ -41,15 +41,13 @@ if TYPE_CHECKING:
 
 
 _STATE: Final = Key("size", "whole", "B"), Key("mtime_ns", "whole", "ns"), Key("sha256")
-HEAD: Final = (FILE, *_STATE, ERROR)
-"""PartialColumns of every table of recordings."""
+HEAD: Final = (FILE, *_STATE, ERROR)  # columns of every table of recordings
 
 Order = Callable[[Set[Key], Set[Key]], Sequence[Key]]
 
 _CHUNK_FILES: Final = 16
 _CHUNK_BYTES: Final = 2**24
-"""Size of a chunk of files [bytes], read in about a tenth of a second; an interruption loses one
-chunk."""
+"""Size of a chunk [bytes], read in a tenth of a second; an interruption loses one."""
 
 
 class FileState(msgspec.Struct, frozen=True, array_like=True):
@@ -89,39 +87,25 @@ class ReadFiles(msgspec.Struct, frozen=True, array_like=True):
 class RecordingTable:
     """Kind and columns of the table to write.
 
-    Attributes:
-        kind: See `ResultTable`.
-        facts: Settings on which rows depend, apart from the content of files, as texts.
-        work: Function that returns the rows of a file, at least one; it must be picklable. For a
-            file that cannot be read, the function returns a row with `ERROR`. A `LibraryError`
-            gives such a row too; any other exception ends the call.
-        order: Function that returns the keys of columns, without those of `HEAD`. The arguments are
-            the existing keys and the keys that have a cell with a value.
+    For a file that cannot be read, `work` returns a row with `ERROR`. A `LibraryError` gives such a
+    row too; any other exception ends the call.
     """
 
-    kind: str
-    facts: Mapping[str, str]
-    work: Callable[[str], Sequence[Row]]
-    order: Order
+    kind: str  # see `ResultTable`
+    facts: Mapping[str, str]  # settings on which rows depend, apart from the content of files
+    work: Callable[[str], Sequence[Row]]  # rows of a file, at least one; picklable
+    order: Order  # keys of columns without those of `HEAD`, from all keys and those with a value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TabulatedFiles:
-    """Result of writing a table of recordings: numbers of files and first errors.
+    """Result of writing a table of recordings: numbers of files and first errors."""
 
-    Attributes:
-        output: Path of the table.
-        files: Number of files in the table.
-        read: Number of files that were read.
-        failed: Number of files that cannot be read; the column `error` gives the reason.
-        errors: Label and reason of the first files that cannot be read.
-    """
-
-    output: Path
-    files: int
-    read: int
-    failed: int
-    errors: tuple[tuple[str, str], ...]
+    output: Path  # path of the table
+    files: int  # number of files in the table
+    read: int  # number of files that were read
+    failed: int  # number of files that cannot be read; the column `error` gives the reason
+    errors: tuple[tuple[str, str], ...]  # label and reason of the first files that cannot be read
 
 
 def describe_former(output: Path, table: RecordingTable) -> str | None:

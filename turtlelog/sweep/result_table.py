@@ -18,11 +18,8 @@ from turtlelog.log.parquet_file import ParquetFile, list_cells
 ColumnType = Literal["whole", "real", "text", "truth"]
 """Type of the cells of a column, in addition to null: int64, float64, text or boolean."""
 
-FORMAT: Final = "1"
-"""Version of the file metadata. Readers refuse newer versions."""
-
-ROW: Final = "row"
-"""Name of the column with row numbers."""
+FORMAT: Final = "1"  # version of the file metadata. Readers refuse newer versions
+ROW: Final = "row"  # name of the column with row numbers
 
 STATUS: Final = ".status"
 """Suffix of the column next to a metric, which contains the reasons for missing values."""
@@ -59,36 +56,22 @@ class ComputedItems(Sequence[Any]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultColumn:
-    """A named column.
+    """A named column."""
 
-    Attributes:
-        name: Name of the column: a dotted scenario key, or a metric id.
-        type: Type of the cells.
-        cells: Cells, one per row; None for a missing value.
-        unit: Unit of the numbers; None for texts, counts and numbers used as names.
-    """
-
-    name: str
-    type: ColumnType
-    cells: Sequence[Any]
-    unit: str | None = None
+    name: str  # name of the column: a dotted scenario key, or a metric id
+    type: ColumnType  # type of the cells
+    cells: Sequence[Any]  # cells, one per row; None for a missing value
+    unit: str | None = None  # unit of the numbers; None for texts, counts and numbers used as names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultTable:
-    """Columns of equal length, and facts about the table.
+    """Columns of equal length, and facts about the table."""
 
-    Attributes:
-        kind: Command that wrote the table, such as `sweep`. Readers refuse other kinds.
-        columns: Columns in order, with unique names.
-        facts: Texts by name, without the reserved names `kind`, `format` and `version`.
-        version: Version of turtlelog that wrote the table.
-    """
-
-    kind: str
-    columns: tuple[ResultColumn, ...]
-    facts: Mapping[str, str] = field(default_factory=dict)
-    version: str = __version__
+    kind: str  # command that wrote the table, such as `sweep`. Readers refuse other kinds
+    columns: tuple[ResultColumn, ...]  # columns in order, with unique names
+    facts: Mapping[str, str] = field(default_factory=dict)  # without `kind`, `format`, `version`
+    version: str = __version__  # version of turtlelog that wrote the table
 
     @property
     def row_count(self) -> int:
@@ -258,10 +241,7 @@ def list_row_numbers(cells: Sequence[Any] | None, count: int) -> Sequence[int]:
 
 
 def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
-    """Return a table whose row groups are read one by one.
-
-    Errors are those of `read_result_table`.
-    """
+    """Return a table whose row groups are read one by one; errors as in `read_result_table`."""
     stored = StoredTable(path)
     if stored.kind != kind:
         other = f"a table of {stored.kind}" if stored.kind else "another Parquet file"

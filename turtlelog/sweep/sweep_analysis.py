@@ -35,25 +35,19 @@ from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
 
 Values = NDArray[np.float64]
 
-_MOST_DRAWN: Final = 48
-"""Largest number of places of a sampled key at which theory is computed: one per 2 mm of a
-figure."""
+_MOST_DRAWN: Final = 48  # places of a sampled key with theory: one per 2 mm of a figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnLimits:
     """Theoretical limits of the gain in one column.
 
-    Attributes:
-        stable: Intervals of the gain in which the loop is stable.
-        overshoot: Gain from which the loop overshoots; None if the loop is not purely proportional.
-        grown: Stable intervals with the longer dead time of full queues; None if the dead time
-            cannot grow.
+    With full queues the dead time grows; `grown` is None if it cannot grow.
     """
 
-    stable: tuple[tuple[float, float], ...]
-    overshoot: float | None
-    grown: tuple[tuple[float, float], ...] | None = None
+    stable: tuple[tuple[float, float], ...]  # intervals of the gain with a stable loop
+    overshoot: float | None  # gain from which the loop overshoots; None: not purely proportional
+    grown: tuple[tuple[float, float], ...] | None = None  # the same with full queues
 
     @property
     def stability(self) -> float | None:
@@ -63,42 +57,28 @@ class ColumnLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopLimits:
-    """Theoretical limits of a loop over the axes of a view.
+    """Theoretical limits of a loop over the axes of a view."""
 
-    Attributes:
-        loop: Name of the loop.
-        gain: Axis of its gain.
-        columns: Limits for each place of the other axis; None if theory gives no limits.
-        notes: Reasons for missing limits, and parts that theory leaves out, in sentences.
-    """
-
-    loop: str
-    gain: SweptAxis
-    columns: tuple[ColumnLimits | None, ...]
-    notes: tuple[str, ...]
+    loop: str  # name of the loop
+    gain: SweptAxis  # axis of its gain
+    columns: tuple[ColumnLimits | None, ...]  # for each place of the other axis; None: no limits
+    notes: tuple[str, ...]  # reasons for missing limits, and what theory leaves out, in sentences
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Border:
     """Border along the gain at which a loop becomes unstable, in one column.
 
-    Attributes:
-        place: Place of the column on the other axis.
-        last_stable: Largest gain below the border that was measured as stable; None if no gain was.
-        first_unstable: Smallest gain that was measured as unstable; None if no gain was.
-        theory: Gain from which the loop is unstable in theory; None if theory gives no limit.
-        verdict: Whether all measured gains are stable (True) or unstable (False): the grid has no
-            border in this column. None if stable and unstable gains were measured, or no gain.
-        is_near: Whether the measured and the theoretical border are within one cell; None if one is
-            unknown. A border outside the grid is unknown, but is not near a limit well inside.
+    If all measured gains have one verdict, the grid has no border in the column. `is_near` is None
+    if a border is unknown. One outside the grid is unknown, but not near a limit well inside.
     """
 
-    place: int
-    last_stable: float | None
-    first_unstable: float | None
-    theory: float | None
-    verdict: bool | None
-    is_near: bool | None
+    place: int  # place of the column on the other axis
+    last_stable: float | None  # largest gain measured as stable below the border; None if none was
+    first_unstable: float | None  # smallest gain measured as unstable; None if none was
+    theory: float | None  # gain from which the loop is unstable in theory; None: no limit
+    verdict: bool | None  # whether all measured gains are stable, or all unstable; None: neither
+    is_near: bool | None  # whether measured and theoretical border are within one cell
 
     @property
     def agrees(self) -> bool:
@@ -289,8 +269,7 @@ def describe_limits(limit: ColumnLimits | None) -> Mapping[str, Any] | None:
 
 
 _LEAST_ROWS: Final = 10
-"""Smallest number of rows with a value in a sample. With fewer rows, chance alone gives
-correlations of 0.65 in one of 20 cases."""
+"""Smallest sample; with fewer rows, chance gives correlations of 0.65 in one of 20 cases."""
 
 _NORMAL_95: Final = 1.959964
 """Half-width of the central 95 % of the normal distribution. By chance, ranks of n independent rows
@@ -301,26 +280,18 @@ correlate with the standard deviation 1 / sqrt(n - 1)."""
 class Sensitivity:
     """Range of a metric along one key.
 
-    Attributes:
-        axis: The key, or the keys that vary together.
-        least: Smallest value of the metric along the key; None for a sample.
-        most: Largest value of the metric along the key; None for a sample.
-        least_place: Place of the smallest value on the axis; None for a sample.
-        most_place: Place of the largest value; None for a sample.
-        correlation: Spearman's rank correlation; None for a grid.
-        left_out: Number of rows along the key without a value.
-        others: Smallest and largest range (`most` minus `least`) along the key, with the other keys
-            fixed at other values. None for a sample, or if there are no other values.
+    `least`, `most`, their places and `others` are None for a sample. `others` are the smallest and
+    largest `most` minus `least` with the other keys fixed at other values, if there are any.
     """
 
-    axis: SweptAxis
-    least: float | None = None
-    most: float | None = None
-    least_place: int | None = None
-    most_place: int | None = None
-    correlation: float | None = None
-    left_out: int = 0
-    others: tuple[float, float] | None = None
+    axis: SweptAxis  # the key, or the keys that vary together
+    least: float | None = None  # smallest value of the metric along the key
+    most: float | None = None  # largest value of the metric along the key
+    least_place: int | None = None  # place of the smallest value on the axis
+    most_place: int | None = None  # place of the largest value
+    correlation: float | None = None  # Spearman's rank correlation; None for a grid
+    left_out: int = 0  # number of rows along the key without a value
+    others: tuple[float, float] | None = None  # ranges elsewhere
 
     @property
     def size(self) -> float:
@@ -334,28 +305,17 @@ class Sensitivity:
 class Sensitivities:
     """Ranges of a metric along each key of a sweep.
 
-    Attributes:
-        metric: The metric.
-        keys: Sensitivities, largest first.
-        center: Value of the metric at the fixed values of all keys; None for a sample, or if there
-            is no value.
-        held: Values at which all keys are fixed, in words; empty for a sample.
-        chance: Magnitude below which 95 % of the correlations of independent keys lie; None for a
-            grid.
-        explained: Share of the variance of the metric's ranks explained by the ranks of all keys, 0
-            to 1; None for a grid, or if a key has words.
-        rows: Number of rows with a value, for a sample.
-        notes: Parts left out, in sentences.
+    `chance` and `explained` are None for a grid. `explained` is None, too, if a key has words.
     """
 
-    metric: SweptMetric
-    keys: tuple[Sensitivity, ...]
-    center: float | None = None
-    held: str = ""
-    chance: float | None = None
-    explained: float | None = None
-    rows: int = 0
-    notes: tuple[str, ...] = ()
+    metric: SweptMetric  # the metric
+    keys: tuple[Sensitivity, ...]  # sensitivities, largest first
+    center: float | None = None  # value of the metric at the fixed values of all keys, if any
+    held: str = ""  # values at which all keys are fixed, in words; empty for a sample
+    chance: float | None = None  # magnitude below which 95 % of independent correlations lie
+    explained: float | None = None  # share of the ranks' variance by all keys, 0 to 1
+    rows: int = 0  # number of rows with a value, for a sample
+    notes: tuple[str, ...] = ()  # parts left out, in sentences
 
 
 def find_sensitivities(

@@ -18,8 +18,7 @@ from turtlelog.sweep.result_table import ColumnType, choose_type
 MOST_DRAWN: Final = 10_000_000
 """Largest number of rows of a sample. A sample is drawn at once and takes 80 MB for each key."""
 
-KP: Final = "kp"
-"""Name that stands for all gains of the law together, as in `--kp`."""
+KP: Final = "kp"  # name that stands for all gains of the law together, as in `--kp`
 
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
@@ -28,16 +27,12 @@ _BELOW_1: Final = math.nextafter(1.0, 0.0)
 class Sampling:
     """Settings of rows that are sampled at random, instead of all combinations.
 
-    Attributes:
-        count: Number of rows.
-        seed: Seed of the random numbers.
-        is_latin: Whether to use Latin hypercube sampling: the range of a key is divided into
-            `count` equal parts, and each part gets one value.
+    With `is_latin`, this is Latin hypercube sampling.
     """
 
-    count: int
-    seed: int = 0
-    is_latin: bool = False
+    count: int  # number of rows
+    seed: int = 0  # seed of the random numbers
+    is_latin: bool = False  # whether each of `count` equal parts of a key's range gets one value
 
     def __post_init__(self) -> None:
         for option, found, least in (("--sample", self.count, 1), ("--seed", self.seed, 0)):
@@ -59,19 +54,12 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyValues:
-    """A key and its values in a sweep.
+    """A key and its values in a sweep."""
 
-    Attributes:
-        key: Dotted scenario key.
-        text: Values as typed, without the key.
-        values: Values of one kind: numbers, texts, or truth values.
-        is_open: Whether the values are a range `A:B`, in which sampling may choose any number.
-    """
-
-    key: str
-    text: str
-    values: Sequence[Any]
-    is_open: bool = False
+    key: str  # dotted scenario key
+    text: str  # values as typed, without the key
+    values: Sequence[Any]  # values of one kind: numbers, texts, or truth values
+    is_open: bool = False  # whether the values are `A:B`, in which a sample may have any number
 
     def as_real(self) -> "KeyValues":
         """Return a copy with numbers as floats."""
@@ -86,16 +74,11 @@ class SweepPlan:
 
     The rows are a random sample, or all combinations of `grid` and the steps of `zipped`, with the
     last key changing fastest.
-
-    Attributes:
-        grid: Keys that vary independently.
-        zipped: Keys that vary together, as the last axis of the grid.
-        sampling: Random sampling of rows. None: all combinations.
     """
 
-    grid: tuple[KeyValues, ...]
-    zipped: tuple[KeyValues, ...] = ()
-    sampling: Sampling | None = None
+    grid: tuple[KeyValues, ...]  # keys that vary independently
+    zipped: tuple[KeyValues, ...] = ()  # keys that vary together, as the last axis of the grid
+    sampling: Sampling | None = None  # random sampling of rows. None: all combinations
     _axes: tuple[tuple[KeyValues, ...], ...] = field(init=False, compare=False, repr=False)
     _drawn: NDArray[np.float64] | None = field(init=False, compare=False, repr=False)
     _strides: tuple[int, ...] = field(init=False, compare=False, repr=False)
@@ -194,11 +177,7 @@ class SweepPlan:
 def build_plan(
     grid: Sequence[str], zipped: Sequence[str] = (), sampling: Sampling | None = None
 ) -> SweepPlan:
-    """Return the plan from texts such as `law.kp_linear=0.5:12:0.25`.
-
-    Raises:
-        SweepError: If a text cannot be parsed, or nothing varies.
-    """
+    """Return the plan from texts such as `law.kp_linear=0.5:12:0.25`; SweepError for others."""
     is_sampled = sampling is not None
     own = [parse_key_values(text, source="--grid", is_sampled=is_sampled) for text in grid]
     together = [parse_key_values(text, source="--zip") for text in zipped]

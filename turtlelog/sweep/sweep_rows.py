@@ -45,41 +45,25 @@ from turtlelog.sweep.sweep_plan import SweepPlan, build_row_scenario
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowRecords:
-    """Settings of the runs of a sweep to record.
+    """Settings of the runs of a sweep to record."""
 
-    Attributes:
-        folder: Folder of the recordings, named like `row-000123.mcap`; a URL is a prefix.
-        where: Condition on metrics, keys and `stop_reason`. None: all runs are recorded.
-    """
-
-    folder: str
-    where: str | None = None
+    folder: str  # folder of the recordings, named like `row-000123.mcap`; a URL is a prefix
+    where: str | None = None  # condition on metrics, keys and `stop_reason`. None: all runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowChunk:
-    """Rows to simulate.
+    """Rows to simulate."""
 
-    Attributes:
-        base: Scenario that the rows vary, as text; its law may run.
-        first: Number of the first row.
-        values: Values of the keys, per row.
-        metrics: Metric ids or patterns. Default: those of `list_row_metrics`.
-        ahead: Approximate number of rows still to be done by this process; it decides whether the
-            compiled loop is worth loading.
-        threads: Number of threads, if the chunk is a batch.
-        step_budget_s: Longest computing time of the law per step [s].
-    """
-
-    base: str
+    base: str  # scenario that the rows vary, as text; its law may run
     keys: tuple[str, ...]
-    first: int
-    values: tuple[tuple[Any, ...], ...]
-    metrics: tuple[str, ...] | None = None
+    first: int  # number of the first row
+    values: tuple[tuple[Any, ...], ...]  # values of the keys, per row
+    metrics: tuple[str, ...] | None = None  # ids or patterns. Default: by `list_row_metrics`
     records: RowRecords | None = None
-    ahead: int = 0
-    threads: int = 1
-    step_budget_s: float = STEP_BUDGET_S
+    ahead: int = 0  # about how many rows this process still does, to decide on compiling
+    threads: int = 1  # number of threads, if the chunk is a batch
+    step_budget_s: float = STEP_BUDGET_S  # longest computing time of the law per step [s]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -96,22 +80,15 @@ class MetricCells:
 
 @dataclass(slots=True, kw_only=True)
 class RowResults:
-    """Results of a chunk, row by row, from the row `first` on.
-
-    Attributes:
-        stop_reasons: Stop reason of each row; None for rows that failed.
-        failed: Reason of each failure; None for rows that did not fail.
-        samples: Total number of samples of the runs.
-        notes: Notes on the compiled loops, one line each.
-    """
+    """Results of a chunk, row by row, from the row `first` on."""
 
     first: int
-    stop_reasons: list[str | None] = field(default_factory=list)
-    failed: list[str | None] = field(default_factory=list)
-    samples: int = 0
+    stop_reasons: list[str | None] = field(default_factory=list)  # of each row; None if failed
+    failed: list[str | None] = field(default_factory=list)  # of each row; None if it did not fail
+    samples: int = 0  # total number of samples of the runs
     recorded: int = 0
     metrics: dict[str, MetricCells] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # notes on the compiled loops, one line each
 
     def __len__(self) -> int:
         return len(self.failed)

@@ -96,25 +96,14 @@ def sweep_scenario(  # noqa: PLR0913  (all but the first two have defaults)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """A sweep that can be run, as returned by `prepare_sweep`.
+    """A sweep that can be run, as returned by `prepare_sweep`."""
 
-    Attributes:
-        base: Scenario that the rows vary, as text.
-        plan: Plan of the rows.
-        metrics: Metric ids or patterns. Default: the essential metrics of each row's law except
-            `dead_time`.
-        records: Runs to record; None: no run is recorded.
-        law_code: Checksum of the files of a law that is not built in; empty otherwise.
-        step_budget_s: Longest computing time of the law per step [s]; a sweep may be resumed with
-            another value.
-    """
-
-    base: str
-    plan: SweepPlan
-    metrics: tuple[str, ...] | None = None
-    records: sweep_rows.RowRecords | None = None
-    law_code: str = ""
-    step_budget_s: float = STEP_BUDGET_S
+    base: str  # scenario that the rows vary, as text
+    plan: SweepPlan  # plan of the rows
+    metrics: tuple[str, ...] | None = None  # ids or patterns. Default: essential, no `dead_time`
+    records: sweep_rows.RowRecords | None = None  # runs to record; None: no run is recorded
+    law_code: str = ""  # checksum of the files of a law that is not built in; empty otherwise
+    step_budget_s: float = STEP_BUDGET_S  # longest step [s]; may differ in a resumed sweep
 
     def list_facts(self) -> dict[str, str]:
         """Return the facts that identify a sweep, for file metadata."""
@@ -242,36 +231,24 @@ def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:
 _CHUNK_S: Final = 0.5
 """Duration of a chunk, measured on the first row [s]: the largest loss by an interruption."""
 
-_MOST_IN_CHUNK: Final = 1024
-"""Largest number of rows in an ordinary chunk, because a process keeps all results of a chunk in
-memory."""
-
-_MOST_IN_BATCH: Final = 4096
-"""Largest number of rows in a compiled chunk: half a second for usual rows, and a few hundred
-calls."""
+_MOST_IN_CHUNK: Final = 1024  # rows in a chunk, of which a process keeps all results in memory
+_MOST_IN_BATCH: Final = 4096  # rows in a compiled chunk: half a second of usual rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepSummary:
     """Results of a sweep.
 
-    Attributes:
-        output: Path of the table.
-        rows: Number of rows.
-        failed: Number of failed rows.
-        samples: Total number of samples of all runs.
-        recorded: Number of recorded runs.
-        first_failure: Row and reason of the first failure; empty if no row failed.
-        valueless: Metrics without a value in any row, with their statuses.
+    The valueless metrics have no value in any row.
     """
 
-    output: Path
-    rows: int
-    failed: int
-    samples: int
-    recorded: int = 0
-    first_failure: str = ""
-    valueless: Mapping[str, str] = field(default_factory=dict)
+    output: Path  # path of the table
+    rows: int  # number of rows
+    failed: int  # number of failed rows
+    samples: int  # total number of samples of all runs
+    recorded: int = 0  # number of recorded runs
+    first_failure: str = ""  # row and reason of the first failure; empty if no row failed
+    valueless: Mapping[str, str] = field(default_factory=dict)  # statuses by metric
 
 
 def run_sweep(
@@ -442,15 +419,10 @@ def _summarise(output: Path, sweep: Sweep) -> SweepSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepEstimate:
-    """Estimated cost of a sweep, measured on a few of its rows.
+    """Estimated cost of a sweep, measured on a few of its rows."""
 
-    Attributes:
-        seconds: Duration with the given number of processes [s].
-        bytes: Size of the table [bytes]; the file may be smaller if values repeat.
-    """
-
-    seconds: float
-    bytes: int
+    seconds: float  # duration with the given number of processes [s]
+    bytes: int  # size of the table [bytes]; the file may be smaller if values repeat
 
 
 def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:

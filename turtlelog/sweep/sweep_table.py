@@ -27,8 +27,7 @@ from turtlelog.sweep.sweep_plan import build_row_scenario
 
 Values = NDArray[np.float64]
 
-SEED: Final = "seed"
-"""Key whose values are repetitions of runs, not compared."""
+SEED: Final = "seed"  # key whose values are repetitions of runs, not compared
 
 _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
 """Metrics that are most often requested for maps, by the last part of their id, in this order."""
@@ -41,28 +40,18 @@ _BEYOND: Final = "beyond 1e150"
 _USUAL_METRICS: Final = 4
 """Default number of panels: two rows of two panels, each as wide as a column of a paper."""
 
-MOST_METRICS: Final = 12
-"""Largest number of panels in one picture. With more panels, text would be higher than the
-cells."""
+MOST_METRICS: Final = 12  # panels in one picture; with more, text would be higher than the cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptAxis:
-    """One axis of a sweep: a key, or keys that vary together.
+    """One axis of a sweep: a key, or keys that vary together."""
 
-    Attributes:
-        keys: Dotted keys; the first gives the axis its numbers.
-        values: Values at each place, one per key. Numbers are ascending, words in row order.
-        places: Place of each row, shape (n,).
-        unit: Unit of the numbers; None if they have no unit.
-        is_number: Whether all places have finite numbers; otherwise the places are equally spaced.
-    """
-
-    keys: tuple[str, ...]
-    values: tuple[tuple[Any, ...], ...]
-    places: NDArray[np.int64]
-    unit: str | None
-    is_number: bool
+    keys: tuple[str, ...]  # dotted keys; the first gives the axis its numbers
+    values: tuple[tuple[Any, ...], ...]  # per place and key. Numbers ascend, words in row order
+    places: NDArray[np.int64]  # place of each row, shape (n,)
+    unit: str | None  # unit of the numbers; None if they have no unit
+    is_number: bool  # whether all places have finite numbers; else they are equally spaced
 
     def __len__(self) -> int:
         return len(self.values)
@@ -89,28 +78,20 @@ class SweptAxis:
         """Return the values of a place in words."""
         return ", ".join(format_key_value(value) for value in self.values[place])
 
-    def tell_row(self, row: int) -> str:
-        """Return keys and values of a row, as in `law.kp_linear = 4`."""
-        values = self.values[self.places[row]]
-        pairs = zip(self.keys, values, strict=True)
+    def tell_keys(self, place: int) -> str:
+        """Return keys and values of a place, as in `law.kp_linear = 4`."""
+        pairs = zip(self.keys, self.values[place], strict=True)
         return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptMetric:
-    """A metric of every row.
+    """A metric of every row."""
 
-    Attributes:
-        name: Id of the metric.
-        unit: Unit of the values.
-        values: Value of each row, shape (n,); NaN for a missing value.
-        reasons: Reason for a missing value, per row; None for an existing value.
-    """
-
-    name: str
-    unit: str
-    values: Values
-    reasons: Sequence[str | None]
+    name: str  # id of the metric
+    unit: str  # unit of the values
+    values: Values  # value of each row, shape (n,); NaN for a missing value
+    reasons: Sequence[str | None]  # reason for a missing value, per row; None for an existing value
 
     @property
     def is_verdict(self) -> bool:
@@ -125,40 +106,24 @@ class SweptMetric:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptResults:
-    """The rows of a sweep.
+    """The rows of a sweep."""
 
-    Attributes:
-        path: Path of the table.
-        axes: Axes in the order of the plan.
-        metrics: Requested metrics.
-        others: Ids of all other metrics.
-        is_sampled: Whether rows were sampled at random, so that few share a place.
-        failed: Number of rows without a run.
-        row_count: Number of rows.
-        row_numbers: Row number of each row, as used by `run --from`.
-        base: Scenario that the rows vary.
-    """
-
-    path: Path | str
-    axes: tuple[SweptAxis, ...]
-    metrics: tuple[SweptMetric, ...]
-    others: tuple[str, ...]
-    is_sampled: bool
-    failed: int
-    row_count: int
-    row_numbers: Sequence[int]
-    base: Scenario
+    path: Path | str  # path of the table
+    axes: tuple[SweptAxis, ...]  # axes in the order of the plan
+    metrics: tuple[SweptMetric, ...]  # requested metrics
+    others: tuple[str, ...]  # ids of all other metrics
+    is_sampled: bool  # whether rows were sampled at random, so that few share a place
+    failed: int  # number of rows without a run
+    row_count: int  # number of rows
+    row_numbers: Sequence[int]  # row number of each row, as used by `run --from`
+    base: Scenario  # scenario that the rows vary
 
     def find_axis(self, key: str) -> SweptAxis | None:
         """Return the axis of a key; None if the key does not vary."""
         return next((axis for axis in self.axes if key in axis.keys), None)
 
     def build_scenario(self, row: int) -> Scenario:
-        """Return the scenario of a row. No code is loaded, and the law is not trusted.
-
-        Raises:
-            ScenarioError: If the row's values are not a valid scenario.
-        """
+        """Return a row's scenario without loading code or trust; ScenarioError if it is invalid."""
         keys = [key for axis in self.axes for key in axis.keys]
         values = [value for axis in self.axes for value in axis.values[axis.places[row]]]
         number, source = self.row_numbers[row], f"{self.path}"
@@ -166,7 +131,7 @@ class SweptResults:
 
     def tell_row(self, row: int) -> str:
         """Return the values of all varied keys in a row, in words."""
-        return ", ".join(axis.tell_row(row) for axis in self.axes)
+        return ", ".join(axis.tell_keys(axis.places[row]) for axis in self.axes)
 
 
 def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:

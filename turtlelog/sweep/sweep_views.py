@@ -10,13 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError, suggest_names
 from turtlelog.measure import find_metric_kind
 from turtlelog.scenario import flatten_scenario
-from turtlelog.sweep.sweep_table import (
-    SEED,
-    SweptAxis,
-    SweptMetric,
-    SweptResults,
-    format_key_value,
-)
+from turtlelog.sweep.sweep_table import SEED, SweptAxis, SweptMetric, SweptResults, format_key_value
 
 Values = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -24,25 +18,15 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptView:
-    """Rows of a sweep over one or two axes.
+    """Rows of a sweep over one or two axes."""
 
-    Attributes:
-        results: Sweep that the rows belong to.
-        x: Horizontal axis.
-        y: Vertical axis; None if one axis is shown.
-        held: Fixed places of the axes that are not shown.
-        seeds: Number of seeds over which a cell averages; 1 if runs are not repeated.
-        rows: Shown rows, ascending.
-        notes: Choices made for the caller, in sentences.
-    """
-
-    results: SweptResults
-    x: SweptAxis
-    y: SweptAxis | None
-    held: Mapping[SweptAxis, int]
-    seeds: int
-    rows: Places
-    notes: tuple[str, ...]
+    results: SweptResults  # sweep that the rows belong to
+    x: SweptAxis  # horizontal axis
+    y: SweptAxis | None  # vertical axis; None if one axis is shown
+    held: Mapping[SweptAxis, int]  # fixed places of the axes that are not shown
+    seeds: int  # number of seeds over which a cell averages; 1 if runs are not repeated
+    rows: Places  # shown rows, ascending
+    notes: tuple[str, ...]  # choices made for the caller, in sentences
 
     @property
     def axes(self) -> tuple[SweptAxis, ...]:
@@ -68,30 +52,18 @@ class SweptView:
 
     def tell_held(self) -> str:
         """Return the fixed values as text, as in `loop.transport_delay_ticks = 4`."""
-        return ", ".join(
-            f"{key} = {format_key_value(value)}"
-            for axis, place in self.held.items()
-            for key, value in zip(axis.keys, axis.values[place], strict=True)
-        )
+        return ", ".join(axis.tell_keys(place) for axis, place in self.held.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweptCells:
-    """A metric in the cells of a view.
+    """A metric in the cells of a view."""
 
-    Attributes:
-        values: Means over the rows with a value, in the shape of the view; NaN for a missing value.
-        least: Smallest value.
-        most: Largest value.
-        counts: Number of rows with a value.
-        reasons: Reason for a missing value, by cell index. Cells without rows are not included.
-    """
-
-    values: Values
-    least: Values
-    most: Values
-    counts: Places
-    reasons: Mapping[int, str]
+    values: Values  # means over the rows with a value, in the shape of the view; NaN if missing
+    least: Values  # smallest value
+    most: Values  # largest value
+    counts: Places  # number of rows with a value
+    reasons: Mapping[int, str]  # reason for a missing value, by index of a cell with rows
 
 
 def choose_view(
@@ -201,8 +173,7 @@ def _hold_others(
         else:
             held[axis], how = find_usual_place(results, axis)
             if len(axis) > 1:
-                row = int((axis.places == held[axis]).argmax())
-                notes.append(f"{axis.tell_row(row)} ({how}); --at holds another")
+                notes.append(f"{axis.tell_keys(held[axis])} ({how}); --at holds another")
     chosen = np.ones(results.row_count, dtype=bool)
     for axis, place in held.items():
         chosen &= axis.places == place
@@ -260,11 +231,7 @@ def fill_cells(view: SweptView, metric: SweptMetric) -> SweptCells:
 
 
 def require_values(view: SweptView) -> None:
-    """Refuse metrics without a value in any shown row.
-
-    Raises:
-        SweepError: If no metric has a value.
-    """
+    """Raise SweepError if no metric has a value in any shown row."""
     metrics, path = view.results.metrics, view.results.path
     if view.results.failed == view.results.row_count:
         raise SweepError(f"{path}: all rows failed")
@@ -304,15 +271,10 @@ def find_best_rows(view: SweptView, metric: SweptMetric) -> list[int]:
 
 
 class Rivals(NamedTuple):
-    """Means over seeds beside the best mean.
+    """Means over seeds beside the best mean."""
 
-    Attributes:
-        within_chance: Number of means that are not significantly worse than the best.
-        others: Number of means that are worse, significantly or not.
-    """
-
-    within_chance: int
-    others: int
+    within_chance: int  # number of means that are not significantly worse than the best
+    others: int  # number of means that are worse, significantly or not
 
     @property
     def is_open(self) -> bool:
@@ -321,8 +283,7 @@ class Rivals(NamedTuple):
 
 
 _CHANCE: Final = 0.05
-"""Probability that chance makes a mean that is as good as the best seem worse, for all means
-together."""
+"""Probability that chance makes an equally good mean seem worse, for all means together."""
 
 
 def count_rivals(view: SweptView, metric: SweptMetric) -> Rivals | None:

@@ -34,15 +34,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
 FOR_EACH_KEY: Final = 300
-"""Default number of candidates per key: the cover takes 32 (128 if one key varies alone), and a
-generation of the evolution 12."""
+"""Candidates per key: the cover takes 32 (128 of one key alone), a generation 12."""
 
-FEWEST: Final = 8
-"""Smallest number of candidates of a search."""
-
-_MOST_STEPS: Final = 10_000
-"""Largest number of values of a key with a step; from each candidate, the nearest of them are
-searched."""
+FEWEST: Final = 8  # candidates of a search
+_MOST_STEPS: Final = 10_000  # values of a key with a step, of which the nearest is searched
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -300,42 +295,27 @@ _MOST_BYTES: Final = 2**24
 class Variation:
     """A key of the scenario that is sampled at random.
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value.
-        high: Largest value. The distribution is uniform, over whole numbers if `is_whole` is set.
-        is_whole: Whether values are whole numbers.
+    The distribution is uniform, over whole numbers if `is_whole` is set.
     """
 
-    key: str
-    low: float
-    high: float
-    is_whole: bool = False
+    key: str  # dotted scenario key
+    low: float  # smallest value
+    high: float  # largest value
+    is_whole: bool = False  # whether values are whole numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spread:
-    """Results of random variants of a candidate.
+    """Results of random variants of a candidate."""
 
-    Attributes:
-        runs: Number of variants.
-        with_value: Number of variants in which the objective has a value.
-        holds: Number of variants in which every constraint holds and the objective has a value.
-        median: Median of the objective; None if the objective has no value in any variant.
-        low: 5th percentile of the objective, interpolated.
-        high: 95th percentile of the objective, interpolated.
-        worst: Worst value of the objective.
-        varied: Keys that were sampled at random.
-    """
-
-    runs: int
-    with_value: int
-    holds: int
-    median: float | None
-    low: float | None
-    high: float | None
-    worst: float | None
-    varied: tuple[Variation, ...]
+    runs: int  # number of variants
+    with_value: int  # number of variants in which the objective has a value
+    holds: int  # number of variants with a value in which every constraint holds
+    median: float | None  # median of the objective; None, like the next three, if there is no value
+    low: float | None  # 5th percentile of the objective, interpolated
+    high: float | None  # 95th percentile of the objective, interpolated
+    worst: float | None  # worst value of the objective
+    varied: tuple[Variation, ...]  # keys that were sampled at random
 
 
 def choose_variations(

@@ -32,12 +32,10 @@ Point = tuple[float | int, ...]
 _CUTS: Final = 8
 """Smallest number of parts of a generation: several parts for each of a few processes."""
 
-_ROWS: Final = "grid: "
-"""Prefix of errors about the values of a row."""
+_ROWS: Final = "grid: "  # prefix of errors about the values of a row
 
 _CHUNK_S: Final = 0.5
-"""Duration of a unit of work [s]: long compared with the time to distribute it, short for a waiting
-user."""
+"""Duration of a unit of work [s]: long beside its distribution, short for a waiting user."""
 
 Values = Mapping[str, Any]
 
@@ -46,35 +44,23 @@ Values = Mapping[str, Any]
 class ConstraintFinding:
     """Result of a constraint for a candidate.
 
-    Attributes:
-        expression: Constraint as typed.
-        value: Value of the left side of a comparison of numbers. None if the value is missing, or
-            for other constraints.
-        margin: Distance to the other verdict, in the unit of the compared values: positive if the
-            constraint holds, negative if it does not. inf or -inf if there is no distance, as for
-            words; -inf if a value is missing.
-        holds: Whether the constraint holds; False if a value is missing.
+    The margin has the unit of the compared values. It is inf or -inf if there is no distance, as
+    for words, and -inf if a value is missing.
     """
 
-    expression: str
-    value: float | None
-    margin: float
-    holds: bool
+    expression: str  # constraint as typed
+    value: float | None  # left side of a comparison of numbers; None if missing, or for others
+    margin: float  # distance to the other verdict, negative if the constraint does not hold
+    holds: bool  # whether the constraint holds; False if a value is missing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TuningGoal:
-    """The goal of tuning.
+    """The goal of tuning."""
 
-    Attributes:
-        objective: Formula of metrics and keys with a number as result.
-        is_maximised: Whether to maximise the objective instead of minimising it.
-        constraints: Conditions on metrics and keys.
-    """
-
-    objective: Expression
-    is_maximised: bool = False
-    constraints: tuple[Expression, ...] = ()
+    objective: Expression  # formula of metrics and keys with a number as result
+    is_maximised: bool = False  # whether to maximise the objective instead of minimising it
+    constraints: tuple[Expression, ...] = ()  # conditions on metrics and keys
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -195,21 +181,13 @@ def _is_number(value: Any) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchedKey:
-    """A key and its search range.
+    """A key and its search range."""
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value.
-        high: Largest value.
-        is_whole: Whether only whole numbers are allowed.
-        steps: Allowed values; empty if any value is allowed.
-    """
-
-    key: str
-    low: float
-    high: float
-    is_whole: bool = False
-    steps: Sequence[float] = ()
+    key: str  # dotted scenario key
+    low: float  # smallest value
+    high: float  # largest value
+    is_whole: bool = False  # whether only whole numbers are allowed
+    steps: Sequence[float] = ()  # allowed values; empty if any value is allowed
 
     def round(self, value: float) -> float | int:
         """Return the nearest allowed value."""
@@ -221,22 +199,13 @@ class SearchedKey:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """Values of the keys, with the results.
+    """Values of the keys, with the results."""
 
-    Attributes:
-        point: A value for each key.
-        objective: Value of the objective; None if the objective has no value.
-        constraints: Result of each constraint.
-        failed: Reason of a failed run; empty if the run did not fail.
-        missing: Reason for a missing objective, from the metric; empty if the objective has a
-            value.
-    """
-
-    point: Point
-    objective: float | None
-    constraints: tuple[ConstraintFinding, ...]
-    failed: str = ""
-    missing: str = ""
+    point: Point  # A value for each key
+    objective: float | None  # value of the objective; None if the objective has no value
+    constraints: tuple[ConstraintFinding, ...]  # result of each constraint
+    failed: str = ""  # reason of a failed run; empty if the run did not fail
+    missing: str = ""  # the metric's reason for a missing objective; empty if there is a value
 
     @property
     def is_feasible(self) -> bool:

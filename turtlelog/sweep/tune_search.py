@@ -35,8 +35,7 @@ the sampling instants has narrow minima, and the evolution of one key needs few 
 _POPULATION: Final = 12
 """Population of the evolution per key: the authors of the method advise 10, scipy uses 15."""
 
-_FEWEST: Final = 16
-"""Smallest population of the evolution."""
+_FEWEST: Final = 16  # smallest population of the evolution
 
 _FIRST_STEP: Final = 1.0 / 16.0
 _LAST_STEP: Final = 1e-5
@@ -47,35 +46,21 @@ _CORNERS: Final = 6
 """Largest number of keys for which the corners of the range are candidates, at most 64 corners."""
 
 _FAR: Final = 1e100
-"""Amount added to the score of a candidate that violates constraints, so that it comes after all
-others."""
+"""Amount added to a score if constraints are violated, so that it comes after all others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        best: Best candidate; `is_feasible` shows whether it satisfies the constraints.
-        evaluations: Number of simulated candidates.
-        failed: Number of candidates that failed.
-        failure: Reason of the first failure; empty if no candidate failed.
-        feasible: Number of candidates that satisfy the constraints.
-        at_bounds: Keys whose best value is at a bound of their range.
-        is_flat: Whether all candidates that satisfy the constraints, at least two, have the same
-            objective.
-        largest_step: Largest distance between neighbouring tried values of the key in its range;
-            None if several keys vary.
-    """
-
-    best: Candidate
-    evaluations: int
-    failed: int
-    feasible: int
-    at_bounds: tuple[str, ...]
-    is_flat: bool = False
-    failure: str = ""
-    largest_step: float | None = None
+    best: Candidate  # best candidate; `is_feasible` shows whether it satisfies the constraints
+    evaluations: int  # number of simulated candidates
+    failed: int  # number of candidates that failed
+    feasible: int  # number of candidates that satisfy the constraints
+    at_bounds: tuple[str, ...]  # keys whose best value is at a bound of their range
+    is_flat: bool = False  # whether all satisfying candidates, at least two, are equally good
+    failure: str = ""  # reason of the first failure; empty if no candidate failed
+    largest_step: float | None = None  # between neighbouring tried values; None for several keys
 
 
 def search_best(
@@ -239,19 +224,14 @@ larger. A share of a best value of 0 would always be 0."""
 _POINTS: Final = 16
 """Number of candidates between the best value and each bound, denser near the best."""
 
-_ROUNDS: Final = 5
-"""Largest number of neighbourhoods. If a metric depends on single samples, each may contain a
-better value."""
-
-_HALVINGS: Final = 8
-"""Number of halvings of the step, down to 1/256."""
+_ROUNDS: Final = 5  # largest number of neighbourhoods, each of which may contain a better value
+_HALVINGS: Final = 8  # number of halvings of the step, down to 1/256
 
 _SCAN: Final = 32
 """Number of candidates between the best value and each end of its range, at equal distances: a part
 of 1/32 of either side that is worse ends the range."""
 
-_SCANS: Final = 8
-"""Largest number of scans. A scan follows each one that makes the range smaller."""
+_SCANS: Final = 8  # largest number of scans. A scan follows each one that makes the range smaller
 
 NEIGHBOURS: Final = 2 * (_POINTS + _HALVINGS + _SCAN)
 """Usual number of candidates of a neighbourhood for each key."""
@@ -267,59 +247,37 @@ End = Literal["objective", "constraint", "no value", "bound"]
 class KeyRange:
     """Range of a key around its best value, with all other keys at their best values.
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Smallest value that is still good.
-        high: Largest value that is still good.
-        low_end: Reason for the lower end: the objective becomes worse, a constraint is violated, a
-            value is missing, or the given bound is reached.
-        high_end: Reason for the upper end, with the same values.
-        low_constraint: Constraint that is violated below the range; empty if no constraint is.
-        high_constraint: Constraint that is violated above the range; empty if no constraint is.
-        largest_step: Largest distance between two neighbouring values that were tried in the range;
-            0 if the range is a single value.
+    An end is where the objective becomes worse, a constraint is violated, a value is missing, or
+    the given bound is reached.
     """
 
-    key: str
-    low: float
-    high: float
-    low_end: End
-    high_end: End
-    low_constraint: str = ""
-    high_constraint: str = ""
-    largest_step: float = 0.0
+    key: str  # dotted scenario key
+    low: float  # smallest value that is still good
+    high: float  # largest value that is still good
+    low_end: End  # reason for the lower end
+    high_end: End  # reason for the upper end
+    low_constraint: str = ""  # constraint that is violated below the range, if any
+    high_constraint: str = ""  # constraint that is violated above the range, if any
+    largest_step: float = 0.0  # between neighbouring tried values; 0 for a single value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """A change of the objective by more than the accepted loss between two close values of a key.
+    """Change of the objective by more than the accepted loss between close values of a key."""
 
-    Attributes:
-        key: Dotted scenario key.
-        low: Value of the key below the jump.
-        high: Value of the key above the jump.
-        change: Magnitude of the change of the objective.
-    """
-
-    key: str
-    low: float
-    high: float
-    change: float
+    key: str  # dotted scenario key
+    low: float  # value of the key below the jump
+    high: float  # value of the key above the jump
+    change: float  # magnitude of the change of the objective
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Neighbourhood:
-    """The range in which each key can change while the other keys stay fixed.
+    """The range in which each key can change while the other keys stay fixed."""
 
-    Attributes:
-        slack: Largest accepted loss of the objective.
-        ranges: Range of each key.
-        jump: Largest jump of the objective along a key; None if there is no jump.
-    """
-
-    slack: float
-    ranges: tuple[KeyRange, ...]
-    jump: Jump | None = None
+    slack: float  # largest accepted loss of the objective
+    ranges: tuple[KeyRange, ...]  # range of each key
+    jump: Jump | None = None  # largest jump of the objective along a key; None if there is no jump
 
 
 @dataclass(slots=True)

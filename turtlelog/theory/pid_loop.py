@@ -124,9 +124,8 @@ def analyse_pid_loop(
     Raises:
         TheoryError: If a number is not finite or outside its range.
     """
-    poles = compute_pid_poles(
-        gains, period_s=period_s, dead_time_ticks=dead_time_ticks, process=process
-    )
+    settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
+    poles = compute_pid_poles(gains, period_s=period_s, **settings)
     shape, whole = _prepare(gains, period_s, dead_time_ticks, process)
     stable = _judge(shape, whole)
     overshoot_percent, settling_time_s = None, None
@@ -136,7 +135,6 @@ def analyse_pid_loop(
         overshoot_percent, settling_time_s = known.overshoot_percent, known.settling_time_s
     elif stable:
         dead_time = sample_process(process, period_s, dead_time_ticks).whole
-        settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
         respond = partial(compute_pid_step_response, gains, period_s=period_s, **settings)
         overshoot_percent, ticks = sampled_loop.measure_step(poles[0], dead_time, respond, _LONGEST)
         settling_time_s = None if ticks is None else ticks * float(period_s)
@@ -147,9 +145,7 @@ def analyse_pid_loop(
         process=process,
         poles=poles,
         stable=stable,
-        stable_gains=find_stable_gains(
-            gains, period_s=period_s, dead_time_ticks=dead_time_ticks, process=process
-        ),
+        stable_gains=find_stable_gains(gains, period_s=period_s, **settings),
         overshoot_percent=overshoot_percent,
         settling_time_s=settling_time_s,
         margins=pid_stability.find_margins(shape, float(period_s)) if stable else None,
@@ -223,13 +219,7 @@ def find_stable_gains(
 
     For P and PD the first interval begins at 0. For PI and PID it begins above 0, because an
     integral needs some Kp; with a too large integral there is no interval. The loop is unstable at
-    both ends of an interval.
-
-    Args:
-        gains: Gains of the controller; Kp is ignored.
-        period_s: Sampling period T [s].
-        dead_time_ticks: Dead time in addition to that of the process [samples], 0 to 1000 in total.
-        process: Plant that the command drives. Default: an integrator.
+    both ends of an interval. The Kp of `gains` is ignored.
 
     Raises:
         TheoryError: If a number is not finite or outside its range.

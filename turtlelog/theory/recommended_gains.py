@@ -138,11 +138,15 @@ def recommend_gains(
         if not percent < 100.0:
             problem = f"expected less than 100 %, found {percent!r}"
             raise TheoryError(problem, quantity="overshoot_percent")
-        find_pd = partial(_find_pd_of_overshoot, margin_rad=margin_rad)
         rules += [
             ("overshoot", "P", _EXACT, partial(_find_p_of_overshoot, design, percent)),
             ("overshoot", "PI", _EXACT, partial(_find_pi_of_overshoot, design, percent)),
-            ("overshoot", "PD", _EXACT, partial(find_pd, design, percent)),
+            (
+                "overshoot",
+                "PD",
+                _EXACT,
+                partial(_find_pd_of_overshoot, design, percent, margin_rad),
+            ),
         ]
     if phase_margin_rad is not None:
         rules += [
@@ -234,26 +238,20 @@ def _judge(
     compute: Callable[[], PidGains | str],
 ) -> Recommendation:
     """Return the gains of a rule, and the properties of their loop."""
+    found = Recommendation(rule=rule, controller=controller, source=source)
     try:
         gains = compute()
         margins = None if isinstance(gains, str) else design.read_margins(gains)
     except TheoryError as err:  # gains outside what theory takes
         gains, margins = str(err), None
     if isinstance(gains, str):
-        return Recommendation(rule=rule, controller=controller, source=source, reason=gains)
+        return replace(found, reason=gains)
     must_rest = design.limits is not None and rule != _GIVEN
     motion = None if margins is None else design.measure(gains, must_rest=must_rest)
     if must_rest and motion and motion.settling_time_s is None:
         reason = "under the limits of acceleration, a step oscillates and does not settle"
-        return Recommendation(rule=rule, controller=controller, source=source, reason=reason)
-    return Recommendation(
-        rule=rule,
-        controller=controller,
-        source=source,
-        gains=gains,
-        motion=motion,
-        margins=margins,
-    )
+        return replace(found, reason=reason)
+    return replace(found, gains=gains, motion=motion, margins=margins)
 
 
 _SKOGESTAD: Final = (

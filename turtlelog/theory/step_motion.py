@@ -90,10 +90,6 @@ class StepLimits:
         sizes = [share * self.step for share in _SHARES]
         return [replace(self, step=size) for size in (*sizes, self.also) if size > 0.0]
 
-    def build_follower(self, period_s: float) -> "_Limiter":
-        """Return the limits of the command in a unit step, at rest."""
-        return _Limiter(self, period_s)
-
 
 class _Limiter:
     """The command behind its limits, divided by the step."""
@@ -173,7 +169,7 @@ def measure_step_motion(
     period_s = require_period(period_s)
     sampled = sample_process(process, period_s, dead_time_ticks)
     motion = _Motion(process, sampled, period_s, limits)
-    follow = None if limits is None else limits.build_follower(period_s)
+    follow = None if limits is None else _Limiter(limits, period_s)
     keep, slope = gains.weigh_derivative(period_s)
     kp, per_error, filter_gap = gains.kp, gains.ki * period_s, sampled.filter_gap
     commands = [0.0] * (sampled.whole + 1)
@@ -355,7 +351,7 @@ class LoopDesign:
         if self.is_slow:
             return None
         found = []
-        for limits in self._list_steps():
+        for limits in self._steps:
             motion = self._follow(gains, limits, to_rest=to_rest)
             if motion is None:
                 return None
@@ -377,14 +373,13 @@ class LoopDesign:
 
     def overshoots(self, gains: PidGains) -> bool:
         """Return whether any step overshoots visibly."""
-        motions = (self._follow(gains, limits, to_rest=False) for limits in self._list_steps())
+        motions = (self._follow(gains, limits, to_rest=False) for limits in self._steps)
         return any(one is None or one.overshoot_percent > _TRACE for one in motions)
 
-    def _list_steps(self) -> "list[StepLimits | None]":
-        """Return the limits of all steps to be measured, the largest step first."""
-        if self.limits is None:
-            return [None]
-        return [*self.limits.list_steps(), None]
+    @property
+    def _steps(self) -> list[StepLimits | None]:
+        # The largest step first; a step without limits last.
+        return [*([] if self.limits is None else self.limits.list_steps()), None]
 
     def _follow(
         self, gains: PidGains, limits: StepLimits | None, *, to_rest: bool

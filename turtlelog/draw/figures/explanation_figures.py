@@ -19,7 +19,13 @@ from turtlelog.charts.close_up import CloseUp, find_close_up, format_length
 from turtlelog.charts.curves import Values, find_steps, find_unit, list_levels, read_curve
 from turtlelog.charts.plotted_curves import label_time
 from turtlelog.draw.figures import page as pages
-from turtlelog.draw.figures.figure_curves import choose_lines, draw_curve, draw_thinned, label_runs
+from turtlelog.draw.figures.figure_curves import (
+    choose_lines,
+    draw_curve,
+    draw_thinned,
+    label_runs,
+    require_one,
+)
 from turtlelog.draw.figures.page import Page, fix_style, to_rgb, use_looks
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.errors import ExplainError, ShowError
@@ -27,17 +33,13 @@ from turtlelog.run import Run
 from turtlelog.run.loops import SIGNAL_WORDS
 
 _WORDS_POINTS: Final = 7.0
-_BAR: Final = 0.62
-"""Height of a bar, as a share of its row."""
+_BAR: Final = 0.62  # height of a bar, as a share of its row
 
 _NEAR: Final = 0.1
 """Share of the step around the reference in which overshoot and settling are visible."""
 
-_GOAL_MM: Final = 1.6
-"""Half the size of the goal's cross in print [mm]."""
-
-_NOTE_LETTERS: Final = 42
-"""Longest line below the axis that fits a column [letters]."""
+_GOAL_MM: Final = 1.6  # half the size of the goal's cross in print [mm]
+_NOTE_LETTERS: Final = 42  # longest line below the axis that fits a column [letters]
 
 _GHOST: Final = fix_style(
     color="0.55", linestyle=pages.STROKES[palette.SUPPOSED_DASH], linewidth=1.3, zorder=1.9
@@ -45,8 +47,7 @@ _GHOST: Final = fix_style(
 _RING: Final = fix_style(fill=False, color="0.78", linewidth=0.5, linestyle=(0, (4, 2)), zorder=1.2)
 _CONNECTOR: Final = fix_style(color="0.5", linewidth=0.6)
 
-_BAR_INCH: Final = 0.27
-"""Height of a bar with its text [inch]."""
+_BAR_INCH: Final = 0.27  # height of a bar with its text [inch]
 
 _BARS: Final = 0.72
 """Width of the bars with the text next to them, as a share of the figure's width."""
@@ -83,11 +84,7 @@ def explain_for_figure(
         ShowError: If there is not exactly one run, or the run has no contributions. The message
             says why.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure attribution: expected one recording, found {len(runs)}")
-    (run,) = runs
-    chosen = metric or explain.choose_metric(run.declaration)
-    explain.require_causes(run, chosen, None)
+    run, chosen = _choose_explained("attribution", runs, metric)
     identified = explain.identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
@@ -106,13 +103,17 @@ def explain_for_figure(
     return Explained(run=run, found=found, ghost=ghost, ghost_name=name)
 
 
+def _choose_explained(figure: str, runs: Sequence[Run], metric: str | None) -> tuple[Run, str]:
+    run = require_one(figure, runs)
+    chosen = metric or explain.choose_metric(run.declaration)
+    explain.require_causes(run, chosen, None)
+    return run, chosen
+
+
 def draw_attribution(
     figure: Figure, runs: Sequence[Run], *, explained: Explained | None = None
 ) -> None:
-    """Draw the waterfall of one run's metric, with the run and its ghost.
-
-    The explanation is by default that of `explain_for_figure`.
-    """
+    """Draw one run's waterfall, by default that of `explain_for_figure`, with its ghost."""
     told = explained or explain_for_figure(runs)
     waterfall = attribution_steps.draw_up_attribution(told.found)
     width = figure.get_figwidth()
@@ -281,19 +282,16 @@ _LABEL_INCH: Final = 1.25 * _WORDS_POINTS / 72.0
 _PANEL_INCH: Final = 2.4
 """Smallest height of the curves [inch]; five labels beside them take a quarter of it."""
 
-_AXIS_INCH: Final = 0.45
-"""Height of the axis below the curves with its text [inch]."""
+_AXIS_INCH: Final = 0.45  # height of the axis below the curves with its text [inch]
 
 _GHOST_COLOR: Final = (0.5, 0.5, 0.5)
 _GHOST_WORDS: Final = (0.35, 0.35, 0.35)
 """Colour of a ghost's text; a lighter grey would not be visible on paper."""
 
-_DOT_MM: Final = 1.2
-"""Half the size of the run's own mark in print [mm]."""
+_DOT_MM: Final = 1.2  # half the size of the run's own mark in print [mm]
 
 _DASHES: Final[tuple[Any, ...]] = ((0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
-"""Dash patterns of the curves without one cause, chosen so that coinciding curves are all
-visible."""
+"""Dashes of the curves without one cause, such that coinciding curves are all visible."""
 
 
 def measure_luck_for_figure(
@@ -304,11 +302,7 @@ def measure_luck_for_figure(
     Raises:
         ShowError: If there is not exactly one run, or nothing can be shown. The message says why.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure luck: expected one recording, found {len(runs)}")
-    (run,) = runs
-    chosen = metric or explain.choose_metric(run.declaration)
-    explain.require_causes(run, chosen, None)
+    run, chosen = _choose_explained("luck", runs, metric)
     try:
         return explain.measure_luck(run, metric=chosen, work=work)
     except ExplainError as err:

@@ -20,11 +20,11 @@ from turtlelog.charts.many_runs import choose_colors_by_value, find_color_scale,
 from turtlelog.compare import name_runs
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
+from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
 _MOST_SWINGS: Final = 8.0
-"""Largest path of a curve up and down, relative to its height. Along a longer path, the marks would
-hide the curve."""
+"""Largest path of a curve up and down, in its height; along a longer path, marks would hide it."""
 
 
 def draw_curve(axes: Axes, curve: curves.Curve, **looks: Any) -> None:
@@ -83,14 +83,10 @@ _ALIKE: Final = (
 )
 """Labels that share a style in different panels; each panel shows its own label."""
 
-_CURVES: Final = 2.0
-"""Order in which matplotlib draws lines by default; references are below."""
-
-_MOST_NAMED: Final = 12
-"""Largest number of theoretical lines with an entry each: six rows of two entries in a column."""
+_CURVES: Final = 2.0  # order in which matplotlib draws lines by default; references are below
+_MOST_NAMED: Final = 12  # theoretical lines with an entry each: six rows of two entries in a column
 _SOME: Final = 7
-"""Number of entries if there are more lines, in even steps. Colours identify the lines in
-between."""
+"""Number of entries of more lines, in even steps. Colours identify the lines in between."""
 
 
 def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
@@ -156,10 +152,8 @@ def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
     return min(len(labels), max(1, int(width_points / entry_points)))
 
 
-_BAR_INCH: Final = 0.42
-"""Height of a bar with its numbers and its name [inch]."""
-_MOST_TICKS: Final = 7
-"""Largest number of labels with three digits that fit a column."""
+_BAR_INCH: Final = 0.42  # height of a bar with its numbers and its name [inch]
+_MOST_TICKS: Final = 7  # labels with three digits that fit a column
 
 
 def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
@@ -192,9 +186,7 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     return frozenset(names)
 
 
-_MOST_BROAD: Final = 24
-"""Largest number of lines of usual width; with more, a column of 40 mm would have no space between
-lines."""
+_MOST_BROAD: Final = 24  # lines of usual width; more would touch in a column of 40 mm
 
 _THIN: Final = 0.7
 
@@ -264,11 +256,15 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
 
 
-def label_runs(runs: Sequence[Run]) -> list[str]:
-    """Return a short printable name for each run; all names are different.
+def require_one(figure: str, runs: Sequence[Run]) -> Run:
+    """Return the only run of a figure; ShowError for none or several."""
+    if len(runs) != 1:
+        raise ShowError(f"figure {figure}: expected one recording, found {len(runs)}")
+    return runs[0]
 
-    Letters that matplotlib's font lacks become `?`, and nothing in a name is a formula.
-    """
+
+def label_runs(runs: Sequence[Run]) -> list[str]:
+    """Return a different short name for each run, without unprintable letters and formulas."""
     font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
     labels = []
     for name in name_runs(runs):
@@ -289,11 +285,8 @@ def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 
-NAMES_HEIGHT: Final = 0.935
-"""Height of the line's middle, as a share of the picture."""
-
-_MOST_ABOVE: Final = 7
-"""Largest number of names above the picture: as many as there are hues."""
+NAMES_HEIGHT: Final = 0.935  # height of the line's middle, as a share of the picture
+_MOST_ABOVE: Final = 7  # names above the picture: as many as there are hues
 
 _NAMES_END: Final = 0.66
 """End of the names, as a share of the width; the rest of the width is for the clock."""

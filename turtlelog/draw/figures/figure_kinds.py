@@ -30,8 +30,7 @@ GOAL: Final = "a goal"
 
 PYTHON_CONTROL: Final = "python-control"
 
-_ROW_HEIGHT: Final = 0.25
-"""Height of a row of two panels, as a share of their total width."""
+_ROW_HEIGHT: Final = 0.25  # height of a row of two panels, as a share of their total width
 
 _LOOPS: Final[Mapping[str, str]] = {
     "heading": "a loop of the heading",
@@ -117,11 +116,7 @@ class FigureKind:
         return self.height * (1.0 + kept) / (1.0 + usual)
 
     def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
-        """Draw the figure for several runs.
-
-        Raises:
-            ShowError: If a pose is too far away for the limits of axes.
-        """
+        """Draw the figure for several runs; ShowError if a pose is too far away for axes."""
         curves.require_near(runs)
         if self.draw is not None:
             self.draw(figure, runs)
@@ -161,8 +156,7 @@ _GAIN: Final = "the law's gain"
 
 _PROPORTIONAL: Final = "a proportional loop"
 
-OF_THEORY: Final = ("gain", "integrator", "locus")
-"""Data that theory provides without a run."""
+OF_THEORY: Final = ("gain", "integrator", "locus")  # data that theory provides without a run
 
 
 def _has(words: str, has: Callable[[Run], bool], *, first: str = "") -> Callable[[Run], str]:
@@ -222,8 +216,7 @@ def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
     return tuple(_LACKS[need](run) for run in runs)
 
 
-MOST_STATES: Final = 12
-"""Largest number of state panels in a figure; with more, it would be higher than any page."""
+MOST_STATES: Final = 12  # state panels in a figure; with more, it would be higher than any page
 
 
 def list_usual_figures() -> tuple[str, ...]:

@@ -22,29 +22,18 @@ from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
 from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
 
-_MOST_LINES: Final = 3
-"""Largest number of dead times with a line each. More dead times become a band from the smallest to
-the largest limit."""
-
-_MOST_LOOPS: Final = 4
-"""Largest number of loops of several laws; with more, the figure would be higher than a page."""
+_MOST_LINES: Final = 3  # dead times with a line each; more become a band between their limits
+_MOST_LOOPS: Final = 4  # loops of several laws; with more, the figure would be higher than a page
 
 _FAR: Final = 2.5
-"""Largest limit that is drawn, as a multiple of the largest gain. Larger limits are written as
-text, because otherwise all runs would be crowded at the left."""
+"""Largest drawn limit, in largest gains; a larger one would crowd all runs at the left."""
 
-_MOST_NAMED: Final = 8
-"""Largest number of runs with a name at each point; more names would hide the points."""
-
-_RATIO: Final = 4.0
-"""Ratio of largest to smallest gain from which the gain axis is logarithmic."""
-
-_GAINS: Final = 48
-"""Number of gains of a theoretical curve: one per millimetre of a panel."""
+_MOST_NAMED: Final = 8  # runs with a name at each point; more names would hide the points
+_RATIO: Final = 4.0  # ratio of largest to smallest gain from which the gain axis is logarithmic
+_GAINS: Final = 48  # number of gains of a theoretical curve: one per millimetre of a panel
 
 _COLUMN_INCH: Final = 1.5
-"""Smallest width of a panel [inch]; in narrower panels the values of two limits touch. Panels that
-would be narrower are stacked."""
+"""Smallest width of a panel side by side [inch]; below, the values of two limits touch."""
 
 _ROW_INCH: Final = 1.45
 

@@ -23,30 +23,20 @@ from turtlelog.sweep.sweep_analysis import ColumnLimits, LoopLimits, choose_limi
 from turtlelog.sweep.sweep_table import SweptAxis, SweptMetric
 from turtlelog.sweep.sweep_views import SweptView, fill_cells
 
-_MOST_VECTORS: Final = 2_500
-"""Largest number of cells stored as shapes in a PDF or SVG, 100 bytes each. More cells become
-pixels."""
-
-_MOST_WORDS: Final = 12
-"""Largest number of labels along a side: each takes 4 mm of a column."""
+_MOST_VECTORS: Final = 2_500  # cells stored as shapes, 100 bytes each; more become pixels
+_MOST_WORDS: Final = 12  # labels along a side: each takes 4 mm of a column
 
 _FEW_NUMBERS: Final = 6
-"""Largest number of values with a label below each cell. With few values, a scale would suggest
-cells in between."""
+"""Largest number of values with a label each; with so few, a scale would suggest values between."""
 
-_LONGEST: Final = 16
-"""Longest label [letters]."""
-
-_MOST_EDGED: Final = 1_000
-"""Largest number of dots with an edge. With more dots, they are so small that only the edges would
-be visible."""
+_LONGEST: Final = 16  # longest label [letters]
+_MOST_EDGED: Final = 1_000  # dots with an edge; of more, smaller dots only edges would be visible
 
 _HALO: Final = 1.4
 """Width of the white border around a line, which separates it from any colour below [points]."""
 
 VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Colours of unstable, between and stable. The colours also differ in lightness, and are light
-enough for theory's lines."""
+"""Colours of unstable, between and stable: of differing lightness, and light below lines."""
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
@@ -54,10 +44,10 @@ DECADES: Final = 100.0
 """Ratio of largest to smallest value from which colours and axes are logarithmic. On a linear
 scale, the whole lower decade would share 3 of 256 shades, or be as thin as a line."""
 
+# Names of theory's limits in a legend.
 STABILITY: Final = "instability (theory)"
 GROWN: Final = "instability with the most dead time (theory)"
 OVERSHOOT: Final = "overshoot begins (theory)"
-"""Names of theory's limits in a legend."""
 
 LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
@@ -102,10 +92,7 @@ def draw_map_panel(
 
 
 def mark_places(axes: Axes, side: str, axis: SweptAxis) -> None:
-    """Write the values of an axis along a side: all values, or every second, third ... value.
-
-    A few numbers are written at their positions; more numbers get a scale.
-    """
+    """Write an axis' values, or every second, third ...; more than a few numbers get a scale."""
     if axis.is_number and len(axis) > _FEW_NUMBERS:
         return
     places = range(0, len(axis), -(-len(axis) // _MOST_WORDS))
@@ -282,10 +269,7 @@ def build_scale(values: Values) -> ColorScale:
 
 
 def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:
-    """Return legend text and hatch for each reason for a missing value, most frequent first.
-
-    If there are more reasons than hatches, rare ones share the last hatch.
-    """
+    """Return legend text and hatch of each reason, most frequent first; rare ones share a hatch."""
     counts = Counter(reason for one in metrics for reason in one.reasons if reason is not None)
     order = [reason for reason, _ in counts.most_common()]
     few = order if len(order) <= len(_HATCHES) else order[: len(_HATCHES) - 1]

@@ -34,8 +34,7 @@ _BAND: Final = fix_style(facecolor="0.93", edgecolor="none", zorder=0.45)
 _ROOM: Final = 0.04
 """Margin before and after a phase to which an axis is cut, as a share of the phase."""
 _LEAST_OVERSHOOT: Final = 0.1
-"""Smallest overshoot that is marked among many marks [% of the step]; smaller overshoots are
-thinner than the curve's line."""
+"""Smallest overshoot that is marked among many [%]; smaller ones are thinner than the line."""
 
 _LEAST_PAUSE: Final = 0.005
 """Smallest visible pause as a share of an axis: a third of a millimetre in a column."""
@@ -319,11 +318,7 @@ _AFTER_REST: Final = 0.15
 
 
 def require_window(runs: Sequence[Run], page: Page) -> None:
-    """Raise an error for a time window in which no run has data.
-
-    Raises:
-        ShowError: With the available times.
-    """
+    """Raise ShowError, with the available times, for a time window in which no run has data."""
     for name, bound_s in (("from", page.from_s), ("to", page.to_s)):
         if bound_s is None:
             continue

@@ -27,23 +27,19 @@ _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 _LEAST_DPI, _MOST_DPI = 50, 600
-"""Range of resolutions [dots per inch]. At 50, letters of 7 points have 5 pixels; printers resolve
-600."""
+"""Range of resolutions: at 50, letters of 7 points have 5 pixels; printers resolve 600."""
 
 _DPI: Final = 300.0
 
 _SLIDE_INCH: Final = (6.4, 3.6)
-"""Size of a slide, 16:9 [inch]. Letters of 8 points are 1/32 of its height, which is 17 points when
-projected."""
-_PROJECTED_INCH: Final = 40.0 / 3.0
-"""Width of a slide in presentation programs [inch]."""
+"""Size of a slide, 16:9 [inch]: projected, letters of 8 points have 17."""
+_PROJECTED_INCH: Final = 40.0 / 3.0  # width of a slide in presentation programs [inch]
 _SLIDE_DPI: Final = 144.0
 _LOW_ROWS: Final = 3
 """Number of rows of panels from which units on a slide are on a line of their own."""
 
 SIDE_BY_SIDE_INCH: Final = 5.0
-"""Width below which panels are stacked [inch]. Side by side, they would be smaller than their
-text."""
+"""Width below which panels are stacked [inch]; side by side, they would be smaller than text."""
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -113,8 +109,7 @@ STROKES: Final[Mapping[palette.Dash, Any]] = MappingProxyType(
 )
 """Dashes of matplotlib, in multiples of the line's width."""
 
-REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)
-"""Style of goals, limits and zeros."""
+REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)  # style of goals, limits and zeros
 
 IDEAL_ENDS: Final = "ideal, first and last run"
 """Label of the ideal responses of the first and the last of many runs."""

@@ -13,29 +13,24 @@ from matplotlib.textpath import text_to_path
 
 from turtlelog.charts.curves import Values
 
-GUIDE_ORDER: Final = 1.6
-"""Drawing order of guide lines: below all curves."""
+GUIDE_ORDER: Final = 1.6  # drawing order of guide lines: below all curves
 
 WORDS_POINTS: Final = 6.5
 _MM_PER_POINT: Final = 25.4 / 72.0
 _LINE_MM: Final = 1.25 * WORDS_POINTS * 25.4 / 72.0
 _DOT_MM: Final = 0.8
-_LEADER_MM: Final = 4.0
-"""Distance from which a line connects text and its dot [mm]."""
+_LEADER_MM: Final = 4.0  # distance from which a line connects text and its dot [mm]
 
 _NO_ROOM: Final = 150.0
-"""Number of covered curve points from which a text is left out: 15 mm of a curve, or one other text
-or dot."""
+"""Number of covered points from which a text is left out: 15 mm of a curve, a text, or a dot."""
 
 _GUIDE_POINTS: Final = 40
-"""Number of points of a guide line that text avoids: a tenth of a curve's, because covering a guide
-line matters less."""
+"""Number of points of a guide line: a tenth of a curve's, because covering it matters less."""
 
 _MARK_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 12.0, 14.0, 16.0, 19.0, 22.0, 25.0, 28.0, 32.0, 38.0)
 """Distances of text from its dot, best first [mm]. The marks of one phase end in one corner."""
 
-_MOST_COVERED: Final = 12.0
-"""Largest number of curve points that a table may cover: 1.2 mm of a curve."""
+_MOST_COVERED: Final = 12.0  # curve points that a table may cover: 1.2 mm of a curve
 
 _PLACES: Final = np.linspace(0.0, 1.0, 15)
 """Places of a table, from one side of the free area to the other."""
@@ -94,8 +89,7 @@ class _Placed:
     leader: Values | None = None  # line from the dot to a box that is far away, shape (2, 2)
 
 
-_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)
-"""Distances of text from its dot, best first [mm]."""
+_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)  # distances of text from its dot, best first [mm]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -281,14 +275,10 @@ _RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4
 """Angles at which the name of a ring may be placed, best first [rad]."""
 
 _APART_MM: Final = 0.1
-"""Distance between the points of a line that text avoids [mm]; a crossing curve has hundreds of
-them."""
+"""Distance between the points of a line [mm]; a curve that crosses a text has hundreds."""
 
-_MOST_POINTS: Final = 4_000
-"""Largest number of points on an oscillating line."""
-
-_WAY_POINTS: Final = 40
-"""Number of points from a dot to its text."""
+_MOST_POINTS: Final = 4_000  # points on an oscillating line
+_WAY_POINTS: Final = 40  # number of points from a dot to its text
 
 _OF_A_DOT: Final = 400
 """Number of points of a mark, so that text avoids the mark like 40 mm of a line."""

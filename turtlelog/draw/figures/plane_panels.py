@@ -35,11 +35,8 @@ _LEAST_TOLERANCE: Final = 0.04
 """Smallest tolerance with an entry in the legend, as a share of half a close-up. A smaller square
 is below the goal's cross, which takes 3 of 90 points on either side."""
 
-_PLANE: Final = "plane"
-"""Label of axes that show paths."""
-
-_FAINT: Final = 0.25
-"""Opacity of the part of a path outside the page's time window."""
+_PLANE: Final = "plane"  # label of axes that show paths
+_FAINT: Final = 0.25  # opacity of the part of a path outside the page's time window
 
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
@@ -243,9 +240,7 @@ _PATH: Final = fix_style(
 
 _WAY: Final = fix_style(color="0.35", linewidth=0.5, zorder=2.2, solid_capstyle="butt")
 
-_MOST_WAYS: Final = 60
-"""Largest number of deviation lines: two per centimetre of a path around half a page. More lines
-would be a grey area."""
+_MOST_WAYS: Final = 60  # deviation lines: two per centimetre. More would be a grey area
 
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 

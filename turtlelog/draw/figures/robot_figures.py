@@ -22,7 +22,13 @@ from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
 from turtlelog.display import describe_count
 from turtlelog.draw.figures import page as pages
-from turtlelog.draw.figures.figure_curves import add_legend, draw_curve, draw_thinned, label_runs
+from turtlelog.draw.figures.figure_curves import (
+    add_legend,
+    draw_curve,
+    draw_thinned,
+    label_runs,
+    require_one,
+)
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, fix_style, use_looks
 from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
@@ -34,16 +40,13 @@ from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 _ROW_INCH: Final = 1.25
 _LEFT_INCH: Final = 0.75
 
-_BEFORE_S: Final = 0.25
-"""Time shown before the change [s]."""
+_BEFORE_S: Final = 0.25  # time shown before the change [s]
 
 _LEAST_AFTER_S: Final = 0.8
 _LENGTHS: Final = 6.0
-"""Time shown after a step, in dead times plus time constants. After 5 time constants, the response
-is within 1 %."""
+"""Time shown after a step, in dead times plus time constants; after 5, 1 % is left."""
 
-_FINE: Final = 600
-"""Number of points of the model in the close-up."""
+_FINE: Final = 600  # number of points of the model in the close-up
 
 _SHOWN_MS: Final = 2.0
 """Smallest width of an interval that is drawn [ms]; a narrower interval is a single stroke."""
@@ -82,9 +85,7 @@ def draw_rates(
     Raises:
         ShowError: If there is not exactly one run, or the run has no commands.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
-    (run,) = runs
+    run = require_one("rates", runs)
     model = identify.identify_robot([run]) if model is None else model
     drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
     if not drawn:
@@ -264,8 +265,7 @@ def tell_model(one: DrawnAxis, changes: int) -> str:
     return f"{told}, gain {identify.format_gain(model.gain)}\n{delays}\nin brackets: {one.brackets}"
 
 
-_EXACT_S: Final = 5e-5
-"""Largest width of an interval that tenths of a millisecond do not show [s]."""
+_EXACT_S: Final = 5e-5  # largest width of an interval that tenths of a millisecond do not show [s]
 
 
 def _tell_ms(found: identify.Estimate) -> str:
@@ -381,11 +381,8 @@ def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
     axes.margins(x=0.01)
 
 
-_PLANE_ROWS: Final = 2.2
-"""Height of the panel of paths, as a multiple of a panel over time."""
-
-_ROW_HEIGHT: Final = 0.26
-"""Height of a panel over time, as a share of the figure's width."""
+_PLANE_ROWS: Final = 2.2  # height of the panel of paths, as a multiple of a panel over time
+_ROW_HEIGHT: Final = 0.26  # height of a panel over time, as a share of the figure's width
 
 
 def write_trajectory_figure(

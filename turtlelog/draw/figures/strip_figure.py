@@ -23,17 +23,13 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
 from turtlelog.run import Parameter, Run
 
-_MOST_GROUPS: Final = 12
-"""Largest number of groups side by side; in a column, each group has 6 mm."""
-
-_MOST_KEYS: Final = 2
-"""Largest number of keys in the name of a group; more keys would have no room below it."""
+_MOST_GROUPS: Final = 12  # groups side by side; in a column, each group has 6 mm
+_MOST_KEYS: Final = 2  # keys in the name of a group; more keys would have no room below it
 
 _MOST_LETTERS: Final = 22
 
 _BOX_FROM: Final = 10
-"""Number of values from which quartiles are useful. With fewer values, each quartile lies between
-two points or on one."""
+"""Number of values from which quartiles are useful; of fewer, each is about one of the points."""
 
 _HALF_WIDTH: Final = 0.17
 """Half the width of a group's points, as a share of the distance between groups."""
@@ -93,11 +89,7 @@ class RunGroups:
 
 
 def group_runs(runs: Sequence[Run]) -> RunGroups:
-    """Return runs grouped by gain, or by other differences of their scenarios except seeds.
-
-    Raises:
-        ShowError: If there are too many groups for one panel.
-    """
+    """Return runs by gain, or by other differences except seeds; ShowError for too many groups."""
     keys = [key for key in list_differing(runs) if not key.endswith("seed")]
     gains = [key for run in runs for key in run.declaration.list_gains()]
     of_gain = [key for key in keys if key in gains]
@@ -262,8 +254,7 @@ OF_TRACKING: Final = ("*.rms_error", "*.largest_error")
 """Default metrics if no loop responds to a step: errors of loops with a moving reference."""
 
 _LOGARITHMIC: Final = 30.0
-"""Ratio of largest to smallest value from which a scale is logarithmic. On a linear scale of 30 mm,
-the smallest value would be within 1 mm of 0."""
+"""Ratio from which a scale is logarithmic: on 30 mm, the smallest value is within 1 mm of 0."""
 
 _LEAST_PERCENT: Final = 0.5
 """Smallest height of a percentage axis [%], a quarter of the settling band. On a smaller axis, the
@@ -343,10 +334,7 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
-    """Place the ticks of the lower axis at the values that have enough room.
-
-    The smallest and largest values have ticks, and values between them whose labels do not touch.
-    """
+    """Place ticks at the smallest and largest values, and between them where labels have room."""
     values = sorted({*values})
     points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
     points = points * 72.0 / axes.figure.dpi

@@ -34,25 +34,20 @@ from turtlelog.sweep.sweep_table import (
     SweepTable,
     SweptAxis,
     SweptMetric,
-    format_key_value,
     read_swept_results,
     read_table_results,
 )
 from turtlelog.sweep.sweep_views import SweptView, choose_view, fill_cells, require_values
 
-_PANEL_INCH: Final = 2.5
-"""Height of a map with its title and the label of its lower side [inch]."""
+_PANEL_INCH: Final = 2.5  # height of a map with its title and the label of its lower side [inch]
 
 _TORNADO_INCH: Final = 0.75
-_BAR_INCH: Final = 0.34
-"""Height of each bar of a tornado plot [inch]: two lines of text."""
+_BAR_INCH: Final = 0.34  # height of each bar of a tornado plot [inch]: two lines of text
 
 _SQUEEZED: Final = 0.62
-"""Smallest height of panels on a slide, as a share of the usual height. On lower panels, labels of
-sides touch."""
+"""Smallest share of the usual height on a slide; on lower panels, labels of sides touch."""
 
-_LETTERS_PER_INCH: Final = 16.0
-"""Letters per inch of the notes below the panels, at 7 points."""
+_LETTERS_PER_INCH: Final = 16.0  # letters per inch of the notes below the panels, at 7 points
 
 _LINE_INCH: Final = 0.14
 
@@ -203,16 +198,14 @@ def _add_legend(figure: Figure, named: dict[str, Any], view: SweptView) -> None:
         figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=columns)
 
 
-_MOST_KEYS: Final = 12
-"""Largest number of bars in a panel; each bar has 4 mm of a column."""
+_MOST_KEYS: Final = 12  # bars in a panel; each bar has 4 mm of a column
 
 _NO_VALUE: Final = to_hex(UNSTABLE)
 
 _THIN: Final = 0.01
 """Share of the widest bar below which a bar is not visible, and its ends are written as text."""
 
-_ROOM_FOR_WORDS: Final = 0.9
-"""Room for text to the right of the bars, as a multiple of their span."""
+_ROOM_FOR_WORDS: Final = 0.9  # room for text to the right of the bars, as a multiple of their span
 
 _HEIGHT: Final = 0.62
 
@@ -294,23 +287,15 @@ def _draw_correlations(axes: Axes, found: Sensitivities, keys: Sequence[Sensitiv
     axes.set_xlabel(told, fontsize=7.0)
 
 
-_MOST_LINES: Final = 12
-"""Largest number of values of a second key with a line each; neighbouring colours remain
-distinct."""
-
-_MOST_TOLD: Final = 6
-"""Largest number of omitted values that a legend lists; for more, the legend gives the step."""
+_MOST_LINES: Final = 12  # lines, one for each value of a second key, of which neighbours differ
+_MOST_TOLD: Final = 6  # omitted values that a legend lists; for more, the legend gives the step
 
 _ALIKE: Final = 0.005
-"""Difference below which curves are one line in print: a third of a millimetre, as a share of a
-panel's height."""
+"""Share of a panel's height within which curves are one line: a third of a millimetre."""
 
 
-_MOST_MARKED: Final = 40
-"""Largest number of key values with a dot on the line: one per 2 mm of a panel."""
-
-_MOST_DOTS: Final = 500
-"""Largest number of sample rows with large dots, which cover a tenth of a panel."""
+_MOST_MARKED: Final = 40  # key values with a dot on the line: one per 2 mm of a panel
+_MOST_DOTS: Final = 500  # sample rows with large dots, which cover a tenth of a panel
 
 
 def draw_curves(
@@ -339,7 +324,7 @@ def draw_curves(
     is_one = found is not None and len({*found.columns}) == 1
     for color, place in zip(_color_series(series, len(places)), places, strict=True):
         mean, least, most = (part[place] for part in parts)
-        name = None if series is None else _name_value(series, place)
+        name = None if series is None else series.tell_keys(place)
         named |= _draw_line(axes, along, mean, color, name)
         if valueless[place].any():
             named |= _mark_valueless(axes, along.numbers[valueless[place]], color)
@@ -363,11 +348,6 @@ def _color_series(series: SweptAxis | None, count: int) -> list[tuple[float, ...
     # The ramp is that of more runs than hues; its ends are the least and the greatest value.
     ramp = choose_run_colors(256)
     return [to_rgb(ramp[row]) for row in np.linspace(0, len(ramp) - 1, count).round().astype(int)]
-
-
-def _name_value(series: SweptAxis, place: int) -> str:
-    pairs = zip(series.keys, series.values[place], strict=True)
-    return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
 
 
 def _tell_left_out(series: SweptAxis, places: Sequence[int]) -> str:

@@ -28,52 +28,36 @@ from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
-_POINTS: Final = 600
-"""Number of points of each frequency response: 3 per millimetre of a column."""
-
-_GAINS: Final = 160
-"""Number of gains at which the poles of a root locus are computed."""
-
-_MOST_LOCI: Final = 6
-"""Largest number of root locus panels: three rows of two panels."""
+_POINTS: Final = 600  # number of points of each frequency response: 3 per millimetre of a column
+_GAINS: Final = 160  # number of gains at which the poles of a root locus are computed
+_MOST_LOCI: Final = 6  # root locus panels: three rows of two panels
 
 _FAR: Final = 2.5
 """Largest visible distance from 0 in Nyquist's plane, and from 1 in a step response. An open loop
 with an integrator, and an unstable response, have no bound."""
 
-_BESIDE: Final = 0.4
-"""Smallest visible part of Nyquist's plane above 0 and to the right of 0."""
-
-_NO_OVERSHOOT: Final = 0.05
-"""Smallest overshoot in the shown digits [%]."""
+_BESIDE: Final = 0.4  # smallest visible part of Nyquist's plane above 0 and to the right of 0
+_NO_OVERSHOOT: Final = 0.05  # smallest overshoot in the shown digits [%]
 
 _DECADES_BELOW: Final = 2.0
 """Number of decades below the crossover at which a frequency response begins."""
 
 _WIDER: Final = 1.2
-"""Additional width of each loop of a run below the other loops [points]. If two loops coincide, the
-lower one is visible on both sides."""
+"""Additional width of each lower loop [points], which stays visible if two loops coincide."""
 
-_DASH_POINTS: Final = 1.6
-"""Width of a line to which dashes are scaled [points]."""
-
-_LARGER: Final = 2.2
-"""Additional size of the lower loops' marks [points]."""
+_DASH_POINTS: Final = 1.6  # width of a line to which dashes are scaled [points]
+_LARGER: Final = 2.2  # additional size of the lower loops' marks [points]
 
 _MOST_TOLD: Final = 6
 
 _PLANE_INCH: Final = 2.1
-"""Smallest width of a plane of poles with its text [inch]; three such planes fit into a row of a
-page."""
-_LINE_SHARE: Final = 0.45
-"""Height of the axis of ideal poles, as a share of the height of a plane."""
-_ROOM_INCH: Final = 0.42
-"""Height of the text above and below a plane [inch]."""
+"""Smallest width of a plane of poles with its text [inch]; three fit into a page's row."""
+_LINE_SHARE: Final = 0.45  # height of the axis of ideal poles, as a share of the height of a plane
+_ROOM_INCH: Final = 0.42  # height of the text above and below a plane [inch]
 
 _MIRRORED: Final = fix_style(linewidth=0.5, linestyle=":")
 
-_MOST_SAMPLES: Final = 20_000
-"""Largest number of samples of a step response: more than a page resolves."""
+_MOST_SAMPLES: Final = 20_000  # samples of a step response: more than a page resolves
 
 _LONGEST: Final = 5.0
 """Largest length of the axis of step responses, as a multiple of their median. One loop near its
@@ -409,8 +393,7 @@ _RING_POINTS: Final = 2.4
 
 _MOST_RINGS: Final = 4
 
-_POLE_LARGER: Final = 1.0
-"""Additional size of poles over the markers of curves [points]."""
+_POLE_LARGER: Final = 1.0  # additional size of poles over the markers of curves [points]
 
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 

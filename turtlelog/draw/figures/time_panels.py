@@ -64,8 +64,7 @@ _GAP: Final = fix_style(facecolor="0.95", edgecolor="0.8", hatch="////", linewid
 _DIMMED: Final = fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
 """Style of a run that never settles, below runs that settle."""
 
-_OUTLIER_ROOM: Final = 0.15
-"""Share of an axis for a line of text on outliers below the curves."""
+_OUTLIER_ROOM: Final = 0.15  # share of an axis for a line of text on outliers below the curves
 
 
 def draw_time_plot(
@@ -305,13 +304,11 @@ _HEIGHT: Final = 0.5
 _SHORT: Final = 0.01
 """Share of the time axis below which a violation is narrower than its dot of 2 mm."""
 
-_MOST_STRIPES: Final = 60
-"""Largest number of violations that are shaded; more would make the whole panel red."""
+_MOST_STRIPES: Final = 60  # violations that are shaded; more would make the whole panel red
 
 _STRIPE: Final = fix_style(color=_RED, alpha=0.3, linewidth=2.5, zorder=0.8)
 
-_TITLE_LETTERS: Final = 11.5
-"""Letters of a title per inch of its figure."""
+_TITLE_LETTERS: Final = 11.5  # letters of a title per inch of its figure
 
 _LEAST_INCH: Final = 2.2
 
@@ -336,8 +333,7 @@ def draw_violation(
     Raises:
         ShowError: If there is not exactly one run, or nothing was checked.
     """
-    if len(runs) != 1:
-        raise ShowError(f"figure violation: expected one recording, found {len(runs)}")
+    figure_curves.require_one("violation", runs)
     if violated is None:
         raise ShowError("figure violation needs a formula to check: --expect FORMULA")
     width = figure.get_figwidth()

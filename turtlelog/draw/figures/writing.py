@@ -30,8 +30,7 @@ from turtlelog.measure import measure_run
 from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
 from turtlelog.run import Run, list_runs
 
-_MOST_COLUMNS: Final = 4
-"""Largest number of runs as columns; more runs become rows."""
+_MOST_COLUMNS: Final = 4  # runs as columns; more runs become rows
 _LEAST_INCH: Final = 3.0
 """Width below which a figure keeps its height, because its text has the same size [inch]."""
 
@@ -41,8 +40,7 @@ _WIDE: Final = frozenset(
         *("attribution", "luck", "rates", "violation"),
     }
 )
-_WIDE_OF_RUNS: Final = frozenset({"root-locus"})
-"""Figures with one panel if they show theory alone."""
+_WIDE_OF_RUNS: Final = frozenset({"root-locus"})  # figures with one panel if they show theory alone
 _LEAST_DRAWN: Final = 3
 """Smallest number of figures per process if the number of processes is not given. A fork takes as
 long as a fifth of a small figure, and the copies of changed memory as long again."""
@@ -251,8 +249,7 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
     ]
 
 
-_MOST_NAMED: Final = 3
-"""Largest number of runs that are named as missing from a figure; more runs are only counted."""
+_MOST_NAMED: Final = 3  # runs that are named as missing from a figure; more runs are only counted
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 

@@ -37,12 +37,10 @@ from turtlelog.run import Run, list_runs
 _THIN_WIDTH: Final = 1.0
 _OF_MANY: Final = Look(color=palette.PATH_OF_MANY, width=0.75)
 """Style of the paths of very many runs; only their ends have colours."""
-_MOST_EXTREMES: Final = 3
-"""Largest number of runs that are named in the plane; more names would hide the paths."""
+_MOST_EXTREMES: Final = 3  # runs that are named in the plane; more names would hide the paths
 
 _EXTREME_SHARE: Final = 0.2
-"""Smallest distance of a name from the goal or another name, as a share of half the plane; nearer
-names would cover others."""
+"""Smallest distance of a name from goal and names, in half a plane; nearer, it covers others."""
 
 
 def write_comparison_rrd(
@@ -303,8 +301,7 @@ _CURVES: Final[tuple[tuple[str, palette.Color, float], ...]] = (
     ("modelled", palette.MODEL, 2.5),
     (_RESIDUAL, palette.ERROR, 1.0),
 )
-"""Curves of each axis in the order of drawing, with widths [points]; noise must not hide the
-model."""
+"""Curves of each axis, in order, with widths [points]; noise must not hide the model."""
 
 
 def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
@@ -352,13 +349,26 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
 
 
 def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
-    time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
-    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     for name, color, width in _CURVES:
-        entity = f"/{found.axis}/{name}"
-        style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]), widths=[width])
-        stream.log(entity, style, static=True)
-        stream.send_columns(entity, index, rr.Scalars.columns(scalars=getattr(found, name)))
+        values = getattr(found, name)
+        _draw_curve(stream, f"/{found.axis}", name, color, found.time_s, values, widths=[width])
+
+
+def _draw_curve(
+    stream: rr.RecordingStream,
+    origin: str,
+    name: str,
+    color: palette.Color,
+    time_s: Values,
+    values: Values,
+    **looks: Any,
+) -> None:
+    entity = f"{origin}/{name.replace(' ', '_')}"
+    style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]), **looks)
+    stream.log(entity, style, static=True)
+    time_ns = np.rint(time_s * 1e9).astype("timedelta64[ns]")
+    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
+    stream.send_columns(entity, index, rr.Scalars.columns(scalars=values))
 
 
 _PLANE: Final = "/plane"
@@ -419,17 +429,12 @@ def _draw_plane(stream: rr.RecordingStream, found: RobotComparison) -> None:
 
 def _draw_errors(stream: rr.RecordingStream, band: ErrorBand, start_s: float) -> None:
     _, factor = SHOWN_UNITS[band.quantity]
-    time_ns = np.rint((band.time_s + start_s) * 1e9).astype("timedelta64[ns]")
-    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
     curves: list[tuple[str, Values | None, palette.Color]] = [
         ("recorded", band.recorded, palette.MEASURED),
         ("least simulated", band.low, palette.REFERENCE),
         ("largest simulated", band.high, palette.REFERENCE),
     ]
     for name, values, color in curves:
-        if values is None:
-            continue
-        entity = f"/errors/{band.quantity}/{name.replace(' ', '_')}"
-        colors = palette.pack_colors([color])
-        stream.log(entity, rr.SeriesLines(names=name, colors=colors), static=True)
-        stream.send_columns(entity, index, rr.Scalars.columns(scalars=factor * values))
+        if values is not None:
+            origin, time_s = f"/errors/{band.quantity}", band.time_s + start_s
+            _draw_curve(stream, origin, name, color, time_s, factor * values)

@@ -8,12 +8,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.charts import palette, plotted_curves, time_plots
-from turtlelog.charts.close_up import (
-    CloseUp,
-    WorstPlace,
-    find_close_up,
-    find_worst_place,
-)
+from turtlelog.charts.close_up import CloseUp, WorstPlace, find_close_up, find_worst_place
 from turtlelog.charts.curve_marks import SIGNS
 from turtlelog.charts.curves import Level, Values, find_end_of_turn
 from turtlelog.charts.many_runs import MANY
@@ -247,13 +242,11 @@ def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]
     return {entities.HEADING_ERROR: (-half_deg, half_deg)}
 
 
-_MOST_PHASE_ROWS: Final = 4
-"""Largest number of phase rows for more than seven runs; plots keep the larger part."""
+_MOST_PHASE_ROWS: Final = 4  # phase rows for more than seven runs; plots keep the larger part
 
 
 _LINE_LETTERS: Final = 46
-"""Number of letters in a legend's line: in any window, the viewer breaks lines of more than 275
-pixels."""
+"""Letters in a legend's line, because the viewer breaks lines of more than 275 pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

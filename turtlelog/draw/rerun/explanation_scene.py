@@ -11,14 +11,7 @@ from turtlelog.charts import attribution_steps, palette
 from turtlelog.charts.close_up import Lettering, name_ends
 from turtlelog.charts.luck_chart import build_luck_picture
 from turtlelog.compare import Column, Table
-from turtlelog.draw.rerun import (
-    entities,
-    pictures,
-    plane,
-    plots,
-    recording_stream,
-    turtles,
-)
+from turtlelog.draw.rerun import entities, pictures, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import Content, describe_content
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.layout import build_explanation_layout
@@ -35,9 +28,7 @@ _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
-_MOST_TOLD: Final = 2
-"""Largest number of ghosts with a value below the steps; more values would be wider than the
-picture."""
+_MOST_TOLD: Final = 2  # ghosts with a value; more would be wider than the picture
 
 _LONGEST: Final = 36
 """Longest name in the key [letters], which takes 250 of the 480 pixels of the plane."""

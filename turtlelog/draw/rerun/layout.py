@@ -15,12 +15,7 @@ from turtlelog.charts.time_plots import TIMELINE
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.content import Content
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.pictures import (
-    view_explained,
-    view_legend,
-    view_picture,
-    view_scale,
-)
+from turtlelog.draw.rerun.pictures import view_explained, view_legend, view_picture, view_scale
 from turtlelog.draw.rerun.plane import Bounds
 
 Corners = Mapping[str, rrb.Corner2D]
@@ -51,8 +46,7 @@ _EXPLAINED_ROWS: Final = (1.0, 1.7)
 _EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
 _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
-"""Entity in which the viewer keeps the range of all linked time axes, in a view that is never
-shown."""
+"""Entity of the range of all linked time axes, in a view that the viewer never shows."""
 
 _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
 _COLUMN_SHARES: Final = (1.0, 1.8)
@@ -64,8 +58,7 @@ _VIOLATION_TOP: Final = (4.0, 1.0)
 LEGEND_TITLE: Final = "Legend"
 
 _VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
-"""Widths of the columns. A line of the message has 92 letters; a window of 1400 pixels shows most
-of them."""
+"""Widths of the columns: 1400 pixels show most of a message's lines of 92 letters."""
 
 _PHASE_HEAD_SHARE: Final = 0.09
 _PHASE_ROW_SHARE: Final = 0.055
@@ -77,9 +70,7 @@ _ONE_PHASE_SHARE: Final = 0.18
 _STATE_SHARE: Final = 0.22
 """Share of the plots' height for states: slightly less than one of three rows."""
 
-_MOST_STATES_BESIDE: Final = 3
-"""Largest number of states side by side. More states would be narrower than legends; they become
-tabs."""
+_MOST_STATES_BESIDE: Final = 3  # states side by side; more, narrower than legends, become tabs
 
 _WHOLE_TIME: Final = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
@@ -87,12 +78,10 @@ _WHOLE_TIME: Final = rr.TimeRange(
 """Range from the first to the last time, on every timeline."""
 
 _LEAST_WIDTH: Final = 1000
-"""Window width below which legends are left out [pixels]. Of 1000 pixels, plots have 320, and a
-legend takes 210."""
+"""Width below which legends are left out [pixels]: plots have 320, and a legend takes 210."""
 
 _LEAST_HEIGHT: Final = 700
-"""Window height below which legends are left out [pixels]. Of 700 pixels, plots have 110, and a
-legend of three lines takes 85."""
+"""Height below which legends are left out [pixels]: plots have 110, and three lines take 85."""
 
 
 class LinkedBlueprint(rrb.Blueprint):
@@ -126,10 +115,7 @@ def build_run_layout(content: Content) -> rrb.Blueprint:
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a comparison: the same views with all runs, and one legend.
-
-    A run keeps its colour in every view, so one legend is enough.
-    """
+    """Return the views of all runs; as a run has one colour in every view, one legend is enough."""
     if content.legend_names:
         return _build_blueprint(content, {})
     alone = ("along_track_error", "along_track")

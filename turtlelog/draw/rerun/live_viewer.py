@@ -41,12 +41,10 @@ to four batches per second; each batch takes equally long, however short it is."
 _SHARE: Final = 5
 """Shortest time between two batches, as a multiple of the last batch's processor time."""
 
-_LAST_S: Final = 8.0
-"""Time that the end of a run waits for a viewer that does not answer [s]."""
+_LAST_S: Final = 8.0  # time that the end of a run waits for a viewer that does not answer [s]
 
 _POLL_S: Final = 0.1
-_QUIET_S: Final = 3.0
-"""Time without growth after which a file without a writer counts as final [s]."""
+_QUIET_S: Final = 3.0  # time without growth after which a file without a writer counts as final [s]
 
 _ADVICE: Final = (
     "`turtlelog view FILE --partial --snapshot X.png` makes a picture of what is there so far"
@@ -58,8 +56,7 @@ WIDGET_SIZE: Final = (960, 640)
 _FLUSH_S: Final = 5.0
 
 _GROWTH = 64
-"""Growth of the rows, by 1/64, after which data that are sent as a whole are sent again. The total
-stays a small multiple of the rows."""
+"""Growth of rows (1/64) from which whole data are sent again: in total a small multiple."""
 
 _WHOLE = (
     *map(join_path, (entities.PATH, entities.REFERENCE_PATH, entities.REFERENCE)),

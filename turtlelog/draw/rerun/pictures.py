@@ -37,8 +37,7 @@ def view_picture(
     )
 
 
-_SCALE_WIDTH: Final = 12.0
-"""Width of the colour bar of many runs, in multiples of its height."""
+_SCALE_WIDTH: Final = 12.0  # width of the colour bar of many runs, in multiples of its height
 
 _SCALE_DEPTH: Final = 2.5
 _LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
@@ -49,18 +48,14 @@ _LEGEND_LETTERS: Final = 48
 _MOST_COLUMNS: Final = 4
 """Largest number of columns of names; more columns of short names would look like lines of text."""
 
-_MOST_NAMES: Final = 28
-"""Largest number of names, in four columns and seven lines of a window of 1200 x 860."""
-
+_MOST_NAMES: Final = 28  # names, in four columns and seven lines of a window of 1200 x 860
 _LEGEND_RADIUS: Final = 5.0  # [points]
 _SCALE_HEIGHT: Final = 1.0
 
 _SCALE_LINES: Final = 8
-"""Number of lines side by side that fill a cell, because the viewer rounds the ends of a thick
-line."""
+"""Number of lines that fill a cell, because the viewer rounds the ends of a thick line."""
 
-_SCALE_LABELS: Final = 12
-"""Largest number of values in a view 500 pixels wide: 40 pixels each."""
+_SCALE_LABELS: Final = 12  # largest number of values in a view 500 pixels wide: 40 pixels each
 
 
 def view_scale(title: str) -> rrb.View:
@@ -146,34 +141,24 @@ _HEIGHT: Final = 36.0
 _FOOT: Final = 2.0
 """Space below the picture: in a small window, text keeps its height and extends further down."""
 _LETTER: Final = 0.95
-_SMALL_LETTER: Final = 2.3
-"""Width of a letter in a window of 700 x 450, where a unit is 3 pixels."""
+_SMALL_LETTER: Final = 2.3  # width of a letter in a window of 700 x 450, where a unit is 3 pixels
 _PADDING: Final = 2.4  # around text
 _ABOVE: Final = 1.9  # the viewer writes text below its point
 _GAP: Final = 0.6
 _LINE: Final = 3.6
 _TICK: Final = 0.7
-_MOST_TICKS: Final = 3
-"""Largest number of steps of the axis; the values also have room in a window of 700 x 450."""
+_MOST_TICKS: Final = 3  # steps of the axis; the values also have room in a window of 700 x 450
 _BAR_SHARE: Final = 0.66  # of a row
 _HIGHEST_BAR: Final = 5.5
-_LEAST_SCALE: Final = 25.0
-"""Smallest length of the longest bar, however long the text is."""
-
-_PROSE_LETTER: Final = 0.84
-"""Factor for long lines, in which narrow and wide letters compensate."""
-
-_LETTERS: Final = 100
-"""Largest length of a line of text [letters]."""
-
-_LEFT: Final = 9.0
-"""Position of the axis; the values have room to the left of it."""
+_LEAST_SCALE: Final = 25.0  # smallest length of the longest bar, however long the text is
+_PROSE_LETTER: Final = 0.84  # factor for long lines, in which narrow and wide letters compensate
+_LETTERS: Final = 100  # largest length of a line of text [letters]
+_LEFT: Final = 9.0  # position of the axis; the values have room to the left of it
 
 _RIGHT: Final = 77.0
 """Right end of the curves, followed by their names, in the units of the waterfall."""
 
-_AXIS_FOOT: Final = 30.0
-"""Height of the axis of the starts."""
+_AXIS_FOOT: Final = 30.0  # height of the axis of the starts
 
 _PLAIN: Final = StepScale(factor=1.0, unit="", decimals=0)
 _END_RADIUS: Final = 1.6  # [points]

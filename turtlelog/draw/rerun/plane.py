@@ -9,27 +9,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.charts import many_runs, palette, plane_scene
-from turtlelog.charts.close_up import (
-    CloseUp,
-    Label,
-    Lettering,
-    WorstPlace,
-    find_tolerance,
-    format_length,
-    label_worst_place,
-    list_miss_labels,
-    list_ring_labels,
-)
+from turtlelog.charts import close_up as close_ups, many_runs, palette, plane_scene
+from turtlelog.charts.close_up import CloseUp, Label, Lettering, WorstPlace
 from turtlelog.charts.curves import Values
 from turtlelog.charts.plane_scene import read_pace
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
-from turtlelog.draw.rerun.recording_stream import (
-    RunStream,
-    Timelines,
-    choose_trace_rows,
-)
+from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, choose_trace_rows
 from turtlelog.log.ros2.bag_surroundings import CELL_M, UNKNOWN, OccupancyMap, Surroundings
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Event, Run
@@ -42,19 +28,15 @@ _NAME_UP = 0.11  # the viewer writes a name below its point
 _MARKER_RADIUS = 3.5  # [points]
 
 UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
-"""Transform that turns y upward for all entities below it, because Rerun's 2D views have y
-downward."""
+"""Transform that turns y upward for all entities below it: Rerun's 2D views have y downward."""
 
 LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
-"""Size of text, measured in a window of 1200 x 860 pixels, where half of the close-up is 125
-pixels."""
+"""Size of text, measured at 1200 x 860 pixels, where half of the close-up is 125 pixels."""
 
 SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
-"""Size of text in a window of 700 x 450, where half of the close-up is 73 pixels and a line of text
-18."""
+"""Size of text at 700 x 450, where half of the close-up is 73 pixels and a line of text 18."""
 
-_ABOVE: Final = 0.6
-"""Offset of text in lines, because the viewer writes text below its point."""
+_ABOVE: Final = 0.6  # offset of text in lines, because the viewer writes text below its point
 
 _END_RADIUS: Final = 4.0  # [points]
 _ENDS_RADIUS: Final = 2.0
@@ -135,18 +117,15 @@ def draw_close_up(
     *,
     lettering: Lettering = LETTERING,
 ) -> None:
-    """Draw the end of each run in its colour, with its distance from the goal.
-
-    The start of `run`, one of the runs, gives the direction of arrival.
-    """
+    """Draw each run's end with its distance from the goal; `run` gives the direction of arrival."""
     for end in close_up.ends:
-        told = f"ends {format_length(end.miss_m)} from the goal"
+        told = f"ends {close_ups.format_length(end.miss_m)} from the goal"
         entity, color = f"{prefixes[end.run]}/{entities.END}", colors[end.run]
         log_points(
             stream, entity, [end.xy_m], [color], _END_RADIUS, labels=[told], show_labels=False
         )
-    misses = list_miss_labels(close_up, lettering)
-    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
+    misses = close_ups.list_miss_labels(close_up, lettering)
+    rings = close_ups.list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
     up_m = _ABOVE * LETTERING.line * close_up.half_m
     lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
     hues = [colors[one.runs[0]] if len(one.runs) == 1 else palette.START for one in lines]
@@ -180,7 +159,7 @@ def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: palet
     way = [worst.path_xy_m, worst.xy_m]
     log_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
     up_m = _ABOVE * LETTERING.line * worst.half_m
-    label = label_worst_place(worst, LETTERING)
+    label = close_ups.label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
@@ -190,7 +169,8 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
         {
             (run.goal_xy_m, tolerance_m)
             for run in runs
-            if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None
+            if run.goal_xy_m is not None
+            and (tolerance_m := close_ups.find_tolerance(run)) is not None
         }
     )
     if squares:
@@ -277,8 +257,7 @@ _SCAN_ORDER: Final = 16.0
 _SCAN_RADIUS: Final = 1.75  # [points]
 
 _WIDEST: Final = 3.0
-"""Largest growth of the plane for the surroundings of the path, with which the path stays
-readable."""
+"""Largest growth of the plane for surroundings, with which the path stays readable."""
 
 _SHARE: Final = 0.95
 """Share of the walls that the plane shows, because rays through a door lead far away."""
@@ -348,8 +327,7 @@ _ON_TRACES: Final = 22.0
 _EVENT_RADIUS: Final = 4.0
 
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
-"""Kinds of events that random effects cause every few samples. Only the list of events shows
-them."""
+"""Kinds of events that random effects cause every few samples, only listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

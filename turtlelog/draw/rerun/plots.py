@@ -341,10 +341,7 @@ def draw_lines(
     *,
     largest: float,
 ) -> None:
-    """Draw vertical lines at times of the run [ns], up to the `largest` value of any plot.
-
-    Every plot that shows these lines needs a fixed range.
-    """
+    """Draw vertical lines at times [ns] up to the `largest` value, for plots with a fixed range."""
     style = rr.SeriesLines(
         names=[label],
         colors=palette.pack_colors([color]),

@@ -28,16 +28,14 @@ from turtlelog.log import replace_when_complete
 from turtlelog.measure import Metric
 from turtlelog.run import Parameter, Run
 
-_PATIENCE_S: Final = 5.0
-"""Time without growth after which a file counts as stuck [s]."""
+_PATIENCE_S: Final = 5.0  # time without growth after which a file counts as stuck [s]
 
 _DISCONNECT_S: Final = 1.0
 _END: Final = b"RRF2FOOT"
 _END_BYTES: Final = 64
 _PROBE: Final = bytes(2**20)
 _STRICT_LOCK: Final = threading.Lock()
-_BEFORE_STRICT: Final[list[bool]] = []
-"""Earlier settings, one for each active block of strict mode."""
+_BEFORE_STRICT: Final[list[bool]] = []  # earlier settings, one for each active block of strict mode
 
 
 @contextmanager
@@ -228,15 +226,11 @@ def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 def _fill(values: Sequence[Parameter | None]) -> list[float] | list[str]:
     """Return one value per run: numbers and booleans as floats; texts, if any is not a number."""
-    floats = [
-        float("nan") if value is None else float(value)
-        for value in values
-        if value is None or isinstance(value, bool | int | float)
-    ]
-    if len(floats) == len(values):
-        return floats
-    texts = (float(one) if isinstance(one, bool | int | float) else one for one in values)
-    return ["" if value is None else str(value) for value in texts]
+    known = [float(one) if isinstance(one, bool | int | float) else one for one in values]
+    numbers = [one for one in known if one is None or isinstance(one, float)]
+    if len(numbers) == len(known):
+        return [float("nan") if one is None else one for one in numbers]
+    return ["" if one is None else str(one) for one in known]
 
 
 Times = NDArray[np.int64]
@@ -254,8 +248,7 @@ The number is a hundred for each pixel of a wide screen. A million samples in fu
 as many bytes.
 """
 
-TRACE_ROWS: Final = 2**16
-"""Approximate number of poses of a trace in the plane."""
+TRACE_ROWS: Final = 2**16  # approximate number of poses of a trace in the plane
 
 MOST_BORDERS: Final = 2**14
 """Largest number of borders of phases and events that are kept exactly.

@@ -36,8 +36,7 @@ from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Event, Run, require_run
 
 _RUN: Final = "the run"
-_EVENT_LINES: Final = f"{entities.LINES}/event"
-"""Entity of event lines, below that of a plot."""
+_EVENT_LINES: Final = f"{entities.LINES}/event"  # entity of event lines, below that of a plot
 
 
 def write_run_rrd(
@@ -222,8 +221,7 @@ _SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
 _NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not within"}
 
 _MARK_AT: Final = 0.03
-"""Position of a limit's mark along the limit, as a share; at the start, the plot's edge would cut
-the mark."""
+"""Share of a limit at which its mark is; at the start, the plot's edge would cut it."""
 
 _STRETCH_RADIUS: Final = 2.5
 _ABOVE_TRACES: Final = 26.0  # lines have 20
@@ -234,15 +232,12 @@ _STROKES: Final = 700
 _STROKE_WIDTH: Final = 3.0
 
 _FILL_ALPHA: Final = 64
-"""Opacity of strokes, of 255. Strokes overlap once or twice, and curves stay brighter than the
-band."""
+"""Opacity of strokes, of 255: with one or two overlaps, curves stay brighter than the band."""
 
 _LONGEST_TITLE: Final = 110
-"""Longest title [letters of 6.5 pixels]: in a window 1200 pixels wide, the plot has 850 pixels for
-the title."""
+"""Longest title [letters of 6.5 pixels]: in a window 1200 pixels wide, there are 850."""
 
-_LONGEST_NAME: Final = 28
-"""Longest name in the plane [letters]: about half of its width."""
+_LONGEST_NAME: Final = 28  # longest name in the plane [letters]: about half of its width
 
 
 def write_violation_rrd(

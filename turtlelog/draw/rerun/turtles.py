@@ -15,11 +15,7 @@ from turtlelog.charts.time_plots import locate_run
 from turtlelog.draw.rerun import entities, plane
 from turtlelog.draw.rerun.entities import join_path, name_part
 from turtlelog.draw.rerun.plots import Series
-from turtlelog.draw.rerun.recording_stream import (
-    RunStream,
-    Timelines,
-    choose_trace_rows,
-)
+from turtlelog.draw.rerun.recording_stream import RunStream, Timelines, choose_trace_rows
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
 
@@ -108,16 +104,12 @@ def _build_command(values: Values) -> rr.ComponentColumnList:
     return rr.Arrows2D.columns(origins=origins, vectors=vectors).partition(lengths)
 
 
-MOST_SEGMENTS: Final = 1000
-"""Largest number of segments of a trail; the viewer looks up each segment in every frame."""
+MOST_SEGMENTS: Final = 1000  # segments of a trail; the viewer looks up each segment in every frame
 
 _ALL_SEGMENTS: Final = 8000
-"""Largest number of segments of all trails. With more segments, the viewer takes longer than a
-frame of 1/30 s."""
+"""Largest number of segments of all trails; more take longer than a frame of 1/30 s."""
 
-_FEWEST_SEGMENTS: Final = 40
-"""Smallest number of segments of a trail among many. A path as long as the window then grows in
-steps of 20 pixels."""
+_FEWEST_SEGMENTS: Final = 40  # segments of a trail: a path across the window grows by 20 pixels
 
 _FAINT: Final = 45
 """Opacity of the path that is not driven yet, of 255: visible, but different from the trail."""
@@ -140,8 +132,7 @@ _BODY: Final = (
     ([(-0.6, 0.7), (-0.95, 1.15)], 0.26),
     ([(-0.6, -0.7), (-0.95, -1.15)], 0.26),
 )
-"""Strokes of a turtle with their radii, in radii of the shell, x ahead: shell, head, tail and
-legs."""
+"""Strokes of a turtle and their radii, in radii of the shell, x ahead: shell, head, tail, legs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,11 +246,8 @@ def _build_transforms(values: Values) -> rr.ComponentColumnList:
 _MOST_GAPS: Final = 1000
 """Number of rows of the line between run and ghost: as many as a trail has segments."""
 
-_APART_M: Final = 5e-4
-"""Smallest distance that is written [m]; a smaller distance would be 0 mm."""
-
-_ONE_M: Final = 1.0
-"""Gap from which the plot is in m instead of mm [m]."""
+_APART_M: Final = 5e-4  # smallest distance that is written [m]; a smaller distance would be 0 mm
+_ONE_M: Final = 1.0  # gap from which the plot is in m instead of mm [m]
 
 _GAP_WIDTH: Final = 1.0  # [points]
 _GAP_ORDER: Final = 27.0  # above turtles
@@ -271,8 +259,7 @@ _REACH: Final = 1.2
 """Half-width of the view, as a multiple of the plane's half-width; text beyond it is cut off."""
 
 _ASIDE, _UP = 0.1, -0.1
-"""Offset of the distance's text from its line, in half-widths of the plane, away from the goal's
-name."""
+"""Offset of the distance's text from its line, in half-widths, away from the goal's name."""
 
 _EDGE: Final = 0.87
 """Position of the key, as a share of the plane's half-width: inside the border of the world."""

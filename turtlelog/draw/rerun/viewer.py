@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 _PATIENCE_S: Final = 5.0
 
-LOCAL: Final = "127.0.0.1"
-"""Loopback address, which other machines cannot reach."""
+LOCAL: Final = "127.0.0.1"  # loopback address, which other machines cannot reach
 
 _START_S: Final = 30.0
 _ANSWER_S: Final = 5.0
@@ -38,8 +37,7 @@ _NO_TELEMETRY: Final = {"CI": "1"}
 """Environment that disables Rerun's telemetry, which has no option for a single viewer."""
 
 _PROOF_PIXELS: Final = 16
-"""Longest side of the picture that proves that a viewer draws [pixels]; the smallest costs
-least."""
+"""Longest side of the picture that proves that a viewer draws [pixels], the cheapest."""
 
 
 class ViewerProcess:
@@ -86,11 +84,7 @@ class ViewerProcess:
 
 
 def find_viewer() -> Path:
-    """Return the viewer's binary, because the `rerun` script would add another process.
-
-    Raises:
-        ShowError: If there is no such binary.
-    """
+    """Return the viewer's binary, as the `rerun` script adds a process; ShowError without one."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     package = find_spec("rerun_cli")
     binary = Path(package.origin).with_name(name) if package and package.origin else Path(name)
@@ -181,11 +175,7 @@ def build_url(port: int) -> str:
 
 
 def require_viewer(url: str) -> None:
-    """Refuse an address without a viewer.
-
-    Raises:
-        ShowError: If the text is not an address of a viewer, or nothing answers at the address.
-    """
+    """Raise ShowError if the text is not a viewer's address, or nothing answers there."""
     try:
         parts = urlsplit(url)
         is_address = bool(parts.hostname and parts.port) and parts.scheme in _SCHEMES
@@ -233,8 +223,7 @@ _NOTICE_S: Final = 3.5
 _TINY: Final = 16  # longest side of a picture that nobody sees [pixels]
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
-_ROUNDING_S: Final = 1e-3
-"""Rounding of times, which are printed in milliseconds."""
+_ROUNDING_S: Final = 1e-3  # rounding of times, which are printed in milliseconds
 _OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
 """Timelines that do not count seconds from an event of the run."""
 
@@ -243,34 +232,21 @@ _PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShownView:
-    """One view of the layout.
+    """One view of the layout."""
 
-    Attributes:
-        name: Title of the view.
-        kind: Rerun's class of view, such as `TimeSeries`.
-        is_visible: Whether the layout shows it.
-        problems: Warnings and errors of the view.
-    """
-
-    name: str
-    kind: str
-    is_visible: bool
-    problems: tuple[str, ...]
+    name: str  # title of the view
+    kind: str  # rerun's class of view, such as `TimeSeries`
+    is_visible: bool  # whether the layout shows it
+    problems: tuple[str, ...]  # warnings and errors of the view
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewReport:
-    """Report of the viewer on a recording.
+    """Report of the viewer on a recording."""
 
-    Attributes:
-        views: Views of the layout.
-        entities: Loaded entity paths, including properties.
-        messages: Warnings and errors that the viewer logged.
-    """
-
-    views: tuple[ShownView, ...]
-    entities: tuple[str, ...]
-    messages: tuple[str, ...]
+    views: tuple[ShownView, ...]  # views of the layout
+    entities: tuple[str, ...]  # loaded entity paths, including properties
+    messages: tuple[str, ...]  # warnings and errors that the viewer logged
 
 
 class Camera:
@@ -413,21 +389,17 @@ def _set_time(client: "ViewerClient", at_s: float | None, name: str) -> None:
     if name == TIMELINE and name not in ends_ns and len(ends_ns) == 1:
         (name,) = ends_ns  # the own timeline of an identified robot
     if name in ends_ns:
-        cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
-        _require_inside(cursor_s, name, starts_ns[name] / 1e9, ends_ns[name] / 1e9)
+        start_s, end_s = starts_ns[name] / 1e9, ends_ns[name] / 1e9
+        cursor_s = end_s if at_s is None else at_s
+        if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:  # an empty picture
+            raise ShowError(
+                f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
+                f" found {cursor_s:g}"
+            )
         client.set_time(name, duration=cursor_s, play_state="paused")
     elif at_s is not None or name != TIMELINE:
         known = " or ".join(sorted(ends_ns)) or "one, of which there is none"
         raise ShowError(f"timeline: expected {known}, found {name}")
-
-
-def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
-    """Raise an error if the recording has no data at a time, because the picture would be empty."""
-    if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
-        raise ShowError(
-            f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
-            f" found {cursor_s:g}"
-        )
 
 
 def _take_picture(client: "ViewerClient") -> bytes:

@@ -7,7 +7,6 @@ take longer than reading them one by one.
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -230,16 +229,14 @@ class _Cursor:
 FEW_MESSAGES: Final = 16
 """Largest number of messages decoded one by one. From about 25 on, the other way is faster."""
 
-CODES: Final = MappingProxyType(
+CODES: Final = (
     {"?": "?", "f4": "f", "f8": "d"}
     | {"i1": "b", "i2": "h", "i4": "i", "i8": "q"}
     | {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
 )
 """`struct` codes of numbers by their type codes."""
 
-_PACKERS: Final = MappingProxyType(
-    {kind: struct.Struct(f"<{code}") for kind, code in CODES.items()}
-)
+_PACKERS: Final = {kind: struct.Struct(f"<{code}") for kind, code in CODES.items()}
 
 
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]

@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from types import MappingProxyType
 from typing import Any, Final
 
 from mcap.records import Channel, Schema
@@ -26,21 +25,19 @@ from turtlelog.log.engine.message_types import (
 from turtlelog.log.engine.object_messages import JsonField, read_json_schema, read_protobuf_type
 from turtlelog.log.file_access import DamageError, LimitError
 
-_SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        # A message type without a schema encoding has no text; its name must suffice.
-        MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
-        MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
-        MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
-        MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
-    }
-)
+_SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = {
+    # A message type without a schema encoding has no text; its name must suffice.
+    MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
+    MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
+    MessageEncoding.ROS1: (SchemaEncoding.ROS1,),
+    MessageEncoding.Protobuf: (SchemaEncoding.Protobuf,),
+}
 """Encodings of schemas by the encoding of their messages; each belongs to one."""
 
 _NUMBERS: Final = frozenset({"boolean", "integer", "number"})
 
-Decode = Callable[[int, bytes], dict[str, Any]]
-"""A function from the number and the bytes of a message to an object. Errors contain the number."""
+Decode = Callable[[bytes], dict[str, Any]]
+"""A function from the bytes of a message to an object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,9 +157,8 @@ class Catalogue:
                 raise DamageError(f"byte {byte}: expected one {kind} {record.id}, found two")
 
     def _find_known(self, record: Any) -> Schema | Channel | None:
-        if isinstance(record, Schema):
-            return self.schemas.get(record.id)
-        return self.channels.get(record.id) if isinstance(record, Channel) else None
+        known = self.schemas if isinstance(record, Schema) else self.channels
+        return known.get(record.id) if isinstance(record, Schema | Channel) else None
 
     def list_reasons(self) -> dict[str, str]:
         """Return the reasons why topics cannot be decoded, by topic in order of names."""
@@ -250,13 +246,13 @@ def _name_type(record: Any) -> Any:
 def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:
     """Return the fields of a plan that follow from a schema alone."""
     allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-    objects, decode = None, None
-    if schema.encoding == SchemaEncoding.JSONSchema:
-        objects = read_json_schema(schema.name, schema.data)
-    elif schema.encoding == SchemaEncoding.Protobuf:
-        kind = read_protobuf_type(schema.name, schema.data)
-        objects, decode = tuple(kind.list_fields()), kind.decode
-    if objects is not None:
+    if schema.encoding in {SchemaEncoding.JSONSchema, SchemaEncoding.Protobuf}:
+        _require_short(schema)
+        if schema.encoding == SchemaEncoding.JSONSchema:
+            objects, decode = read_json_schema(schema.name, schema.data), None
+        else:
+            kind = read_protobuf_type(schema.name, schema.data)
+            objects, decode = tuple(kind.list_fields()), kind.decode
         allowance.spend(FIELDS, len(objects))
         return {"json": objects, "decode": decode, "row_size": measure_object(objects)}
     is_ros1 = schema.encoding == SchemaEncoding.ROS1
@@ -282,14 +278,17 @@ def _read_schema(schema: Schema, allowance: Allowance) -> dict[str, Any]:
     }
 
 
+def _require_short(schema: Schema) -> None:
+    if (size := len(schema.data)) > LONGEST_TEXT:
+        raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
+
+
 def _read_text(schema: Schema, known: str | None) -> str:
     """Return a definition in `ros2msg`: that of the schema, or else a known definition."""
-    size = len(schema.data)
-    if size > LONGEST_TEXT:
-        raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
+    _require_short(schema)
     # In ros2msg the text of a type without fields is empty.
     plain = (SchemaEncoding.ROS2, SchemaEncoding.ROS1)
-    if not size and (known is not None or schema.encoding not in plain):
+    if not schema.data and (known is not None or schema.encoding not in plain):
         if known is None:
             raise LogError(f"its type {schema.name} is not known and the file holds no definition")
         return known
@@ -382,12 +381,10 @@ ackermann_msgs/AckermannDriveStamped: \
 std_msgs/Header header, ackermann_msgs/AckermannDrive drive
 """
 
-_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        name: "".join(f"{field.strip()}\n" for field in fields.split(",") if field.strip())
-        for name, _, fields in (line.partition(":") for line in _FIELDS.splitlines())
-    }
-)
+_TEXTS: Final[Mapping[str, str]] = {
+    name: "".join(f"{field.strip()}\n" for field in fields.split(",") if field.strip())
+    for name, _, fields in (line.partition(":") for line in _FIELDS.splitlines())
+}
 """Fields of each type in `ros2msg`, by `package/Type`."""
 
 KNOWN_TYPES: Final = tuple(name.replace("/", "/msg/") for name in _TEXTS)

@@ -1,7 +1,7 @@
 """Decoding of a topic's messages in a block: all at once if their size is fixed, else by fields."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from threading import Lock
@@ -42,7 +42,7 @@ LOG_TIME: Final = "#log_time"
 PUBLISH_TIME: Final = "#publish_time"
 SEQUENCE: Final = "#sequence"
 
-_KINDS: Final = MappingProxyType({LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: "u4"})
+_KINDS: Final = {LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: "u4"}
 
 # For arrays of this size [bytes] numpy asks Linux for large pages, which take a tenth of the time
 # to fill at first. Smaller columns of a topic share an array.
@@ -154,44 +154,57 @@ def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     return columns.finish()
 
 
-def unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tuple[Block, Offsets]:
+def _unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tuple[Block, Offsets]:
     """Decompress messages that rosbag2 compressed one by one; return others unchanged.
 
     The first byte shows whether a message is compressed: it is 0 for plain CDR, and not 0 for zstd.
     """
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
-    heads = gather_heads(block.data, starts)
-    ends = starts + RECORD.size + heads["length"].astype(np.int64)
-    unpacked = bytearray()
-    new_starts = np.empty_like(starts)
-    spend = partial(allowance.spend, UNPACKED)
-    for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        packed = block.data[start + MESSAGE_HEAD : end]
-        try:
-            # The size is requested only from zstd frames; for other data, unpacking gives the
-            # error.
-            is_frame = packed.startswith(ZSTD_MAGIC)
-            size = max(zstandard.frame_content_size(packed), 0) if is_frame else 0
-            largest = allowance.largest_chunk
-            data = unpack_chunk("zstd", packed, size, largest=largest, spend=spend)
-        except LogError as err:
-            raise LogError(f"message {number}: {err}") from err
-        heads["length"][number] = COUNTED_HEAD + len(data)
-        new_starts[number] = len(unpacked)
-        unpacked += heads[number].tobytes()
-        unpacked += data
-    return replace(block, data=bytes(unpacked), offsets={}, rest=()), new_starts
+    largest, spend = allowance.largest_chunk, partial(allowance.spend, UNPACKED)
+
+    def unpack(packed: bytes) -> bytes:
+        # The size is requested only from zstd frames; for other data, unpacking gives the error.
+        is_frame = packed.startswith(ZSTD_MAGIC)
+        size = max(zstandard.frame_content_size(packed), 0) if is_frame else 0
+        return unpack_chunk("zstd", packed, size, largest=largest, spend=spend)
+
+    return _rewrite_messages(block, starts, unpack)
 
 
-def rewrite_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block, Offsets]:
+def _convert_ros1(plan: TopicPlan, block: Block, starts: Offsets) -> tuple[Block, Offsets]:
     """Return ROS 1 messages as CDR, others unchanged."""
     if not plan.is_ros1:
         return block, starts
-    from turtlelog.log.ros1 import convert_ros1  # only files of ROS 1 need it
+    from turtlelog.log.ros1 import build_converter  # only files of ROS 1 need it
 
-    data, places = convert_ros1(plan.fields, block.data, starts)
-    return replace(block, data=data, offsets={}, rest=()), places
+    return _rewrite_messages(block, starts, build_converter(plan.fields))
+
+
+def _rewrite_messages(
+    block: Block, starts: Offsets, change: Callable[[bytes], bytes]
+) -> tuple[Block, Offsets]:
+    """Return messages with changed data after their headers."""
+    heads, messages = _cut_messages(block, starts)
+    data, places = bytearray(), np.empty_like(starts)
+    for number, message in enumerate(messages):
+        try:
+            changed = change(message)
+        except LogError as err:
+            raise LogError(f"message {number}: {err}") from err
+        heads["length"][number] = COUNTED_HEAD + len(changed)
+        places[number] = len(data)
+        data += heads[number].tobytes()
+        data += changed
+    return replace(block, data=bytes(data), offsets={}, rest=()), places
+
+
+def _cut_messages(block: Block, starts: Offsets) -> tuple[NDArray[np.void], Iterator[bytes]]:
+    """Return the `HEADING` fields of messages, and the data of each."""
+    heads = gather_heads(block.data, starts)
+    ends = starts + RECORD.size + heads["length"].astype(np.int64)
+    spans = zip((starts + MESSAGE_HEAD).tolist(), ends.tolist(), strict=True)
+    return heads, (block.data[start:end] for start, end in spans)
 
 
 class FixedColumns:
@@ -206,10 +219,8 @@ class FixedColumns:
         shapes = {name: (count, *layout.little[name].shape) for name in kinds}
         sizes = {name: kind.itemsize * math.prod(shapes[name]) for name, kind in kinds.items()}
         # Small columns share one array.
-        shared, end = (
-            np.empty(sum(size + _LINE for size in sizes.values() if size < _LARGE), "u1"),
-            0,
-        )
+        shared_size = sum(size + _LINE for size in sizes.values() if size < _LARGE)
+        shared, end = np.empty(shared_size, "u1"), 0
         for name, kind in kinds.items():
             if sizes[name] < _LARGE:
                 self._columns[name] = np.ndarray(shapes[name], kind, shared, end)
@@ -279,8 +290,9 @@ def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
 
 def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     lengths = gather_heads(block.data, starts)["length"].astype(np.int64)
-    if (lengths < COUNTED_HEAD + ENCAPSULATION).any():
-        number = int((lengths < COUNTED_HEAD + ENCAPSULATION).argmax())
+    is_short = lengths < COUNTED_HEAD + ENCAPSULATION
+    if is_short.any():
+        number = int(is_short.argmax())
         found = lengths[number] - COUNTED_HEAD
         raise LogError(f"message {number}: expected at least 4 bytes, found {found}")
     heads = gather_bytes(block.data, starts, MESSAGE.itemsize).view(MESSAGE)
@@ -302,13 +314,8 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
 def _read_objects(
     fields: Sequence[JsonField], decode: Decode | None, block: Block, starts: Offsets
 ) -> Rows:
-    heads = gather_heads(block.data, starts)
-    ends = starts + RECORD.size + heads["length"].astype(np.int64)
+    heads, messages = _cut_messages(block, starts)
     _check_times(heads["log_time"], heads["publish_time"])
-    messages = [
-        block.data[start + MESSAGE_HEAD : end]
-        for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
-    ]
     stamps = {name: heads[name.removeprefix("#")].astype(kind) for name, kind in _KINDS.items()}
     return stamps | decode_objects(fields, messages, decode)
 
@@ -365,8 +372,8 @@ def _read_topic(
     """Return the requested messages of a topic; empty if they went into the columns `whole`."""
     place = f"{block.unit} {block.byte}: topic {plan.topic}"
     with name_place(place):
-        messages = unpack_messages(block, starts, allowance)
-        unpacked, starts = rewrite_ros1(plan, *messages)
+        messages = _unpack_messages(block, starts, allowance)
+        unpacked, starts = _convert_ros1(plan, *messages)
     if selection.is_counted:
         allowance.spend(COLUMNS, _measure_rows(plan, unpacked.data, starts))
     with name_place(place):

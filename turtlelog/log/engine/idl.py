@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, NoReturn
 
 from turtlelog.errors import LogError
@@ -25,24 +24,22 @@ _TOKEN: Final = re.compile(
     re.VERBOSE | re.DOTALL | re.MULTILINE | re.ASCII,
 )
 
-_KINDS: Final = MappingProxyType(
-    {
-        "boolean": "bool",
-        "octet": "byte",
-        "char": "char",
-        "float": "float32",
-        "double": "float64",
-        "short": "int16",
-        "long": "int32",
-        "long long": "int64",
-        "unsigned short": "uint16",
-        "unsigned long": "uint32",
-        "unsigned long long": "uint64",
-        **{name: name for size in (8, 16, 32, 64) for name in (f"int{size}", f"uint{size}")},
-        "string": "string",
-        "wstring": "wstring",
-    }
-)
+_KINDS: Final = {
+    "boolean": "bool",
+    "octet": "byte",
+    "char": "char",
+    "float": "float32",
+    "double": "float64",
+    "short": "int16",
+    "long": "int32",
+    "long long": "int64",
+    "unsigned short": "uint16",
+    "unsigned long": "uint32",
+    "unsigned long long": "uint64",
+    **{name: name for size in (8, 16, 32, 64) for name in (f"int{size}", f"uint{size}")},
+    "string": "string",
+    "wstring": "wstring",
+}
 _SEVERAL: Final = frozenset({"unsigned", "long", "short", "double"})
 """Words that may together form a type name."""
 

@@ -8,7 +8,6 @@ take more. Most limits are about ten times the needs of recordings.
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from io import SEEK_END, BytesIO
-from types import MappingProxyType
 from typing import BinaryIO, Final
 
 from mcap.records import Channel, Schema
@@ -47,38 +46,36 @@ LONGEST_DESCRIBED: Final = 2**24
 _CHUNK: Final = 80 * 2**20
 _CHUNK_SHARE: Final = 8
 
-_BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
-    {
-        # The messages of a robot at rest pack to a fortieth, an empty map to a thousandth.
-        UNPACKED: (2**30, 64),
-        # Written to a disk before it is read.
-        UNPACKED_FILE: (2**28, 64),
-        # Parallel compressors write a frame for each 512 kB or more; starting a frame takes 20 us.
-        FRAMES: (2**14, 1 / 1000),
-        # The times of a message take at least two bytes, however well they are compressed.
-        RECORDS: (2**22, 0.5),
-        # Some writers repeat all schemas and channels in every chunk.
-        DESCRIPTIONS: (2**19, 1 / 16),
-        # Different schemas only.
-        SCHEMA_BYTES: (2**24, 1),
-        # In memory: enough for the largest possible number of channels with a table each.
-        CHANNEL_BYTES: (80 * 2**20, 1),
-        # Fields of different types, about 1 kB each in memory; 200 types of 50 fields are many.
-        FIELDS: (50_000, 1 / 1000),
-        # Includes the entries of the summary for them; recordings have few, and each attachment
-        # costs 200 us in every pass.
-        NOTES: (2**12, 1 / 1000),
-        # Each damage is noted with its reason.
-        DAMAGES: (10_000, 1 / 1000),
-        # One per second for an hour. A chunk with the poses of a second and all schemas packs to 1
-        # kB. Each chunk costs 100 us in every pass, and some answers take five passes.
-        CHUNKS: (2**12, 1 / 1000),
-        # Each channel counts in every chunk with its messages.
-        CHUNK_CHANNELS: (2**18, 1 / 32),
-        # Joined files have one change for each channel.
-        CHANGES: (2**12, 1 / 1000),
-    }
-)
+_BASES: Final[Mapping[str, tuple[int, float]]] = {
+    # The messages of a robot at rest pack to a fortieth, an empty map to a thousandth.
+    UNPACKED: (2**30, 64),
+    # Written to a disk before it is read.
+    UNPACKED_FILE: (2**28, 64),
+    # Parallel compressors write a frame for each 512 kB or more; starting a frame takes 20 us.
+    FRAMES: (2**14, 1 / 1000),
+    # The times of a message take at least two bytes, however well they are compressed.
+    RECORDS: (2**22, 0.5),
+    # Some writers repeat all schemas and channels in every chunk.
+    DESCRIPTIONS: (2**19, 1 / 16),
+    # Different schemas only.
+    SCHEMA_BYTES: (2**24, 1),
+    # In memory: enough for the largest possible number of channels with a table each.
+    CHANNEL_BYTES: (80 * 2**20, 1),
+    # Fields of different types, about 1 kB each in memory; 200 types of 50 fields are many.
+    FIELDS: (50_000, 1 / 1000),
+    # Includes the entries of the summary for them; recordings have few, and each attachment
+    # costs 200 us in every pass.
+    NOTES: (2**12, 1 / 1000),
+    # Each damage is noted with its reason.
+    DAMAGES: (10_000, 1 / 1000),
+    # One per second for an hour. A chunk with the poses of a second and all schemas packs to 1
+    # kB. Each chunk costs 100 us in every pass, and some answers take five passes.
+    CHUNKS: (2**12, 1 / 1000),
+    # Each channel counts in every chunk with its messages.
+    CHUNK_CHANNELS: (2**18, 1 / 32),
+    # Joined files have one change for each channel.
+    CHANGES: (2**12, 1 / 1000),
+}
 """Limits by kind: a fixed number, and a number for each byte of the file."""
 
 # A run takes five times as much memory as its columns. Columns of recordings take up to three bytes

@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from threading import Lock
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -34,33 +33,27 @@ LONGEST_KEPT: Final = 2**14
 
 _MOST_KEPT: Final = 128  # types; the cache stays below 40 MB, whatever the files contain
 
-_KINDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "bool": "?",
-        "byte": "u1",
-        "char": "u1",
-        "float32": "f4",
-        "float64": "f8",
-        **{f"int{8 * size}": f"i{size}" for size in (1, 2, 4, 8)},
-        **{f"uint{8 * size}": f"u{size}" for size in (1, 2, 4, 8)},
-        "string": TEXT,
-    }
-)
+_KINDS: Final[Mapping[str, str]] = {
+    "bool": "?",
+    "byte": "u1",
+    "char": "u1",
+    "float32": "f4",
+    "float64": "f8",
+    **{f"int{8 * size}": f"i{size}" for size in (1, 2, 4, 8)},
+    **{f"uint{8 * size}": f"u{size}" for size in (1, 2, 4, 8)},
+    "string": TEXT,
+}
 
-_BUILTIN: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-        "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
-        "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    }
-)
-_SHORT: Final = MappingProxyType(
-    {
-        "time": "builtin_interfaces/Time",
-        "duration": "builtin_interfaces/Duration",
-        "Header": "std_msgs/Header",
-    }
-)
+_BUILTIN: Final[Mapping[str, str]] = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+}
+_SHORT: Final = {
+    "time": "builtin_interfaces/Time",
+    "duration": "builtin_interfaces/Duration",
+    "Header": "std_msgs/Header",
+}
 
 
 _SEPARATOR: Final = re.compile(r"^={3,}[ \t\r]*\n", re.MULTILINE)

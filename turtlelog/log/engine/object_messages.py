@@ -8,16 +8,15 @@ a library. A stamp has the names of Foxglove's JSON: `sec` and `nsec`.
 import json
 import math
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import DEEPEST, LONGEST_TEXT, MOST_FIELDS, Column
+from turtlelog.log.engine.message_types import DEEPEST, MOST_FIELDS, Column
 from turtlelog.log.file_access import name_place
 
 JsonKind = Literal["number", "integer", "boolean", "string", "any"]
@@ -31,17 +30,13 @@ _MOST_PARTS: Final = 2**18
 References to objects with references multiply, even without fields. Reading this number of parts
 takes 0.5 s; a text of 1 MB has fewer objects."""
 
-_EXPECTED: Final[Mapping[JsonKind, str]] = MappingProxyType({
+_EXPECTED: Final[Mapping[JsonKind, str]] = {
     "number": "a number", "integer": "a whole number", "boolean": "true or false",
     "string": "a text",
-})  # fmt: skip
+}  # fmt: skip
 """Kinds of values in words."""
-_NAMED_NUMBERS: Final = MappingProxyType(
-    {name: float(name) for name in ("NaN", "Infinity", "-Infinity")}
-)
+_NAMED_NUMBERS: Final = {name: float(name) for name in ("NaN", "Infinity", "-Infinity")}
 """Texts that represent numbers missing in JSON, in protobuf's JSON."""
-
-_ABSENT: Final = object()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,8 +60,6 @@ class JsonField:
 
 def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
     """Return the fields of messages that a schema in `jsonschema` describes."""
-    if len(data) > LONGEST_TEXT:
-        raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
     try:
         schema = json.loads(data)
     except (ValueError, RecursionError) as err:
@@ -86,22 +79,28 @@ def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
 
 def decode_objects(
     fields: Sequence[JsonField],
-    messages: Sequence[bytes],
-    decode: Callable[[int, bytes], dict[str, Any]] | None = None,
+    messages: Iterable[bytes],
+    decode: Callable[[bytes], dict[str, Any]] | None = None,
 ) -> dict[str, Column]:
     """Return the fields of messages as columns, by dotted name.
 
-    Without `decode`, a function from the index and bytes of a message to an object, they are JSON.
+    Without `decode`, a function from the bytes of a message to an object, messages are JSON.
     Missing numbers are NaN, missing texts empty, other missing values None. Columns of integers or
     truth values with missing values become float columns.
     """
     columns: list[list[Any]] = [[] for _ in fields]
+    kind, decode = ("JSON", _decode_json) if decode is None else ("protobuf", decode)
     for row, data in enumerate(messages):  # one at a time: objects are larger than their text
-        found = (decode or _decode)(row, data)
-        for field, column in zip(fields, columns, strict=True):
-            value = _take(field, row, found)
-            is_there = value is not _ABSENT and value is not None
-            column.append(_convert(field, row, value) if is_there else None)
+        if (size := len(data)) > LONGEST_MESSAGE:
+            most = f"{LONGEST_MESSAGE} bytes of {kind}"
+            raise LogError(f"message {row}: expected up to {most}, found {size}")
+        try:
+            found = decode(data)
+            for field, column in zip(fields, columns, strict=True):
+                value = _take(field, found)
+                column.append(None if value is None else _convert(field, value))
+        except LogError as err:
+            raise LogError(f"message {row}: {err}") from err
     pairs = zip(fields, columns, strict=True)
     return {field.name: _build_column(field.kind, column) for field, column in pairs}
 
@@ -170,10 +169,7 @@ def _find_kind(schema: Mapping[str, Any]) -> JsonKind:
     return next((kind for kind in _EXPECTED if kinds == [kind]), "any")
 
 
-def _decode(row: int, data: bytes) -> dict[str, Any]:
-    if len(data) > LONGEST_MESSAGE:
-        most = LONGEST_MESSAGE
-        raise LogError(f"message {row}: expected up to {most} bytes of JSON, found {len(data)}")
+def _decode_json(data: bytes) -> dict[str, Any]:
     try:
         try:
             found = msgspec.json.decode(data)
@@ -181,26 +177,25 @@ def _decode(row: int, data: bytes) -> dict[str, Any]:
             # Python writes NaN and Infinity, which JSON does not have.
             found = json.loads(data)
     except (ValueError, RecursionError) as err:
-        raise LogError(f"message {row}: expected JSON, found {data[:40]!r}: {err}") from err
+        raise LogError(f"expected JSON, found {data[:40]!r}: {err}") from err
     if not isinstance(found, dict):
-        raise LogError(f"message {row}: expected a JSON object, found {data[:40]!r}")
+        raise LogError(f"expected a JSON object, found {data[:40]!r}")
     return found
 
 
-def _take(field: JsonField, row: int, found: Any) -> Any:
-    """Return a field's value; `_ABSENT` if an object on its path is absent or null."""
+def _take(field: JsonField, found: Any) -> Any:
+    """Return a field's value; None if it, or an object on its path, is absent or null."""
     for depth, key in enumerate(field.path):
-        if found is None or found is _ABSENT:
-            return _ABSENT
+        if found is None:
+            return None
         if not isinstance(found, dict):
             place = ".".join(field.path[:depth])
-            text = repr(found)[:40]
-            raise LogError(f"message {row}: {place}: expected an object, found {text}")
-        found = found.get(key, _ABSENT)
+            raise LogError(f"{place}: expected an object, found {repr(found)[:40]}")
+        found = found.get(key)
     return found
 
 
-def _convert(field: JsonField, row: int, value: Any) -> Any:
+def _convert(field: JsonField, value: Any) -> Any:
     """Convert a value, which must have the kind of the field, for its column."""
     kind, is_number = field.kind, isinstance(value, int | float) and not isinstance(value, bool)
     if kind == "any":
@@ -216,7 +211,7 @@ def _convert(field: JsonField, row: int, value: Any) -> Any:
     elif isinstance(value, bool if kind == "boolean" else str):
         return value
     found = repr(value)[:40]
-    raise LogError(f"message {row}: {field.name}: expected {_EXPECTED[kind]}, found {found}")
+    raise LogError(f"{field.name}: expected {_EXPECTED[kind]}, found {found}")
 
 
 def _widen(value: float) -> float:
@@ -249,25 +244,29 @@ _LONGEST_VARINT: Final = 10
 _MESSAGE: Final = 11
 _REPEATED: Final = 3
 
-_FIXED: Final[Mapping[int, tuple[int, str]]] = MappingProxyType(
-    {1: (_EIGHT, "<d"), 6: (_EIGHT, "<Q"), 16: (_EIGHT, "<q")}
-    | {2: (_FOUR, "<f"), 7: (_FOUR, "<I"), 15: (_FOUR, "<i")}
-)
+_FIXED: Final[Mapping[int, tuple[int, str]]] = {
+    1: (_EIGHT, "<d"),
+    6: (_EIGHT, "<Q"),
+    16: (_EIGHT, "<q"),
+} | {2: (_FOUR, "<f"), 7: (_FOUR, "<I"), 15: (_FOUR, "<i")}
 """Wire type and `struct` code of types with a fixed size, by their number in descriptor.proto."""
 
-_KINDS: Final[Mapping[int, JsonKind]] = MappingProxyType({
+_KINDS: Final[Mapping[int, JsonKind]] = {
     1: "number", 2: "number", 8: "boolean", 9: "string",
     **dict.fromkeys((3, 4, 5, 6, 7, 13, 14, 15, 16, 17, 18), "integer"),
-})  # fmt: skip
+}  # fmt: skip
 """Kind of a field by the number of its type. Bytes and groups have no kind."""
 
-_ZEROS: Final[Mapping[JsonKind, Any]] = MappingProxyType(
-    {"number": 0.0, "integer": 0, "boolean": False, "string": ""}
-)
+_ZEROS: Final[Mapping[JsonKind, Any]] = {
+    "number": 0.0,
+    "integer": 0,
+    "boolean": False,
+    "string": "",
+}
 """Values of fields that were not written: numbers 0, texts empty; missing messages stay absent."""
 
 _STAMPS: Final = frozenset({".google.protobuf.Timestamp", ".google.protobuf.Duration"})
-_STAMP_NAMES: Final = MappingProxyType({"seconds": "sec", "nanos": "nsec"})
+_STAMP_NAMES: Final = {"seconds": "sec", "nanos": "nsec"}
 
 
 class ProtobufField(NamedTuple):
@@ -294,17 +293,8 @@ class ProtobufType:
         self.fields: dict[int, ProtobufField] = {}
         self.zeros: dict[str, Any] = {}
 
-    def decode(self, row: int, data: bytes) -> dict[str, Any]:
+    def decode(self, data: bytes) -> dict[str, Any]:
         """Return a message as an object."""
-        if len(data) > LONGEST_MESSAGE:
-            found = f"expected up to {LONGEST_MESSAGE} bytes, found {len(data)}"
-            raise LogError(f"message {row}: {found}")
-        try:
-            return self._decode(data)
-        except LogError as err:
-            raise LogError(f"message {row}: {err}") from err
-
-    def _decode(self, data: bytes) -> dict[str, Any]:
         found = dict(self.zeros)
         for number, wire, value in _iterate_fields(data):
             known = self.fields.get(number)
@@ -312,7 +302,7 @@ class ProtobufType:
                 continue
             if known.of is not None:
                 _require_wire(known.name, wire, _BYTES)
-                part: Any = known.of._decode(value)
+                part: Any = known.of.decode(value)
             elif known.is_repeated or known.kind not in _KINDS:
                 continue  # a run needs no lists and no bytes
             else:
@@ -339,8 +329,6 @@ class ProtobufType:
 
 def read_protobuf_type(name: str, data: bytes) -> ProtobufType:
     """Return a type from the FileDescriptorSet that defines the type."""
-    if len(data) > LONGEST_TEXT:
-        raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
     described: dict[str, list[Mapping[int, list[Any]]]] = {}
     with name_place(f"schema {name}"):
         for file in _collect(data).get(1, []):

@@ -15,7 +15,6 @@ from os import fstat
 from os.path import samestat
 from pathlib import Path
 from struct import Struct
-from types import MappingProxyType
 from typing import Any, BinaryIO, Final, Self
 
 import numpy as np
@@ -44,7 +43,7 @@ _FLUSH_S: Final = 1.0
 """Time after which a chunk is written even if it is not full, by the wall clock [s]."""
 
 _INTERRUPTIONS: Final = (KeyboardInterrupt, SystemExit)
-_NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})
+_NO_NOTES: Final[Mapping[str, str]] = {}
 
 
 def create_file(path: Path) -> BinaryIO:

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import chain
-from types import MappingProxyType
 from typing import Any, BinaryIO, Final
 
 from mcap.opcode import Opcode
@@ -62,22 +61,20 @@ MEASURED: Final = Topic("/turtle1/measured", "geometry_msgs/msg/Twist")
 # One message per sample, at the time when the sample's pose was answered.
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
 
-CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "sequence": ("sequence",),
-        "pose_sequence": ("pose_sequence",),
-        "phase": ("phase",),
-        "bearing_rad": ("bearing",),
-        "heading_error_rad": ("heading_error",),
-        "error_xy_m": ("error_x", "error_y"),
-        "distance_m": ("distance",),
-        "wanted_speed_m_s": ("wanted_speed",),
-        "wanted_turn_rate_rad_s": ("wanted_turn_rate",),
-        "speed_m_s": ("speed",),
-        "turn_rate_rad_s": ("turn_rate",),
-        "world_velocity_m_s": ("world_v_x", "world_v_y"),
-    }
-)
+CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
+    "sequence": ("sequence",),
+    "pose_sequence": ("pose_sequence",),
+    "phase": ("phase",),
+    "bearing_rad": ("bearing",),
+    "heading_error_rad": ("heading_error",),
+    "error_xy_m": ("error_x", "error_y"),
+    "distance_m": ("distance",),
+    "wanted_speed_m_s": ("wanted_speed",),
+    "wanted_turn_rate_rad_s": ("wanted_turn_rate",),
+    "speed_m_s": ("speed",),
+    "turn_rate_rad_s": ("turn_rate",),
+    "world_velocity_m_s": ("world_v_x", "world_v_y"),
+}
 """Columns of `SampleColumns`, each with the fields of the message that contain it, in order."""
 
 # The law's own numbers, with one message per sample. The law determines the type.
@@ -119,16 +116,14 @@ TOPIC_NAMES: Final = frozenset(
 
 _PLANAR: Final = "x", "y", "theta"
 _TWIST: Final = "linear.x", "angular.z"
-USED_FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        POSE.name: (*_PLANAR, "linear_velocity", "angular_velocity"),
-        **dict.fromkeys((POSE64.name, SENSED.name, SENSED64.name, REFERENCE64.name), _PLANAR),
-        **dict.fromkeys((VELOCITY64.name, MEASURED.name, SHAPED.name), _TWIST),
-        COMMAND.name: ("linear.x", "linear.y", "angular.z"),
-        CONTROL.name: ("sequence", "pose_sequence", *chain(*CONTROL_COLUMNS.values())),
-        **dict.fromkeys((PHASE.name, REFERENCE.name), ()),
-    }
-)
+USED_FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
+    POSE.name: (*_PLANAR, "linear_velocity", "angular_velocity"),
+    **dict.fromkeys((POSE64.name, SENSED.name, SENSED64.name, REFERENCE64.name), _PLANAR),
+    **dict.fromkeys((VELOCITY64.name, MEASURED.name, SHAPED.name), _TWIST),
+    COMMAND.name: ("linear.x", "linear.y", "angular.z"),
+    CONTROL.name: ("sequence", "pose_sequence", *chain(*CONTROL_COLUMNS.values())),
+    **dict.fromkeys((PHASE.name, REFERENCE.name), ()),
+}
 """Fields needed for a run, for topics with many messages; other topics need all fields."""
 
 _CONTROL_SAMPLE: Final = """\
@@ -177,18 +172,16 @@ turtlelog_msgs/msg/ControlSample 53260607615135d6bf11cc8adaf06aa06e43587b77f3f4c
 turtlesim/msg/Pose 739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8aa9
 """
 
-TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
-    {name: f"RIHS01_{digest}" for name, digest in map(str.split, _DIGESTS.splitlines())}
-)
+TYPE_HASHES: Final[Mapping[str, str]] = {
+    name: f"RIHS01_{digest}" for name, digest in map(str.split, _DIGESTS.splitlines())
+}
 """Hash by message type, for every key of `SCHEMAS`. Text and hash must change together.
 
 RIHS01 is the SHA-256 of a type's description (REP 2011). ROS 2 compares it with the hash of the
 installed type.
 """
 
-_FLOAT64: Final = MappingProxyType(
-    {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
-)
+_FLOAT64: Final = {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
 """Description of a float64 field's type (REP 2011)."""
 
 _PACKAGE: Final = "turtlelog_msgs/msg"
@@ -207,10 +200,9 @@ _KNOWN: Final = (
     *("nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Path"),
 )
 
-SCHEMAS: Final[Mapping[str, str]] = MappingProxyType(
-    {kind: text for kind in _KNOWN if (text := find_definition(kind))}
-    | {"turtlelog_msgs/msg/ControlSample": _CONTROL_SAMPLE}
-)
+SCHEMAS: Final[Mapping[str, str]] = {
+    kind: text for kind in _KNOWN if (text := find_definition(kind))
+} | {"turtlelog_msgs/msg/ControlSample": _CONTROL_SAMPLE}
 """Definition by message type. Dependencies follow a line of 80 equals signs."""
 
 

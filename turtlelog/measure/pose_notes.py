@@ -1,0 +1,313 @@
+"""Notes on a robot's poses: the direction of travel, and what metrics contain besides motion.
+
+A robot on two wheels, or a car, travels along its heading. A marker or sensor that is mounted at an
+angle gives another heading. Speeds along this heading are too small by the cosine of the angle.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count, format_short, join_words
+from turtlelog.measure.breaks import (
+    ACCELERATION,
+    ROUNDING,
+    PoseJump,
+    find_gaps,
+    find_jumps,
+    has_courses,
+    measure_steps,
+)
+from turtlelog.measure.rates import AXES, describe_repetition, space_poses
+from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.run import PoseColumns, Run, take_rows
+
+if TYPE_CHECKING:
+    from turtlelog.measure.metric import Metric
+
+_OVER_S: Final = 0.5
+"""Time over which a displacement is measured [s]: it is then larger than the noise of poses."""
+
+_MOST_S: Final = 1.0
+"""Longest displacement that counts [s]: a heading may turn by a full turn in a longer one."""
+
+_MOST_TURN_RAD: Final = 1.0
+"""Largest turn of a displacement [rad]; a larger one has no single direction."""
+
+_LEAST_RAD: Final = math.radians(5.0)
+"""Smallest angle that is reported [rad]: speeds along the heading are 0.4 % too small."""
+
+_EXPLAINED: Final = 0.9
+"""Share of the sideways motion that one angle must explain. A robot that slips in turns, or drives
+sideways now and then, has no single angle."""
+
+_FEWEST: Final = 10
+"""Smallest number of displacements while the robot moves."""
+
+_MOVING: Final = 0.1
+"""Displacement as a share of the largest from which the robot moves."""
+
+_LEFT: Final = 0.1
+"""Share of the motion that must not go together with turning: on one circle, a marker beside the
+robot's centre looks like a marker that is turned."""
+
+_UNLIKE: Final = ("heading", "leaps")
+"""Notes on headings that are computed from the motion, and on poses of two programs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TravelDirection:
+    """The constant angle between a robot's heading and its direction of travel.
+
+    Attributes:
+        angle_rad: Direction of travel minus heading, in (-pi/2, pi/2) [rad]; positive to the left.
+    """
+
+    angle_rad: float
+
+    @property
+    def shortfall(self) -> float:
+        """Share by which speeds along the heading are too small [1]."""
+        return 1.0 - math.cos(self.angle_rad)
+
+    def describe(self) -> str:
+        """Return the angle and its side in words, and what it makes of speeds along the heading."""
+        side = "left" if self.angle_rad > 0.0 else "right"
+        return (
+            f"the robot travels {abs(math.degrees(self.angle_rad)):.1f} deg to the {side} of its"
+            f" heading; speeds along the heading are {100.0 * self.shortfall:.1f} % too small"
+        )
+
+
+def describe_travel(run: Run) -> dict[str, str]:
+    """Return a note on the direction of travel, by name; empty if it is the heading."""
+    found = find_travel_direction(run)
+    return {} if found is None else {"travel": found.describe()}
+
+
+def find_travel_direction(run: Run) -> TravelDirection | None:
+    """Return the angle at which a robot travels beside its heading; None if there is no such angle.
+
+    The robot may drive forward and backward. Sideways motion that goes with turning, of a point
+    beside the robot's centre, does not count. There is no angle if sideways speeds are commanded,
+    or if the robot is turtlesim.
+    """
+    if run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None:
+        return None
+    if any(name in run.notes for name in _UNLIKE):
+        return None
+    moved_m, turned_rad = _measure_displacements(run.poses)
+    energy = float((moved_m**2).sum())
+    sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
+    if not energy or int((sizes_m > _MOVING * sizes_m.max()).sum()) < _FEWEST:
+        return None
+    turning = float(turned_rad @ turned_rad)
+    if turning:
+        moved_m = moved_m - np.outer(turned_rad, (turned_rad @ moved_m) / turning)
+    (least, most), axes = np.linalg.eigh(moved_m.T @ moved_m)
+    ahead, aside = axes[:, 1].tolist()
+    angle_rad = math.atan(aside / ahead) if ahead else math.pi / 2.0
+    unexplained = least / (least + most * math.sin(angle_rad) ** 2) if angle_rad else 1.0
+    is_clear = most > _LEFT * energy and unexplained < 1.0 - _EXPLAINED
+    if abs(angle_rad) < _LEAST_RAD or not is_clear:
+        return None
+    return TravelDirection(angle_rad=angle_rad)
+
+
+def _measure_displacements(poses: PoseColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return displacements along the mean heading and to its left [m], and turns [rad]."""
+    time_s = poses.time_ns / 1e9
+    if len(time_s) < 2:
+        return np.zeros((0, 2)), np.zeros(0)
+    every = math.ceil(_OVER_S / max(compute_median(np.diff(time_s)), 1e-9))
+    rows = np.arange(0, len(time_s), every)
+    ahead_m, aside_m, turned_rad = measure_steps(take_rows(poses, rows))
+    kept = (np.diff(time_s[rows]) <= _MOST_S) & (np.abs(turned_rad) <= _MOST_TURN_RAD)
+    return np.column_stack([ahead_m, aside_m])[kept], turned_rad[kept]
+
+
+_CHORD_S: Final = 0.5
+"""Time over which motion is split into ahead and aside [s]: in it, noise of poses hardly adds."""
+
+_COMMANDED_M_S: Final = 0.01
+"""Command to the side from which a robot counts as commanded sideways [m/s], as of rest."""
+
+
+def describe_sideways(run: Run) -> str:
+    """Return a clause on a robot that is commanded sideways; empty for other robots.
+
+    Whether a robot moves sideways without such commands is not told: headings may be wrong.
+    """
+    most_m_s = float(np.abs(run.commands.lateral_speed_m_s).max(initial=0.0))
+    if most_m_s < _COMMANDED_M_S:
+        return ""
+    commanded = f"commanded sideways, up to {format_short(most_m_s, 'm/s')}"
+    if len(run.poses) < 2:
+        return commanded
+    spaced = space_poses(run)
+    every = max(round(_CHORD_S / compute_median(subtract_neighbours(spaced.time_s))), 1)
+    rows = np.append(spaced.rows[:-1:every], spaced.rows[-1])
+    ahead_m, aside_m, _ = measure_steps(take_rows(run.poses, rows))
+    aside, ahead = (format_short(float(np.abs(way).sum()), "m") for way in (aside_m, ahead_m))
+    return f"{commanded}; it moves {aside} sideways, {ahead} ahead or back"
+
+
+_JUMPED: Final = 0.1
+"""Share of a jump from which the distance driven meanwhile is mentioned."""
+
+
+def describe_breaks(run: Run) -> dict[str, str]:
+    """Return a sentence on `repeated`, `jumps` and `gaps`, for each that is not empty."""
+    found = {}
+    if changes := describe_repetition(run.poses):
+        found["repeated"] = f"most positions repeat the one before; they change at {changes}"
+    if jumps := find_jumps(run):
+        found["jumps"] = _tell_jumps(run, jumps)
+    if gaps := find_gaps(run):
+        longest = max(gaps, key=lambda gap: gap.end_ns - gap.start_ns)
+        which = "" if len(gaps) == 1 else "the longest "
+        length_s = (longest.end_ns - longest.start_ns) / 1e9
+        found["gaps"] = (
+            f"{describe_count(len(gaps), 'gap')}, {which}{length_s:.2f} s without a pose from"
+            f" {(longest.start_ns - run.start_ns) / 1e9:.1f} s; usual are"
+            f" {longest.usual_ns / 1e6:.0f} ms"
+        )
+    return found
+
+
+def _tell_jumps(run: Run, jumps: Sequence[PoseJump]) -> str:
+    largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
+    which = "" if len(jumps) == 1 else "the largest "
+    names = ("m ahead", "m back", "m to the left", "m to the right")
+    if has_courses(run):
+        names = ("m east", "m west", "m north", "m south")
+    signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
+    way_m = float(np.hypot(largest.moved_m, largest.aside_m))
+    least_m = ROUNDING
+    beyond_s2 = largest.excess_m / ACCELERATION[0], largest.excess_rad / ACCELERATION[1]
+    if largest.excess_m <= _JUMPED * way_m and beyond_s2[0] < beyond_s2[1]:
+        least_m = np.inf  # the displacement has no meaning if the heading jumps
+    parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
+    if abs(largest.turned_rad) > ROUNDING:
+        parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
+    at_s = (largest.time_ns - run.start_ns) / 1e9
+    beyond = ""
+    if abs(largest.excess_m - way_m) > _JUMPED * way_m and np.isfinite(least_m):
+        beyond = f", {largest.excess_m:.3g} m more than it drove"
+    count = describe_count(len(jumps), "jump")
+    return f"{count}, {which}{join_words(parts)} at {at_s:.1f} s{beyond}"
+
+
+_SHOWN: Final = 5e-4
+"""Share of a path length below which jumps do not change its three printed digits."""
+
+_COUNTED: Final = 5e-3
+"""Share of the time below which gaps do not change the share at rest, in whole per cent."""
+
+_NOISY: Final = 0.03
+"""Share of the largest measured speed from which noise is told: three standard deviations of it are
+a tenth."""
+
+_CREPT_M: Final = 0.02
+"""Distance at rest that is told: more than a robot that brakes and stops four times."""
+
+_LARGE: Final = 0.05
+"""Share of a path length from which jumps are told beside it, and of a duration from which gaps
+are. Wheel odometry is as wrong itself."""
+
+
+def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
+    """Return notes on motion to the side, and on what metrics contain besides motion.
+
+    Of a simulation there are none; without a path length among the metrics, only the resolution of
+    lags and rise times.
+    """
+    if run.poses.speed_m_s is not None:
+        return {}
+    resolution = _describe_resolution(run, metrics)
+    path_m = _get(metrics, "run.path_length")
+    if path_m is None:
+        return resolution
+    sideways = describe_sideways(run)
+    return {
+        **resolution,
+        **describe_travel(run),
+        **({"sideways": sideways} if sideways else {}),
+        **_describe_times(run),
+        **_describe_noise(run, metrics),
+        **_describe_rest(run, metrics, path_m),
+        **_describe_jumps(run, path_m),
+    }
+
+
+def _get(metrics: "Mapping[str, Metric]", name: str) -> float | None:
+    metric = metrics.get(name)
+    return None if metric is None else metric.value
+
+
+def _describe_resolution(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
+    known = [_get(metrics, f"run.{axis}_{name}") for axis in AXES for name in ("lag", "rise_time")]
+    if all(value is None for value in known) or len(run.poses) < 2:
+        return {}
+    time_s = run.poses.time_ns / 1e9
+    if run.poses.measured_speed_m_s is None:
+        time_s = space_poses(run).time_s
+    return {"rate_step": f"{1e3 * compute_median(subtract_neighbours(time_s)):.3g} ms"}
+
+
+def _describe_times(run: Run) -> dict[str, str]:
+    notes = {}
+    if changes := describe_repetition(run.poses):
+        notes["changes"] = changes
+    gaps_s = sum(gap.end_ns - gap.start_ns for gap in find_gaps(run)) / 1e9
+    if gaps_s > _COUNTED * run.duration_s:
+        notes["gaps"] = format_short(gaps_s, "s")
+    if gaps_s > _LARGE * run.duration_s:
+        notes["large_gaps"] = notes["gaps"]
+    return notes
+
+
+def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
+    from turtlelog.measure.pose_noise import find_scatter, measure_speed_noise
+
+    notes, scatter = {}, find_scatter(run)
+    if scatter.path_m is not None:
+        notes["path_without_scatter"] = format_short(scatter.path_m, "m")
+    if scatter.turning_rad is not None:
+        notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
+    fastest_m_s = _get(metrics, "run.measured_speed_max")
+    if fastest_m_s is not None and run.poses.measured_speed_m_s is None:
+        noise_m_s = measure_speed_noise(run)
+        if noise_m_s > _NOISY * fastest_m_s:
+            notes["speed_noise"] = f"{noise_m_s:.1g} m/s"
+    return notes
+
+
+def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> dict[str, str]:
+    if not _get(metrics, "run.rest_share"):
+        return {}
+    from turtlelog.measure.metric_kinds import RunContext
+    from turtlelog.measure.metric_list import MeasureSettings
+    from turtlelog.measure.metrics.travel import AT_REST_M_S, Rest, judge_rest
+
+    rest = judge_rest(RunContext(run, MeasureSettings()))
+    if not isinstance(rest, Rest) or rest.way_m <= max(_CREPT_M, _LARGE * path_m):
+        return {}
+    if rest.way_m > AT_REST_M_S * rest.time_s:  # it swings, and does not creep
+        return {}
+    return {"crept": format_short(rest.way_m, "m")}
+
+
+def _describe_jumps(run: Run, path_m: float) -> dict[str, str]:
+    jumps = find_jumps(run)
+    share = sum(jump.excess_m for jump in jumps) / (path_m or math.inf)
+    if share <= _SHOWN:
+        return {}
+    notes = {"jumps": _tell_jumps(run, jumps)}
+    if share >= _LARGE:
+        notes["jumped_share"] = f"{100.0 * share:.0f} %"
+    return notes
