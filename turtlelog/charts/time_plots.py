@@ -422,9 +422,7 @@ def plan_film(
     ends_ns = [run.poses.time_ns[[0, -1]] - zero for run, zero in zip(runs, zeros_ns, strict=True)]
     first_s, last_s = float(np.min(ends_ns)) / 1e9, float(np.max(ends_ns)) / 1e9
     span_s = last_s - first_s
-    if length_s is None:  # real time, within limits
-        shortest_s = min(span_s / _SLOWEST + _STILL_S, 3.0)
-        length_s = float(np.clip(span_s + _STILL_S, shortest_s, 10.0))
+    length_s = _choose_length(span_s) if length_s is None else length_s
     still_s = min(_STILL_S, _MOST_STILL * length_s)
     driving = max(round((length_s - still_s) * pictures_per_s), 2)
     still = max(round(still_s * pictures_per_s), 1)
@@ -436,6 +434,11 @@ def plan_film(
         driving=driving,
         pace=span_s * pictures_per_s / driving,
     )
+
+
+def _choose_length(span_s: float) -> float:
+    """Return the default length of a movie [s]: real time, within limits."""
+    return float(np.clip(span_s + _STILL_S, min(span_s / _SLOWEST + _STILL_S, 3.0), 10.0))
 
 
 def _find_zero_ns(run: Run, timeline: str) -> int:

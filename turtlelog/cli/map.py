@@ -482,7 +482,8 @@ def _tell_best(view: "SweptView", best: BestRow) -> str:
     seeds = describe_count(view.seeds, "seed")
     if not _is_clear(best):
         return f"; no clear best: over {seeds}, all differences of these means may be chance"
-    keys = ", ".join(axis.tell_row(place) for axis in (*view.axes, *view.held))
+    axes = (*view.axes, *view.held)
+    keys = ", ".join(axis.tell_keys(axis.places[place]) for axis in axes)
     text = f", best mean with {keys}{more} (seeds from row {best.row} on)"
     if best.within_chance:
         text += f"; {best.within_chance} of {best.others} worse means may be as good by chance"

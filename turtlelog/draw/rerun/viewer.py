@@ -391,15 +391,20 @@ def _set_time(client: "ViewerClient", at_s: float | None, name: str) -> None:
     if name in ends_ns:
         start_s, end_s = starts_ns[name] / 1e9, ends_ns[name] / 1e9
         cursor_s = end_s if at_s is None else at_s
-        if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:  # an empty picture
-            raise ShowError(
-                f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
-                f" found {cursor_s:g}"
-            )
+        _require_inside(cursor_s, name, start_s, end_s)
         client.set_time(name, duration=cursor_s, play_state="paused")
     elif at_s is not None or name != TIMELINE:
         known = " or ".join(sorted(ends_ns)) or "one, of which there is none"
         raise ShowError(f"timeline: expected {known}, found {name}")
+
+
+def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
+    """Raise an error if the recording has no data at a time, because the picture would be empty."""
+    if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
+        raise ShowError(
+            f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
+            f" found {cursor_s:g}"
+        )
 
 
 def _take_picture(client: "ViewerClient") -> bytes:
