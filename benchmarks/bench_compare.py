@@ -13,7 +13,7 @@ import pyfunnel
 
 import turtlelog as tl
 from benchmarks.table import Cost, Row, run_alone, time_calls
-from turtlelog.compare.common_clock import align_runs, lay_grid, read_rows
+from turtlelog.compare.common_clock import align_runs, lay_grid
 from turtlelog.compare.difference import _measure_rows, compare_aligned_signals
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 
@@ -83,10 +83,9 @@ def measure(share: float = 1.0) -> Iterator[Row]:
         signals = [tl.read_signal(found, name) for found in (reference, run)]
         assert signals[0] is not None
         assert signals[1] is not None
-        placed = clock.place_signal(signals[0], reference)
-        other = clock.place_signal(signals[1], run)
-        grid = lay_grid(placed.time_ns, other.time_ns, clock.span)
-        return _measure_rows(placed, read_rows(other, grid), tolerance, clock, [])
+        placed = clock.place_signal(signals[0], reference), clock.place_signal(signals[1], run)
+        grid = lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
+        return _measure_rows(placed, grid, tolerance, clock, [])
 
     for name, time_s in TUBES:
         ours, peer = time_calls(

@@ -325,6 +325,12 @@ def format_utc(time_ns: int) -> str:
         return f"{time_ns} ns"
 
 
+def format_seconds(time_ns: int) -> str:
+    """Return a time [ns] in seconds with nine decimals, exactly."""
+    seconds, nanoseconds = divmod(abs(time_ns), 1_000_000_000)
+    return f"{'-' if time_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
+
+
 def parse_utc(text: str) -> int | None:
     """Return an ISO 8601 time in nanoseconds since 1970 UTC; None if the text is not such a time.
 

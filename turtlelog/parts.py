@@ -121,6 +121,11 @@ class Stream:
     is_chance: bool = False
 
 
+def draw_chance(number: int, key: str) -> Stream:
+    """Return a stream for events with the probability of a key, one number for each event."""
+    return Stream(number=number, kind="uniform", fields=("chance",), keys=(key,), is_chance=True)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Action:
     """Action of an effect at one place.

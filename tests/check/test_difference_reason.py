@@ -14,7 +14,7 @@ from turtlelog.check.failure_report import explain_failures
 from turtlelog.check.reference import MetricsFile, format_metrics, read_metrics_file
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
-from turtlelog.run import Run
+from turtlelog.run import Run, take_rows
 from turtlelog.scenario import get_preset
 
 NEAR = Tolerance(abs=1e-3, reason="a test")
@@ -62,6 +62,16 @@ def test_without_a_metric_the_final_error_is_explained() -> None:
     results = match_run(simulate("paper-kp10"), simulate("paper-kp2"), file="new.mcap")
     found = explain_failures(simulate("paper-kp10"), simulate("paper-kp2"), results)
     assert read_why(found)[0].startswith("final.position_error rose from 0.0010 m")
+
+
+@pytest.mark.parametrize("who", ["the reference", "this run"])
+def test_a_log_of_commands_alone_is_not_explained(who: str) -> None:
+    run = simulate("paper-kp2")
+    none = {name: take_rows(getattr(run, name), slice(0)) for name in ("poses", "samples")}
+    alone = replace(run, **none, absent=("poses", "samples", "stop_reason"))
+    pair = (run, alone) if who == "the reference" else (alone, run)
+    found = explain_failures(*pair, judge("final.position_error"))
+    assert read_why(found)[0] == f"Not explained: {who} has no poses."
 
 
 def test_what_passes_has_no_reason() -> None:

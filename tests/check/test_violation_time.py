@@ -14,7 +14,7 @@ from tests.check.test_mutations import build
 from turtlelog.check import check_runs, judge_formula, parse_spec, result
 from turtlelog.check.result import find_metric_violation
 from turtlelog.measure import list_metrics
-from turtlelog.run import slice_run
+from turtlelog.run import slice_run, take_rows
 
 RUN = simulate("paper-kp10")
 METRICS = tl.measure_run(RUN)
@@ -47,6 +47,21 @@ def test_a_run_cut_before_the_first_violation_passes(name: str) -> None:
     assert values[1] is not None
     assert values[1] > value / 2
     assert values[0] is None or values[0] <= value / 2
+
+
+def test_a_log_of_commands_alone_violates_a_growing_metric_at_a_command() -> None:
+    alone = replace(
+        RUN,
+        poses=take_rows(RUN.poses, slice(0)),
+        samples=take_rows(RUN.samples, slice(0)),
+        absent=("poses", "samples", "stop_reason"),
+    )
+    text = 'format = 1\n[checks.it]\nexpect = "run.speed_effort <= 0.01"'
+    (found,) = check_runs(parse_spec(text), [("a.mcap", alone)])
+    time_s = (alone.commands.time_ns - alone.start_ns) / 1e9
+    held_s = np.diff(time_s, append=time_s[-1])
+    effort = np.concatenate([[0.0], np.cumsum(held_s * alone.commands.speed_m_s**2)[:-1]])
+    assert found.first_violation_s == time_s[(effort > 0.01).argmax()]
 
 
 @pytest.mark.parametrize(("rest", "has_moment"), [("", True), (" and run.path_length >= 0", False)])

@@ -8,6 +8,8 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.log.ros2.bags import START_NS, Said, make_poses, make_vector, write_mcap
+from tests.log.ros2.moved_robots import say_joints
+from tests.log.ros2.robots import describe_head, say_goal, say_odometry, say_path
 
 STEP_NS = 50_000_000
 
@@ -40,6 +42,42 @@ def test_info_says_that_there_are_no_poses_and_what_can_be_done(call: Call, bag:
     assert found["summary"] == "no poses, commands on /cmd_vel at 20 Hz"
     assert "poses" in found["absent"]
     assert "commands" not in found["absent"]
+
+
+@pytest.mark.parametrize(
+    ("other", "reason"),
+    [
+        (
+            say_joints(["left", "right"], [0.0, 0.0], at_s=1.0),
+            "/joint_states: joints give poses with --wheel-joints LEFT,RIGHT",
+        ),
+        (
+            Said(
+                topic="/particles",
+                type="geometry_msgs/msg/PoseArray",
+                time_ns=START_NS,
+                values={"header": describe_head("map"), "poses": []},
+            ),
+            "/particles (geometry_msgs/msg/PoseArray) is not read, as its fields have other names",
+        ),
+    ],
+    ids=["joints", "other fields"],
+)
+def test_topics_that_may_hold_poses_are_named(
+    call: Call, tmp_path: Path, other: Said, reason: str
+) -> None:
+    path = write_mcap(tmp_path / "drive.mcap", [say_twist(0.2, row=0), other])
+    assert f"missing poses: {reason}" in call("info", path).flat
+    replayed = call("replay", path)
+    assert "No poses were read" in replayed.flat
+    assert f"; poses: {reason}" in replayed.err
+
+
+def test_info_names_goal_and_path(call: Call, tmp_path: Path) -> None:
+    plan = say_path((0.0, 0.0), (9.0, 0.0))
+    path = write_mcap(tmp_path / "drive.mcap", [*say_odometry(), say_goal(9.0, 0.0), plan])
+    text = call("info", path).flat
+    assert "goal from /goal_pose, no heading path from /plan" in text
 
 
 def test_metrics_of_commands_have_values_and_those_of_poses_the_reason(

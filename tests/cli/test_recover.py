@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Call
+from tests.log.ros2.bags import make_poses, write_mcap
 
 
 @pytest.fixture
@@ -38,6 +39,17 @@ def test_recover_says_where_nobody_knows_what_was_lost(
     assert (answer.code, answer.err) == (0, "")
     assert "messages lost: not known" in answer.flat
     assert "cut short, or not finished" in answer.flat
+
+
+def test_recover_of_a_bag_without_checksums_agrees_with_info(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", make_poses(20))
+    path.write_bytes(path.read_bytes()[:-100])
+    line = "no loss is found, only the summary is damaged"
+    assert line in call("convert", "--recover", path, "-o", tmp_path / "whole.mcap").flat
+    answer = call("info", path, "--partial")
+    assert line in answer.flat
+    assert "20 messages" in answer.flat
+    assert call("metrics", path, "--partial").code == 0
 
 
 def test_recover_answers_in_json(call: Call, cut: Path, tmp_path: Path) -> None:
@@ -131,7 +143,7 @@ def test_partial_reads_what_is_refused_otherwise(
     assert (refused.code, refused.out) == (2, "")
     answer = call(*named, "--partial")
     assert answer.code == 0
-    assert "no data is lost, only the summary is damaged" in (
+    assert "no loss is found, only the summary is damaged" in (
         answer.out if words[0] == "info" else answer.err
     )
     assert "Warning" not in answer.err

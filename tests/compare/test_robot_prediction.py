@@ -13,7 +13,7 @@ from turtlelog.compare import ErrorBand, RobotComparison
 from turtlelog.compare.robot_comparison import Quantity, cut_pieces
 from turtlelog.compare.robot_prediction import _find_delay
 from turtlelog.replay.plant_replay import sense_driven
-from turtlelog.run import CommandColumns, PoseColumns, Run
+from turtlelog.run import CommandColumns, PoseColumns, Run, take_rows
 from turtlelog.scenario import Scenario
 
 QUIET = Log(duration_s=40.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0)
@@ -321,9 +321,12 @@ def test_what_cannot_be_compared_is_refused_in_one_line() -> None:
         turn_rate_rad_s=run.commands.turn_rate_rad_s[:0],
     )
     late = replace(run.commands, time_ns=run.commands.time_ns + 10_000_000_000)
+    rows = {name: take_rows(getattr(run, name), slice(0)) for name in ("poses", "samples")}
+    alone = replace(run, **rows, absent=("poses", "samples", "stop_reason"))
     for refused, robot, horizons_s, message in (
         (run, tl.load_scenario("textbook"), [1.0], 'with plant.kind = "lagged", found turtlesim'),
         (replace(run, commands=none), scenario, [1.0], "robot: no commands to drive"),
+        (alone, scenario, [1.0], "robot: the recording holds no poses"),
         (replace(run, commands=late), scenario, [1.0], "s after the last pose on"),
         (run, scenario, [30.0], "robot: expected at least 30 s of poses to predict"),
         (run, scenario, [], "horizons_s: expected times above 0 s, found"),

@@ -12,7 +12,14 @@ from typing import Any, ClassVar
 import pytest
 
 import turtlelog as tl
-from turtlelog.laws import is_given, name_given_law
+from turtlelog.laws import (
+    LAWS,
+    find_law,
+    is_given,
+    list_sample_counters,
+    list_unused_keys,
+    name_given_law,
+)
 from turtlelog.laws.sequential_p import PART
 
 SHORT = {"max_duration_s": 2.0}
@@ -78,6 +85,45 @@ def test_an_object_is_not_changed_by_the_runs_that_it_drives() -> None:
     first, second = (tl.simulate_run("textbook", law=law, changes=SHORT) for _ in range(2))
     assert law.asked == 0
     assert first.equals(second)
+
+
+def test_an_object_says_what_it_counts_and_leaves_unused() -> None:
+    class Plain(Counting):
+        counts_samples = ()
+
+        @staticmethod
+        def list_unused(parameters: object) -> tuple[str, ...]:
+            del parameters
+            return ("goal.heading_rad",)
+
+    for given in (Plain, Plain()):
+        law = find_law(name_given_law(given))
+        assert list_sample_counters(law) == ()
+        assert list_unused_keys(law, law.Parameters()) == ("goal.heading_rad",)
+
+
+@pytest.mark.parametrize("kind", ["sequential-p", "posture"])
+def test_a_built_in_law_with_its_parameters_drives_as_its_scenario_does(kind: str) -> None:
+    gains = {"sequential-p": {"kp_linear": 2.5}, "posture": {"gamma": 0.5}}[kind]
+    law: Any = LAWS[kind](LAWS[kind].Parameters(**gains))
+    keys = {"law.kind": kind, **{f"law.{name}": value for name, value in gains.items()}}
+    run = tl.simulate_run("textbook", law=law, changes=SHORT)
+    assert run.equals(tl.simulate_run("textbook", changes={**keys, **SHORT}))
+
+
+def test_an_object_that_inherits_from_a_built_in_law_declares_its_own_parameters() -> None:
+    kind: Any = LAWS["sequential-p"]
+
+    class Slower(kind):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__(kind.Parameters(kp_linear=0.5))
+
+    run, built_in = (
+        tl.simulate_run("textbook", law=law, changes=SHORT)
+        for law in (Slower(), kind(kind.Parameters(kp_linear=0.5)))
+    )
+    assert run.declaration == built_in.declaration
+    assert run.commands.speed_m_s.tolist() == built_in.commands.speed_m_s.tolist()
 
 
 def test_the_same_law_has_the_same_name_and_another_one_another() -> None:

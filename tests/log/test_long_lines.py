@@ -3,7 +3,7 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ from turtlelog.escapes import guard_cell
 from turtlelog.log.engine.idl import convert_idl
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.ros2.bag_files import parse_bag_metadata
+from turtlelog.log.table_columns import show_column
 
 SIZES = {100_000: 0.7, 4 * 10**6: 3.0}
 """Letters, and how long a text of so many takes at most [s]: ten times what it takes on a quiet
@@ -150,6 +151,21 @@ def write_columns(path: Path, count: int) -> Path:
     names = ["t", "x", "y", "heading", *(f"c{number}" for number in range(count - 4))]
     path.write_text(f"{','.join(names)}\n{','.join('1' * count)}\n", "utf-8")
     return path
+
+
+def test_only_columns_that_are_listed_take_time_to_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places = list[int]()
+
+    def show(names: Sequence[str], place: int) -> str:
+        places.append(place)
+        return show_column(names, place)
+
+    monkeypatch.setattr("turtlelog.log.plain_tables.show_column", show)
+    run = tl.read_run(write_columns(tmp_path / "log.csv", 1000))
+    assert run.notes["columns"].partition("; not read: ")[2].startswith("c0, c1, c2, ")
+    assert max(places) < 4 + 160  # letters are listed
 
 
 @pytest.mark.thorough

@@ -11,9 +11,10 @@ import pytest
 from tests.log.runs import assert_same, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log import export_csv, export_tum
-from turtlelog.log.any_file import read_file_info, read_run
+from turtlelog.log.any_file import read_file_info, read_run, read_trajectory
 from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.table_files import require_same_poses
+from turtlelog.run import Clock, build_planar_trajectory
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
 
@@ -157,6 +158,15 @@ def test_quaternions_give_the_heading_and_say_a_tilt(tmp_path: Path) -> None:
         read_run(path)
 
 
+def test_an_empty_rotation_in_the_second_run_is_found_in_its_line(tmp_path: Path) -> None:
+    rows = [(row / 10, row / 50, 0, 0, 0, 0, 0, int(row != 2)) for row in (*range(20), *range(40))]
+    path = write(tmp_path, "t,x,y,z,qx,qy,qz,qw", *rows)
+    message = "line 24, column qw: expected a rotation of a length other than 0, found '0'"
+    for reader in (read_run, read_trajectory):
+        with pytest.raises(LogError, match=message):
+            reader(path)
+
+
 def test_columns_are_mapped_by_the_user(tmp_path: Path) -> None:
     path = write(tmp_path, "clock,east,north,psi [deg],w", (0, 1, 2, 90, 3), (20, 1, 2, 180, 3))
     columns = {"t": "clock [ms]", "x": "east", "y": "north", "heading": "psi [deg]"}
@@ -293,6 +303,14 @@ def test_repeated_headers_are_left_out(tmp_path: Path) -> None:
         read_run(write(tmp_path, "t,x,y,yaw", "t,x,y,yaw"))
 
 
+@pytest.mark.parametrize("unit", ["UTC", "iso8601"])
+def test_dates_need_no_unit_in_a_row_of_units(unit: str, tmp_path: Path) -> None:
+    rows = [("2024-01-01T00:00:00.100", 1, 2, 0), ("2024-01-01T00:00:00.300", 1, 3, 0)]
+    run = read_run(write(tmp_path, "t,x,y,yaw", f"{unit},m,cm,rad", *rows))
+    assert run.poses.time_ns.tolist() == [0, 200_000_000]
+    assert run.poses.xy_m.tolist() == [[1.0, 0.02], [1.0, 0.03]]
+
+
 @pytest.mark.parametrize("units", ["ms,mm,cm,deg,", "[ms],(mm),[cm],[deg],-", "ms, mm, cm,°,V"])
 def test_a_row_of_units_is_read(units: str, tmp_path: Path) -> None:
     run = read_run(write(tmp_path, "t,x,y,yaw,battery", units, (0, 5, 5, 90, 1), (5, 6, 7, 90, 1)))
@@ -362,6 +380,13 @@ def test_one_of_several_robots_in_a_table_is_read(sign: str, tmp_path: Path) -> 
         read_run(path, robot="r3")
 
 
+@pytest.mark.parametrize("robot", [None, "pose"])
+def test_a_robot_does_not_give_a_missing_time(robot: str | None, tmp_path: Path) -> None:
+    path = write(tmp_path, "clk,pose_x,pose_y,pose_yaw", (0, 0, 0, 0), (1, 1, 0, 0))
+    with pytest.raises(LogError, match=r"no column for t; .*: --column t='NAME \[UNIT\]' says wh"):
+        read_run(path, robot=robot)
+
+
 def test_own_tables_are_read_as_ever(tmp_path: Path) -> None:
     run = simulate_short_run()
     export_csv(run, tmp_path / "own.csv")
@@ -381,6 +406,9 @@ def test_parquet_of_other_programs_is_read(tmp_path: Path) -> None:
     assert run.poses.heading_rad == pytest.approx([math.pi / 2])
     assert run.commands.time_ns.tolist() == [100_000_000]
     assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.000000000Z"
+    since = {"time": np.array([5, 105], dtype="timedelta64[ms]"), "x": [0, 1], "y": [0, 0]}
+    parquet.write_table(pa.table({**since, "yaw": [0, 0]}), tmp_path / "since.parquet")
+    assert read_run(tmp_path / "since.parquet").poses.time_ns.tolist() == [0, 100_000_000]
     parquet.write_table(
         pa.table({"t": [0], "x": ["a"], "y": [0], "yaw": [0]}), tmp_path / "a.parquet"
     )
@@ -457,6 +485,119 @@ def test_headings_may_be_rounded_but_no_more(turned: float, tmp_path: Path) -> N
     else:
         with pytest.raises(LogError, match="other values in heading_rad"):
             require_same_poses(path, replace(run, poses=poses))
+
+
+@pytest.mark.parametrize(
+    ("step", "unit"), [(1500, "ms"), (1700, "us"), (1_500_000, "us"), (1_700_000, "ns")]
+)
+def test_steps_that_are_no_seconds_name_the_likely_unit(
+    step: int, unit: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path, "stamp,x,y,yaw", *[(step * row, row, 0, 0) for row in range(3)])
+    with pytest.raises(LogError, match=rf"--column t='stamp \[{unit}\]' names"):
+        read_run(path)
+
+
+def test_px4s_quaternions_begin_with_w(tmp_path: Path) -> None:
+    header = "t,x,y,q[0],q[1],q[2],q[3]"
+    turned = [(row, row, 0, math.cos(0.2), 0, 0, math.sin(0.2)) for row in range(3)]
+    path = write(tmp_path, header, *turned)
+    assert read_run(path).poses.heading_rad == pytest.approx(0.4)
+    names = {"qx": "q[0]", "qy": "q[1]", "qz": "q[2]", "qw": "q[3]"}
+    assert read_run(path, columns=names).poses.heading_rad != pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("turn_rad", [0.09, 0.11])
+def test_quaternions_in_another_order_are_said(turn_rad: float, tmp_path: Path) -> None:
+    parts = [(math.cos(a / 2), 0, 0, math.sin(a / 2)) for a in (0.0, turn_rad)]
+    rows = [(row, row, 0, *part) for row, part in enumerate(parts)]
+    note = read_run(write(tmp_path, "t,x,y,qx,qy,qz,qw", *rows)).notes.get("quaternion_order", "")
+    assert (note.count("--column") == 4) == (turn_rad > 0.1)
+    assert "quaternion_order" not in read_run(write(tmp_path, "t,x,y,qw,qx,qy,qz", *rows)).notes
+    rolled = [(row, row, 0, part[3], 0.1, 0, part[0]) for row, part in enumerate(parts)]
+    assert "quaternion_order" not in read_run(write(tmp_path, "t,x,y,qx,qy,qz,qw", *rolled)).notes
+
+
+def test_of_euler_angles_psi_is_the_heading(tmp_path: Path) -> None:
+    row = (0, 0, 0, 0.1, 0.2, 0.3)
+    assert read_run(write(tmp_path, "t,x,y,phi,theta,psi", row)).poses.heading_rad == [0.3]
+    with pytest.raises(LogError, match="expected one for heading, found theta and psi"):
+        read_run(write(tmp_path, "t,x,y,phase,theta,psi", row))
+
+
+def test_a_first_row_like_the_second_is_no_header(tmp_path: Path) -> None:
+    rows = [(5, 100_000_000 * row, "odom", 1.0 + row, 0, 0.0) for row in range(3)]
+    path = write(tmp_path, ",".join(map(str, rows[0])), *rows[1:])
+    with pytest.raises(LogError, match="no column for t, x, y and heading; there are #1, #2, #3"):
+        read_run(path)
+    columns = {"t": "#1", "t_nanosec": "#2", "x": "#4", "y": "#5", "heading": "#6"}
+    run = read_run(path, columns=columns)
+    assert run.poses.xy_m[:, 0].tolist() == [1.0, 2.0, 3.0]
+    assert run.poses.time_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert "t_nanosec from #2 [ns]" in run.notes["columns"]
+    micro = read_run(path, columns={**columns, "t_nanosec": "#2 [us]"})
+    assert micro.poses.time_ns[1] == 100_000_000_000
+    headed = write(tmp_path, "5,t,frame,x,y,yaw", *rows)
+    assert len(read_run(headed, columns={"t": "t [ns]"}).poses) == 3
+
+
+def test_a_column_without_a_name_is_shown_by_its_number(tmp_path: Path) -> None:
+    path = write(tmp_path, ",x,y,yaw", ("2024-03-31 01:59:50", 0, 0, 0))
+    with pytest.raises(LogError, match="no column for t; there are #1, x, y, yaw: "):
+        read_run(path)
+    assert len(read_run(path, columns={"t": "#1"}).poses) == 1
+
+
+def write_robots(path: Path, *, rows: int, name: str = "id") -> Path:
+    """Write 40 poses of a robot 1 and `rows` of a robot 2, 5 m beside it, in order of time."""
+    poses = [(0.1 * row, 0.01 * row, 0.0, 0.0, 1) for row in range(40)]
+    poses += [(0.1 * row, 0.01 * row, 5.0, 0.0, 2) for row in range(rows)]
+    return write(path, f"t,x,y,yaw,{name}", *sorted(poses))
+
+
+@pytest.mark.parametrize(("rows", "is_mixed"), [(9, False), (10, True)])
+def test_rows_of_several_robots_are_not_one_path(
+    rows: int, *, is_mixed: bool, tmp_path: Path
+) -> None:
+    path = write_robots(tmp_path, rows=rows)
+    if not is_mixed:
+        assert len(read_run(path).poses) == 40 + rows
+        return
+    line = r"rows of several robots alternate: --robot 1 or --robot 2 chooses a robot"
+    with pytest.raises(LogError, match=line):
+        read_run(path)
+    run = read_run(path, robot="2")
+    assert (run.name, len(run.poses), run.poses.xy_m[0, 1]) == ("drive:2", rows, 5.0)
+    assert len(read_trajectory(path, ReadChoice(robot="1")).time_ns) == 40
+
+
+def test_other_numbers_of_rows_are_no_robots(tmp_path: Path) -> None:
+    assert len(read_run(write_robots(tmp_path, rows=30, name="battery")).poses) == 70
+    rows = [(0.1 * row, 0.01 * row, 0.0, 0.0) for row in range(40)]
+    for numbers in (range(40), [row // 10 % 2 for row in range(40)]):  # rows, and laps
+        numbered = [(*row, number) for row, number in zip(rows, numbers, strict=True)]
+        assert len(read_run(write(tmp_path, "t,x,y,yaw,id", *numbered)).poses) == 40
+
+
+@pytest.mark.parametrize(
+    ("start", "offset_s", "first"),
+    [
+        ("2023-11-14T22:13:20.500000001Z", None, "1700000000.500000001"),
+        ("2023-11-14T22:13:20.500000001Z", 0.003, "1700000000.497000001"),  # times are stamps
+        ("-0.100000000 s", None, "-0.100000000"),
+        ("2023-11-14T22:13:20", None, "0.000000000"),  # an unknown zone, as in the paper's logs
+    ],
+)
+def test_a_trajectory_has_the_times_of_its_source(
+    start: str, offset_s: float | None, first: str, tmp_path: Path
+) -> None:
+    clock = None if offset_s is None else Clock(used="stamp", ratio=1.0, offset_s=offset_s)
+    notes = {"original_timestamp": start}
+    run = replace(simulate_short_run(), notes=notes, clock=clock)
+    (path,) = export_tum(run, tmp_path / "kp4.tum")
+    assert path.read_text().startswith(f"{first} ")
+    require_same_poses(path, run)
+    assert read_trajectory(path).time_ns[0] == build_planar_trajectory(run).time_ns[0]
 
 
 @pytest.mark.parametrize("rows", [-1, 1])

@@ -56,6 +56,10 @@ ONCE = [*range(40)]
         ([*range(9), *range(10)], [19]),
         ([*ONCE, *range(19, 59)], [40, 40]),  # back to half of the run
         ([*ONCE, *range(20, 60)], [80]),
+        ([*ONCE, 0, 1, 2, 4, 3, *range(5, 40)], [40, 40]),  # late rows after its start
+        ([*ONCE, *range(9), 7, *range(9, 40)], [40, 41]),
+        ([*ONCE, *(4 * [*range(9)]), *ONCE], [76, 40]),
+        ([*ONCE, 5, *range(40, 80), *ONCE], [81, 40]),
     ],
 )
 def test_times_that_start_again_begin_a_run(times: list[int], runs: list[int]) -> None:

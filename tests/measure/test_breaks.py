@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.log.runs import find_shared, make_bare_run, simulate_preset
 from turtlelog import Run, read_run
 from turtlelog.measure.breaks import find_gaps, find_jumps
-from turtlelog.measure.pose_notes import describe_breaks
+from turtlelog.measure.pose_quality import describe_breaks
 from turtlelog.run import PoseColumns
 from turtlelog.run.angles import wrap_angle
 

@@ -8,8 +8,12 @@ import pytest
 import turtlelog as tl
 from tests.measure.driven import Values, make_driven_run
 from tests.measure.driven_robots import read, tell
-from turtlelog.measure.pose_noise import find_scatter, measure_noise, measure_speed_noise
-from turtlelog.measure.pose_notes import describe_poses
+from turtlelog.measure.pose_quality import (
+    describe_poses,
+    find_scatter,
+    measure_noise,
+    measure_speed_noise,
+)
 from turtlelog.run.angles import wrap_angle
 
 SMOOTH = "run.spectral_arc_length"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 import turtlelog as tl
 from tests.measure.driven import make_driven_run
 from tests.measure.driven_robots import AT_20_HZ, drive, read, tell
-from turtlelog.measure.pose_notes import describe_poses
+from turtlelog.measure.pose_quality import describe_poses
 from turtlelog.run import take_rows
 
 

@@ -8,7 +8,7 @@ import pytest
 import turtlelog as tl
 from tests.measure.driven_robots import AT_20_HZ, drive
 from turtlelog.measure import describe_sideways
-from turtlelog.measure.pose_notes import describe_poses
+from turtlelog.measure.pose_quality import describe_poses
 
 
 def strafe(command_m_s: float, aside_m_s: float) -> tl.Run:

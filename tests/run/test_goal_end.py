@@ -172,3 +172,24 @@ def test_a_distance_that_is_rounding_is_at_the_goal(error_m: float, told: str) -
     end = find_goal_end(end_at(error_m, stop_reason=None, parameters=parameters))
     assert end is not None
     assert end.describe().startswith(told)
+
+
+def test_the_line_begins_where_the_goal_was_given_as_that_of_the_metrics() -> None:
+    poses = tl.run.PoseColumns(
+        time_ns=np.arange(4) * 1_000_000_000,
+        xy_m=np.array([[0.0, 0.0], [0.0, 2.0], [2.0, 2.0], [3.8, 2.1]]),
+        heading_rad=np.array([1.57, 0.0, 0.0, 0.0]),
+    )
+    run = tl.Run(
+        name="bag",
+        source="bag",
+        poses=poses,
+        commands=tl.run.CommandColumns.build_empty(),
+        samples=tl.run.SampleColumns.build_empty(),
+        goal_xy_m=(4.0, 2.0),
+        notes={"goal_set_ns": "1000000000"},
+    )
+    end = find_goal_end(run)
+    assert end is not None
+    assert end.left_m == pytest.approx(tl.measure_run(run)["final.cross_track"].value)
+    assert (end.left_m, end.short_m) == pytest.approx((0.1, 0.2))

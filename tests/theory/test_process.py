@@ -287,7 +287,7 @@ def test_margins_of_p_are_those_of_the_closed_forms() -> None:
         assert margins is not None
         assert margins.gain_margin == pytest.approx(known.gain_margin, rel=1e-9)
         assert margins.phase_margin_rad == pytest.approx(known.phase_margin_rad, rel=1e-9)
-        assert margins.delay_margin_ticks == pytest.approx(known.delay_margin_ticks, rel=1e-9)
+        assert margins.delay_margin_s == pytest.approx(known.delay_margin_s, rel=1e-9)
         assert margins.gain_reduction is None
 
 
@@ -297,12 +297,12 @@ def test_a_loop_becomes_unstable_where_its_margins_end(gains: PidGains) -> None:
     margins = analyse_pid_loop(gains, period_s=T, process=process).margins
     assert margins is not None
     assert margins.gain_margin is not None
-    assert margins.delay_margin_ticks is not None
+    assert margins.delay_margin_s is not None
     for share, is_stable in [(1.0 - 1e-6, True), (1.0 + 1e-6, False)]:
         k = share * margins.gain_margin
         more = PidGains(kp=k * gains.kp, ki=k * gains.ki, kd=k * gains.kd)
         assert is_pid_stable(more, period_s=T, process=process) == is_stable
-    whole = math.floor(margins.delay_margin_ticks)
+    whole = math.floor(margins.delay_margin_s / T)
     verdicts = [
         is_pid_stable(gains, period_s=T, dead_time_ticks=ticks, process=process)
         for ticks in (whole, whole + 1)

@@ -18,6 +18,7 @@ from turtlelog.theory import (
     PidGains,
     Process,
     Recommendation,
+    analyse_pid_loop,
     compute_overshoot_gain,
     compute_pid_step_response,
     find_stable_gains,
@@ -346,6 +347,18 @@ def test_the_half_rule_makes_dead_time_of_half_a_lag() -> None:
     assert pd is not None
     assert p.kp == pytest.approx(0.5 / (0.08 + 0.025 + 0.1 + 0.02))
     assert (pd.kp, pd.kd / pd.kp) == pytest.approx((0.5 / (0.08 + 0.025 + 0.01), 0.21))
+
+
+def test_a_rule_is_measured_with_the_filter_of_the_derivative() -> None:
+    robot, gains = Process(lag_s=0.2, dead_time_s=0.03), []
+    for filter_s in (0.0, 0.1):
+        pd = find("simc", "PD", *recommend_gains(robot, period_s=0.05, filter_s=filter_s))
+        assert pd.gains is not None
+        loop = analyse_pid_loop(replace(pd.gains, filter_s=filter_s), period_s=0.05, process=robot)
+        assert pd.margins == loop.margins
+        gains.append((pd.gains.kp, pd.gains.kd, pd.gains.filter_s))
+    assert gains[0][:2] == gains[1][:2]
+    assert (gains[0][2], gains[1][2]) == (0.0, 0.1)
 
 
 def test_ziegler_and_nichols_leave_a_gain_margin_of_two() -> None:

@@ -3,7 +3,7 @@
 Headings are in degrees. Long curves are thinned to rows that give the same picture.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -197,15 +197,9 @@ def list_levels(run: Run, signal: str) -> list[Level]:
     return list(dict.fromkeys(levels))
 
 
-def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
-    """Return the limits of a command in all runs, rising."""
-    keys = dict.fromkeys(key for run in runs for key in run.declaration.list_limits(command))
-    return sorted({limit for key in keys for limit in find_parameters(runs, key)})
-
-
-def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
-    """Return the values of a parameter in all runs, rising, without infinite values."""
-    found = {run.parameters.get(key) for run in runs}
+def find_limits(run: Run, keys: Iterable[str]) -> list[float]:
+    """Return the different values of limits or tolerances that can be reached, rising."""
+    found = {run.parameters.get(key) for key in keys}
     return sorted(float(one) for one in found if isinstance(one, int | float) and is_limit(one))
 
 

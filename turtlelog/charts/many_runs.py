@@ -157,8 +157,7 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     """
     differing = list_differing(runs)
     differing = [key for key in differing if not key.endswith("seed")] or differing
-    gains = {key for run in runs for key in run.declaration.list_gains()}
-    word = ""
+    gains, word = _list_gain_keys(runs), ""
     is_of_gain = bool(gains & {*differing}) and all(map(has_one_gain, runs))
     is_apart = is_of_gain and len({run.parameters.get(min(gains)) for run in runs}) == len(runs)
     if is_of_gain and ({*differing} <= gains or is_apart):
@@ -177,7 +176,7 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
 
 def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:
     """Return the numbers of runs by their gain; empty if a run has no single gain."""
-    keys = {key for run in runs for key in run.declaration.list_gains()}
+    keys = _list_gain_keys(runs)
     if not keys or not all(map(has_one_gain, runs)):
         return {}
     groups: dict[float, list[int]] = {}
@@ -187,6 +186,10 @@ def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:
             return {}
         groups.setdefault(float(gain), []).append(number)
     return groups
+
+
+def _list_gain_keys(runs: Sequence[Run]) -> set[str]:
+    return {key for run in runs for key in run.declaration.list_gains()}
 
 
 def find_gain_unit(runs: Sequence[Run], key: str) -> str:
@@ -200,8 +203,7 @@ def shorten_run_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, .
     """Return names, or if a name is long, how the runs differ: `Kp 4, no speed limit`."""
     if max(map(len, names)) <= LONGEST_NAME or len(runs) < 2:
         return tuple(names)
-    keys = list_differing(runs)
-    gains = {key for run in runs for key in run.declaration.list_gains()}
+    keys, gains = list_differing(runs), _list_gain_keys(runs)
     if gains and gains <= {*keys} and all(map(has_one_gain, runs)):
         keys = [min(gains), *(key for key in keys if key not in gains)]
     if 0 < len(keys) <= _MOST_KEYS:

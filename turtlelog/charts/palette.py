@@ -255,8 +255,7 @@ LOOP_DASHES: Final[tuple[Dash, ...]] = ("solid", "dashed", "dash-dot", "dotted")
 """Dashes of a law's loops in declared order. With more loops, the dashes repeat."""
 
 RUN_MARKERS: Final[tuple[Marker, ...]] = ("up", "diamond", "down", "plus", "star", "left", "right")
-"""Markers of runs with distinct hues, for pictures without colour: triangles up, down, left and
-right, and others. Discs, squares and crosses mark places and values."""
+"""Markers of runs with distinct hues; discs, squares and crosses mark places and values."""
 
 
 def choose_curve_color(kind: "CurveKind", run: Color, *, is_alone: bool) -> Color:

@@ -217,11 +217,8 @@ def list_time_gaps(
 ) -> list[tuple[float, float, str]]:
     """Return the longest gaps of some times, as `list_seen_gaps` does.
 
-    Args:
-        time_ns: Times [ns], ascending.
-        zero_ns: Origin of the results [ns].
-        least_ns: Smallest length of a gap [ns]. Default: 1 % of the duration.
-        missing: What a gap lacks.
+    The times ascend, and the results are relative to a zero [ns]. The smallest length of a gap is
+    1 % of the duration by default; `missing` is what a gap lacks.
     """
     least_ns = _LEAST_SHARE * float(np.ptp(time_ns)) if least_ns is None else least_ns
     rows = _find_long_gaps(time_ns, least_ns)

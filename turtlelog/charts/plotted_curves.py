@@ -154,8 +154,7 @@ def leaves_out(count: int, plot: TimePlot) -> bool:
 
 
 _LEAST_MAGNITUDE: Final = 1e-100
-"""Smallest magnitude on a logarithmic scale: far below the resolution of an error in 64 bits, and
-far above the smallest float, below which the axis would end at 0."""
+"""Smallest magnitude on a logarithmic scale, far below an error's resolution and above 0."""
 
 
 def take_magnitude(curve: Curve) -> Curve:

@@ -29,37 +29,18 @@ _TOLERANCES: Final[Mapping[str, str]] = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeasuredRate:
-    """A measured rate without its outliers, and the outliers."""
+def read_measured(run: Run, command: Command) -> tuple[Curve, Curve] | None:
+    """Return a robot's reported `speed` or `turn_rate` without its outliers, and the outliers.
 
-    command: Command  # command that the rate responds to
-    curve: Curve  # all other values
-    outliers: Curve  # values that would flatten every other curve. The data keep these values
-
-    def name_outliers(self) -> str:
-        """Return text on the outliers, of several the largest; empty without outliers."""
-        found = self.outliers
-        if not len(found.values):
-            return ""
-        row = int(np.abs(found.values).argmax())
-        text = f"{found.values[row]:.4g} {COMMAND_UNITS[self.command]} at {found.time_s[row]:.1f} s"
-        count = len(found.values)
-        return f"outlier {text}" if count == 1 else f"{describe_count(count, 'outlier')} to {text}"
-
-
-def read_measured(run: Run, command: Command) -> MeasuredRate | None:
-    """Return the `speed` or `turn_rate` that a robot reports; None without reports."""
+    Outliers would flatten every other curve. The result is None without reports.
+    """
     curve = read_curve(run, f"measured_{command}")
     if curve is None:
         return None
     outliers = find_outliers(curve.time_ns, curve.values)
     rest = np.delete(np.arange(len(curve.values)), outliers)
-    return MeasuredRate(
-        command=command,
-        curve=part_curve(run, curves.select_curve_rows(curve, rest)),
-        outliers=curves.select_curve_rows(curve, outliers),
-    )
+    calm = part_curve(run, curves.select_curve_rows(curve, rest))
+    return calm, curves.select_curve_rows(curve, outliers)
 
 
 def find_plot(name: str, runs: Sequence[Run]) -> TimePlot:
@@ -93,14 +74,20 @@ def _read_signal(run: Run, signal: str) -> Iterator[Curve]:
         yield part_curve(run, curve)
 
 
-def _read_rate(run: Run, command: Command, *, is_outlier: bool) -> Iterator[Curve]:
+def _read_rate(run: Run, command: Command) -> Iterator[Curve]:
     measured = read_measured(run, command)
-    if measured is None:
-        return
-    if not is_outlier:
-        yield measured.curve
-    elif len(measured.outliers.values):
-        yield replace(measured.outliers, label=measured.name_outliers())
+    if measured is not None:
+        yield measured[0]
+
+
+def _read_outliers(run: Run, command: Command) -> Iterator[Curve]:
+    """Yield the outliers of a measured rate, if there are any, with the largest as text."""
+    _, found = read_measured(run, command) or (None, None)
+    if found is not None and len(found.values):
+        row, count = int(np.abs(found.values).argmax()), len(found.values)
+        text = f"{found.values[row]:.4g} {COMMAND_UNITS[command]} at {found.time_s[row]:.1f} s"
+        many = f"{describe_count(count, 'outlier')} to {text}"
+        yield replace(found, label=f"outlier {text}" if count == 1 else many)
 
 
 def _list_zero(_: Run) -> Iterator[Level]:
@@ -110,13 +97,13 @@ def _list_zero(_: Run) -> Iterator[Level]:
 def _list_errors(run: Run, signal: str) -> Iterator[Level]:
     """Yield zero, and the tolerance within which an error counts as zero."""
     yield from _list_zero(run)
-    for tolerance in curves.find_parameters([run], _TOLERANCES[signal]):
+    for tolerance in curves.find_limits(run, [_TOLERANCES[signal]]):
         value = float(np.degrees(tolerance)) if signal == "heading_error" else tolerance
         yield Level(label="tolerance", value=value, kind="tolerance")
 
 
 def _list_limits(run: Run, command: Command) -> Iterator[Level]:
-    for limit in curves.find_limits([run], command):
+    for limit in curves.find_limits(run, run.declaration.list_limits(command)):
         for sign in (-1.0, 1.0):
             yield Level(label="limit", value=sign * limit, kind="limit")
 
@@ -172,15 +159,14 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
     label = "|applied|" if command == "speed" else "applied"
     applied = partial(_read_one, partial(curves.read_applied, command=command))
     commanded = partial(_read_one, partial(curves.read_command, command=command))
-    rate = partial(_read_rate, command=command)
     return TimePlot(
         title=title,
         unit=COMMAND_UNITS[command],
         curves=(
             _signal(command, "commanded", commanded, name="commanded"),
             _add("applied", "applied", applied, label),
-            _add("measured", "measured", partial(rate, is_outlier=False)),
-            _add("outlier", "outliers", partial(rate, is_outlier=True), label="outlier"),
+            _add("measured", "measured", partial(_read_rate, command=command)),
+            _add("outlier", "outliers", partial(_read_outliers, command=command), label="outlier"),
         ),
         list_levels=partial(_list_limits, command=command),
         figure=command.replace("_", "-"),
@@ -409,22 +395,15 @@ def plan_film(
 ) -> Film:
     """Return the times of a movie's pictures, from the first pose of any run to the last pose.
 
-    Args:
-        runs: Runs in one picture.
-        timeline: Timeline on which the runs are together: `TIMELINE` or that of a phase.
-        length_s: Length of the movie [s]. Default: real time, within limits.
-        pictures_per_s: Picture rate [1/s].
-
-    Raises:
-        ShowError: If a run has no such timeline.
+    The runs are together on `TIMELINE` or that of a phase, which each must have. The default length
+    is real time, within limits.
     """
     zeros_ns = tuple(_find_zero_ns(run, timeline) for run in runs)
     ends_ns = [run.poses.time_ns[[0, -1]] - zero for run, zero in zip(runs, zeros_ns, strict=True)]
     first_s, last_s = float(np.min(ends_ns)) / 1e9, float(np.max(ends_ns)) / 1e9
-    span_s = last_s - first_s
-    length_s = _choose_length(span_s) if length_s is None else length_s
-    still_s = min(_STILL_S, _MOST_STILL * length_s)
-    driving = max(round((length_s - still_s) * pictures_per_s), 2)
+    whole_s = _choose_length(last_s - first_s) if length_s is None else length_s
+    still_s = min(_STILL_S, _MOST_STILL * whole_s)
+    driving = max(round((whole_s - still_s) * pictures_per_s), 2)
     still = max(round(still_s * pictures_per_s), 1)
     moments = np.linspace(first_s, last_s, driving)
     return Film(
@@ -432,7 +411,7 @@ def plan_film(
         zeros_ns=zeros_ns,
         time_s=np.append(moments, np.full(still, last_s)),
         driving=driving,
-        pace=span_s * pictures_per_s / driving,
+        pace=(last_s - first_s) * pictures_per_s / driving,
     )
 
 

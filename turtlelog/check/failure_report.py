@@ -43,8 +43,8 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
 
     Only the first violated results of the run are shown in full.
     """
-    lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
-    return [escape_controls(line) for line in lines]
+    scenario = map(escape_controls, _list_scenario(run, results[0]))
+    return [*describe_results(run, *results), *scenario]
 
 
 def describe_results(run: Run, *results: CheckResult) -> list[str]:
@@ -232,10 +232,8 @@ class ArtifactWriter:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as err:
-            found = f"found: {err.strerror}"
-            raise errors.CheckError(
-                f"{self._folder}: expected a folder to write to, {found}"
-            ) from err
+            expected = f"expected a folder to write to, found: {err.strerror}"
+            raise errors.CheckError(f"{self._folder}: {expected}") from err
         base = self._folder / name_files(result, prefix)
         rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
         at_s = result.first_violation_s
@@ -357,9 +355,12 @@ def _explain(
     trust_law: bool,
     are_recorded: bool = True,
 ) -> tuple[str, ...]:
-    lengths_s = [float(one.end_ns - one.poses.time_ns[0]) / 1e9 for one in (reference, run)]
-    if max(lengths_s) > _LONGEST_S:
-        return (f"Not explained here: a run of {max(lengths_s):.0f} s takes longer.",)
+    for who, one in (("the reference", reference), ("this run", run)):
+        if not len(one.poses):
+            return (f"Not explained: {who} has no poses.",)
+    length_s = max(one.end_ns - int(one.poses.time_ns[0]) for one in (reference, run)) / 1e9
+    if length_s > _LONGEST_S:
+        return (f"Not explained here: a run of {length_s:.0f} s takes longer.",)
     began_s = perf_counter()
 
     def require_time(done: int, total: int) -> None:

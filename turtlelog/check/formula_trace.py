@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.check.spec import find_kind
+from turtlelog.compare.common_clock import find_range_maxima, merge_times
 from turtlelog.errors import CheckError
 from turtlelog.expressions import (
     Expression,
@@ -287,9 +288,7 @@ def align_steps(functions: list[Steps]) -> tuple[Times, list[Values]]:
     times = [function.time_ns for function in functions]
     if all(np.array_equal(time_ns, times[0]) for time_ns in times[1:]):
         return times[0], [function.values for function in functions]
-    merged = np.concatenate(times)
-    merged.sort(kind="stable")  # merges sorted runs
-    union = merged[np.append(merged[1:] != merged[:-1], True)]
+    union = merge_times(times)
     pieces = [function.time_ns.searchsorted(union, side="right") - 1 for function in functions]
     return union, [one.values[piece] for one, piece in zip(functions, pieces, strict=True)]
 
@@ -378,43 +377,8 @@ def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
         time_ns = time_ns[kept]
         firsts = firsts[kept]
         lasts = lasts[kept]
-    values = _find_range_maxima(function.values, firsts, lasts)
+    values = find_range_maxima(function.values, firsts, lasts)
     return Steps(time_ns=time_ns, values=values)
-
-
-def _find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
-    """Return the maximum of values[first] to values[last] for each pair.
-
-    Ranges that reach the end use suffix maxima. Other ranges use two overlapping maxima of 2^k
-    values. Firsts and lasts do not decrease.
-    """
-    inner = int(np.searchsorted(lasts, len(values) - 1))
-    found = np.empty(len(firsts))
-    found[inner:] = np.maximum.accumulate(values[::-1])[::-1][firsts[inner:]]
-    firsts, lasts = firsts[:inner], lasts[:inner]
-    levels = _find_levels(lasts - firsts + 1)
-    maxima, level = values, 0
-    for target in np.flatnonzero(np.bincount(levels)):
-        while level < target:
-            maxima = np.maximum(maxima[: -(1 << level)], maxima[1 << level :])
-            level += 1
-        rows = slice(None) if levels.size == 1 else np.flatnonzero(levels == target)
-        ends = lasts[rows] - ((1 << level) - 1)
-        found[:inner][rows] = np.maximum(maxima[firsts[rows]], maxima[ends])
-    return found
-
-
-def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
-    """Return the largest k with 2^k <= count for each; a single k if all are equal."""
-    if not len(counts):
-        return np.empty(0, np.int64)
-    extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
-    if extremes[0] == extremes[1]:
-        return extremes[:1]
-    levels = np.zeros(len(counts), np.int8)  # few of 64 levels occur: cheaper than all logarithms
-    for level in range(1, int(extremes[1]) + 1):
-        levels += counts >= (1 << level)
-    return levels
 
 
 def _scan_until(held: Values, coming: Values) -> Values:

@@ -66,10 +66,6 @@ class ReferenceFile:
     def __repr__(self) -> str:
         return f"<reference {self.path}>"
 
-    def load(self) -> Run | MetricsFile:
-        """Return the run or metrics in the file; CheckError if it is missing or has no metrics."""
-        return load_reference(self.path)
-
     def accept(self, run: Run, source: Path) -> None:
         """Write the file from a run; CheckError if one session writes it from two recordings."""
         self._claim(source.resolve())
@@ -193,6 +189,9 @@ AnyReference: TypeAlias = (
     Run | ReferenceFile | MetricsFile | Mapping[str, measure.Metric] | str | Path
 )
 
+_OF_MOTION: Final = ("distance", "speed", "turn_rate")
+"""Signals shown around a violation that has no signal of its own."""
+
 _SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
 _METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
 
@@ -222,17 +221,16 @@ def match_run(
         CompareError: If there is no such alignment, or the runs do not overlap.
     """
     if isinstance(reference, ReferenceFile):
-        reference = reference.load()
+        reference = reference.path
     if isinstance(reference, str | Path):
         reference = load_reference(make_path(reference))
     if isinstance(tolerance, str | Path):
         tolerance = load_tolerances(tolerance)
     if isinstance(tolerance, Tolerances) and not tolerance:
         raise CheckError("tolerance: names no signal or metric")
-    if isinstance(reference, MetricsFile):
-        results = _match_metrics(run, reference.metrics, tolerance)
-    elif not isinstance(reference, Run):
-        results = _match_metrics(run, reference, tolerance)
+    if not isinstance(reference, Run):
+        metrics = reference.metrics if isinstance(reference, MetricsFile) else reference
+        results = _match_metrics(run, metrics, tolerance)
     elif isinstance(tolerance, Tolerances):
         results = [*_judge_run(run, reference, tolerance, alignment)]
     else:
@@ -274,7 +272,7 @@ def judge_replay(
             expected="as recorded",
             first_violation_s=(other.time_ns - run.start_ns) / 1e9,
             reason=describe(other),
-            names=("distance", "speed", "turn_rate"),
+            names=_OF_MOTION,
         )
         for other in found.others
     ]
@@ -285,9 +283,8 @@ def _judge_run(
     run: Run, reference: Run, tolerances: Tolerances, alignment: str
 ) -> Iterator[CheckResult]:
     differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
-    start_ns = run.start_ns - find_zero_ns(
-        run, alignment, reference
-    )  # zero of the times in results
+    zero_ns = find_zero_ns(run, alignment, reference)
+    start_ns = run.start_ns - zero_ns  # zero of the times in results
 
     def describe(difference: Difference) -> str:
         sides = (difference.replayed, difference.recorded)
@@ -372,19 +369,18 @@ def _judge_metric(
         return _leave_open(check, unit, reason, names)
     off = kind.compute_loss(metric.value, reference.value)
     limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
-    sides = metric.value, reference.value
-    return CheckResult(
-        file="",
-        check=check,
-        verdict=Verdict.PASS if off <= limit else Verdict.FAIL,
-        expected=f"within {format_number(limit, unit)} of the reference",
-        value=off,
-        limit=limit,
-        margin=limit - off,
-        unit=unit,
-        reason="" if off <= limit else _tell_sides(sides, unit),
-        names=names,
-    )
+    reason = _tell_sides((metric.value, reference.value), unit)
+    expected = f"within {format_number(limit, unit)} of the reference"
+    return _judge_distance(check, off, limit, unit, reason, expected=expected, names=names)
+
+
+def _judge_distance(
+    check: str, off: float, limit: float, unit: str, reason: str, **more: Any
+) -> CheckResult:
+    """Return the verdict on a distance, with the reason if it is beyond its limit."""
+    verdict, told = (Verdict.PASS, "") if off <= limit else (Verdict.FAIL, reason)
+    numbers: Any = {"value": off, "limit": limit, "margin": limit - off, "unit": unit}
+    return CheckResult(file="", check=check, verdict=verdict, reason=told, **numbers, **more)
 
 
 def _leave_open(check: str, unit: str, reason: str, names: tuple[str, ...]) -> CheckResult:
@@ -418,19 +414,12 @@ def _judge_length(run: Run, reference: Run, window_s: float) -> CheckResult:
     """Return whether both runs have the same length; signals are compared on the overlap."""
     lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
     off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
-    return CheckResult(
-        file="",
-        check="length",
-        verdict=Verdict.PASS if off_s <= limit_s else Verdict.FAIL,
-        expected="as long as the reference",
-        value=off_s,
-        limit=limit_s,
-        margin=limit_s - off_s,
-        unit="s",
-        first_violation_s=None if off_s <= limit_s else min(lengths_s),
-        reason="" if off_s <= limit_s else f"{lengths_s[0]:g} s long, not {lengths_s[1]:g} s",
-        names=("distance", "speed", "turn_rate"),
+    reason, expected = (
+        f"{lengths_s[0]:g} s long, not {lengths_s[1]:g} s",
+        "as long as the reference",
     )
+    more = {"first_violation_s": None if off_s <= limit_s else min(lengths_s), "names": _OF_MOTION}
+    return _judge_distance("length", off_s, limit_s, "s", reason, expected=expected, **more)
 
 
 def _match_metrics(
@@ -447,8 +436,8 @@ def _match_metrics(
     if missing:
         raise CheckError(f"reference: has no metric {missing[0]}")
     measured = measure.measure_run(run, only=list(wanted))
-    results = []
-    for name, limit in wanted.items():
-        names = choose_signals([name], run.declaration)
-        results += [_judge_metric(measured[name], reference[name], limit, names, is_strict=False)]
-    return results
+    shown = {name: choose_signals([name], run.declaration) for name in wanted}
+    return [
+        _judge_metric(measured[name], reference[name], limit, shown[name], is_strict=False)
+        for name, limit in wanted.items()
+    ]

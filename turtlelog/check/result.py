@@ -2,6 +2,7 @@
 
 import enum
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
@@ -23,14 +24,14 @@ from turtlelog.measure import (
     list_metrics,
     measure_run,
 )
-from turtlelog.run import Run, slice_run
+from turtlelog.run import Run, slice_run, take_rows
 
 if TYPE_CHECKING:
     from turtlelog.check.reference import MetricsFile
 
 Grown = dict[tuple[str, int], float | None]
-"""Cache of a metric's values by its id and the number of the last pose, because checks repeat
-them."""
+"""Cache of a metric's values by its id and the number of the last pose, or of the last command of a
+log of commands alone, because checks repeat them."""
 
 
 class Verdict(enum.StrEnum):
@@ -246,9 +247,9 @@ def find_metric_violation(
     """Return when a metric first violates a limit, from the first sample [s].
 
     A metric that only grows (an error integral, a maximum) violates an upper limit at the first
-    pose at which the run so far violates it. An awaited time (a settling time) violates the limit
-    when the allowed time is over, a final value at the end of the run. For other metrics, the
-    result is the time of the metric, or None if the metric has no time.
+    pose at which the run so far violates it; without poses, at the first command. An awaited time
+    (a settling time) violates the limit when the allowed time is over, a final value at the end of
+    the run. For other metrics, the result is the time of the metric, or None if it has no time.
     """
     part = metric.id.split(".", 1)[0]
     kind = list_metrics(run.declaration).get(metric.id)
@@ -269,20 +270,22 @@ def find_metric_violation(
 def _find_growth(
     run: Run, name: str, operator: str, limit: float, settings: MeasureSettings | None, grown: Grown
 ) -> float:
-    first = int(np.searchsorted(run.poses.time_ns, run.start_ns, side="left"))
-    last = len(run.poses) - 1
-    while first < last:
-        middle = (first + last) // 2
-        if (name, middle) not in grown:
-            part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
+    time_ns = (run.poses if len(run.poses) else run.commands).time_ns
+
+    def is_violated(row: int) -> bool:
+        if (name, row) not in grown:
+            part = replace(run, commands=take_rows(run.commands, slice(row + 1)))
+            if len(run.poses):
+                part = slice_run(run, end_ns=int(time_ns[row]))
             part = replace(part, stop_reason=run.stop_reason)  # as if it had ended there
-            grown[name, middle] = measure_run(part, settings, only=(name,))[name].value
-        value = grown[name, middle]
-        if value is not None and not OPERATORS[operator](value, limit):
-            last = middle
-        else:
-            first = middle + 1
-    return float(run.poses.time_ns[last] - run.start_ns) / 1e9
+            grown[name, row] = measure_run(part, settings, only=(name,))[name].value
+        value = grown[name, row]
+        return value is not None and not OPERATORS[operator](value, limit)
+
+    last = len(time_ns) - 1
+    first = min(int(np.searchsorted(time_ns, run.start_ns)), last)
+    row = bisect_left(range(last), x=True, lo=first, key=is_violated)
+    return float(time_ns[row] - run.start_ns) / 1e9
 
 
 Note = Callable[[CheckResult], None]

@@ -14,7 +14,6 @@ from textwrap import shorten
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.check.formula_trace import (
     FormulaTrace,
@@ -47,8 +46,7 @@ from turtlelog.expressions import (
     iterate_nodes,
     require_kind,
 )
-
-Values = NDArray[np.float64]
+from turtlelog.measure.reductions import Values
 
 _LONGEST_S: Final = 1e18
 """Time after the end of all traces [s]."""

@@ -29,7 +29,7 @@ from turtlelog.measure import (
     list_metrics,
     list_signals,
 )
-from turtlelog.measure.metric import NO_POSES, Status
+from turtlelog.measure.metric import NO_POSES, Missing, Status
 from turtlelog.run import Run, Trajectory, build_planar_trajectory
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import DONE, NAME_PATTERN, Declaration
@@ -342,23 +342,18 @@ def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str,
 def measure_robot(run: Run, names: Iterable[str]) -> dict[str, Metric]:
     """Return values of a run's robot, or the reason for each value that is not identified."""
     names, found = [*names], {}
-    if not names:
-        return {}
+    if not names or not len(run.poses):
+        return {name: _build(name, None, NO_POSES) for name in names}
     from turtlelog.identify import identify_robot  # few checks need it
 
-    model = identify_robot(run) if len(run.poses) else None
+    model = identify_robot(run)
     for name in names:
         axis, field_name, end = ROBOT_VALUES[name]
-        value, status, reason = None, NO_POSES.status, NO_POSES.reason
-        if model is not None:
-            of_axis = getattr(model, axis)
-            estimate = getattr(of_axis, field_name)
-            value = None if estimate is None else getattr(estimate, end)
-            status = Status.UNDETERMINED if value is None else Status.OK
-            lack = of_axis.reason or "the model has no such parameter"
-            reason = lack if value is None else ""
-        unit = OTHER_UNITS[name]
-        found[name] = Metric(id=name, value=value, unit=unit, status=status, reason=reason)
+        of_axis = getattr(model, axis)
+        estimate = getattr(of_axis, field_name)
+        value = None if estimate is None else getattr(estimate, end)
+        lack = of_axis.reason or "the model has no such parameter"
+        found[name] = _build(name, value, Missing(Status.UNDETERMINED, lack))
     return found
 
 
@@ -382,18 +377,19 @@ class TrajectoryJudge:
             own = replace(own or build_planar_trajectory(run), name=file)
             found = compare_trajectories(self.reference, own, self.settings)
         except (CompareError, LogError) as err:
-            return {name: _build(name, None, str(err)) for name in names}
+            lack = Missing(Status.UNDETERMINED, str(err))
+            return {name: _build(name, None, lack) for name in names}
         values = {}
         for name in names:
             kind, quantity, statistic = TRAJECTORY_VALUES[name]
             statistics = found.find_error(kind, quantity)
             assert statistics is not None  # the settings have a length for each kind
-            values[name] = _build(name, float(getattr(statistics, statistic)), "")
+            value = _ERROR_UNITS[quantity][1] * float(getattr(statistics, statistic))
+            values[name] = Metric(id=name, value=value, unit=OTHER_UNITS[name])
         return values
 
 
-def _build(name: str, value: float | None, reason: str) -> Metric:
-    unit, factor = _ERROR_UNITS[TRAJECTORY_VALUES[name][1]]
-    status = Status.UNDETERMINED if value is None else Status.OK
-    shown = None if value is None else factor * value
-    return Metric(id=name, value=shown, unit=unit, status=status, reason=reason)
+def _build(name: str, value: float | None, lack: Missing) -> Metric:
+    """Return a value as a metric, or why it is missing."""
+    status, reason = (lack.status, lack.reason) if value is None else (Status.OK, "")
+    return Metric(id=name, value=value, unit=OTHER_UNITS[name], status=status, reason=reason)

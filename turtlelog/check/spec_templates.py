@@ -230,24 +230,39 @@ def _comment(text: str) -> str:
     return "".join(character if character.isprintable() else "?" for character in text)
 
 
-_TEXT: Final = {"type": "string", "pattern": "\\S"}
-
-_REASON: Final = {**_TEXT, "description": "Why so much and no more."}
-
-_NOT_NEGATIVE: Final = {"type": "number", "minimum": 0}
-
 _LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
 """Pattern of loop names. The run's law determines the loops and phases."""
 
 
+def _field(description: str, **kind: Any) -> dict[str, Any]:
+    return {**kind, "description": description}
+
+
+def _text(description: str) -> dict[str, Any]:
+    return _field(description, type="string", pattern="\\S")
+
+
+def _number(description: str, **limits: float) -> dict[str, Any]:
+    return _field(description, type="number", **limits)
+
+
+def _table(properties: Mapping[str, Any], **head: str) -> dict[str, Any]:
+    """Return the schema of a table with these keys and no others."""
+    return {"type": "object", "additionalProperties": False, **head, "properties": properties}
+
+
+_REASON: Final = _text("Why so much and no more.")
+
+
 def build_schema() -> dict[str, Any]:
     """Return the schema, draft 2020-12. Formulas are texts that `turtlelog check` parses."""
-    signals = {name: _describe("signal", kind) for name, kind in SIGNALS.items()}
-    metrics = {name: _describe("metric", kind) for name, kind in METRICS.items()}
+    signals = {name: _refer("signal", kind) for name, kind in SIGNALS.items()}
+    metrics = {name: _refer("metric", kind) for name, kind in METRICS.items()}
     # Ids of loops are valid for any law, and any law may have further states.
     of_loop = {name: name.partition(f"{ANY_LOOP}.")[2] for name in METRICS if ANY_LOOP in name}
     ids = {f"^{_LOOP}[.]{plain}$": metrics.pop(name) for name, plain in of_loop.items()}
     states = {f"^{STATE_PATTERN}$": {"$ref": "#/$defs/signal"}}
+    alignments = "|".join(ALIGNMENTS).replace("NAME", NAME_PATTERN)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "turtlelog specification and tolerance file",
@@ -256,63 +271,51 @@ def build_schema() -> dict[str, Any]:
         "anyOf": [{"required": [key]} for key in ("checks", "signals", "metrics")],
         "additionalProperties": False,
         "properties": {
-            "format": {"const": FORMAT, "description": "Of this file."},
-            "reference": {
-                **_TEXT,
-                "description": "Recording that tolerances are taken from, relative to this file.",
-            },
-            "alignment": {
-                "type": "string",
-                "pattern": f"^(?:{'|'.join(ALIGNMENTS).replace('NAME', NAME_PATTERN)})$",
-                "description": "How runs and reference are brought together in time.",
-            },
+            "format": _field("Of this file.", const=FORMAT),
+            "reference": _text("Recording that tolerances are taken from, relative to this file."),
+            "alignment": _field(
+                "How runs and reference are brought together in time.",
+                type="string",
+                pattern=f"^(?:{alignments})$",
+            ),
             "trajectory": _build_trajectory(),
             "read": _build_read(),
-            "checks": {
-                "type": "object",
-                "additionalProperties": _build_check(),
-                "description": "What is to hold, by a name of your own.",
-            },
-            "signals": _build_table(signals, patternProperties=states),
-            "metrics": _build_table(metrics, patternProperties=ids),
+            "checks": _field(
+                "What is to hold, by a name of your own.",
+                type="object",
+                additionalProperties=_build_check(),
+            ),
+            "signals": {**_table(signals), "patternProperties": states},
+            "metrics": {**_table(metrics), "patternProperties": ids},
         },
         "$defs": {
-            "signal": _build_tolerance(has_time=True),
-            "metric": _build_tolerance(has_time=False),
+            "signal": _build_tolerance(time_s=_number("How far in time [s].", minimum=0)),
+            "metric": _build_tolerance(),
         },
     }
 
 
-def _build_table(
-    properties: Mapping[str, Any], *, description: str = "", **more: Any
-) -> dict[str, Any]:
-    """Return the schema of a table with these keys and no others."""
-    told = {"description": description} if description else {}
-    head = {"type": "object", "additionalProperties": False, **told}
-    return {**head, "properties": properties, **more}
+def _refer(kind: str, found: SignalKind | MetricKind) -> dict[str, Any]:
+    return {"$ref": f"#/$defs/{kind}", "description": f"[{found.unit}] {found.meaning}"}
 
 
 def _build_trajectory() -> dict[str, Any]:
-    return _build_table(
+    return _table(
         {
-            "align": {"enum": [*ALIGN_IN], "description": "Transformation that is fitted."},
-            "associate": {
-                "enum": [*ASSOCIATIONS],
-                "description": "Poses of one moment: nearest in time, or linearly interpolated.",
-            },
-            "max_difference_s": {
-                **_NOT_NEGATIVE,
-                "description": "Largest difference in time between poses that belong together [s].",
-            },
-            "time_offset_s": {
-                "anyOf": [{"type": "number"}, {"const": "start"}],
-                "description": "Added to times of a recording [s]; start: first poses together.",
-            },
-            "rpe": {**_TEXT, "description": "Length of relative motions, as in 1m or 30deg."},
-            "all_pairs": {
-                "type": "boolean",
-                "description": "A relative motion begins at every pose.",
-            },
+            "align": _field("Transformation that is fitted.", enum=[*ALIGN_IN]),
+            "associate": _field(
+                "Poses of one moment: nearest in time, or linearly interpolated.",
+                enum=[*ASSOCIATIONS],
+            ),
+            "max_difference_s": _number(
+                "Largest difference in time between poses that belong together [s].", minimum=0
+            ),
+            "time_offset_s": _field(
+                "Added to times of a recording [s]; start: first poses together.",
+                anyOf=[{"type": "number"}, {"const": "start"}],
+            ),
+            "rpe": _text("Length of relative motions, as in 1m or 30deg."),
+            "all_pairs": _field("A relative motion begins at every pose.", type="boolean"),
         },
         description="How ate.* and rpe.* are measured beside the reference.",
     )
@@ -320,77 +323,61 @@ def _build_trajectory() -> dict[str, Any]:
 
 def _build_read() -> dict[str, Any]:
     positive = {"type": "number", "exclusiveMinimum": 0}
-    return _build_table(
+    return _table(
         {
-            **{name: {**_TEXT, "description": text} for name, text in READ_TEXTS.items()},
-            "goal": {
-                "type": "array",
-                "items": {"type": "number"},
-                "minItems": 2,
-                "maxItems": 3,
-                "description": "x, y [m] and perhaps the heading [rad].",
-            },
-            "wheels": {
-                "type": "array",
-                "items": positive,
-                "minItems": 2,
-                "maxItems": 2,
-                "description": "Radius of the wheels, and the distance between them [m].",
-            },
-            "wheelbase": {
-                **positive,
-                "description": "Distance of the axles [m], for Ackermann commands.",
-            },
-            "time": {
-                "enum": [*get_args(TimeSource)],
-                "description": "What times poses: the recorder, their stamps, or as is best.",
-            },
-            "columns": {
-                "type": "object",
-                "additionalProperties": _TEXT,
-                "description": "Of a plain table: the column of t, x, y, heading ...",
-            },
+            **{name: _text(meaning) for name, meaning in READ_TEXTS.items()},
+            "goal": _field(
+                "x, y [m] and perhaps the heading [rad].",
+                type="array",
+                items={"type": "number"},
+                minItems=2,
+                maxItems=3,
+            ),
+            "wheels": _field(
+                "Radius of the wheels, and the distance between them [m].",
+                type="array",
+                items=positive,
+                minItems=2,
+                maxItems=2,
+            ),
+            "wheelbase": _field("Distance of the axles [m], for Ackermann commands.", **positive),
+            "time": _field(
+                "What times poses: the recorder, their stamps, or as is best.",
+                enum=[*get_args(TimeSource)],
+            ),
+            "columns": _field(
+                "Of a plain table: the column of t, x, y, heading ...",
+                type="object",
+                additionalProperties={"type": "string", "pattern": "\\S"},
+            ),
         },
         description="What is read of third-party files, also of the reference.",
     )
 
 
 def _build_check() -> dict[str, Any]:
-    return _build_table(
+    table = _table(
         {
-            "expect": {**_TEXT, "description": "Formula over metrics and parameters."},
-            "holds": {**_TEXT, "description": "Formula over signals and time."},
-            "phase": {
-                "type": "string",
-                "pattern": f"^(?!{DONE}$){NAME_PATTERN}$",
-                "description": "Stretch that holds looks at: a phase of the law, or pause.",
-            },
-            "when": {**_TEXT, "description": "Otherwise the check is skipped."},
+            "expect": _text("Formula over metrics and parameters."),
+            "holds": _text("Formula over signals and time."),
+            "phase": _field(
+                "Stretch that holds looks at: a phase of the law, or pause.",
+                type="string",
+                pattern=f"^(?!{DONE}$){NAME_PATTERN}$",
+            ),
+            "when": _text("Otherwise the check is skipped."),
             "reason": _REASON,
-            "observed": {
-                "type": "boolean",
-                "description": "The bound was read off a run; nobody has thought about it.",
-            },
-        },
-        oneOf=[{"required": ["expect"]}, {"required": ["holds"]}],
-        dependentRequired={"phase": ["holds"]},
+            "observed": _field(
+                "The bound was read off a run; nobody has thought about it.", type="boolean"
+            ),
+        }
     )
+    one_of = [{"required": ["expect"]}, {"required": ["holds"]}]
+    return {**table, "oneOf": one_of, "dependentRequired": {"phase": ["holds"]}}
 
 
-def _describe(kind: str, found: SignalKind | MetricKind) -> dict[str, Any]:
-    return {"$ref": f"#/$defs/{kind}", "description": f"[{found.unit}] {found.meaning}"}
-
-
-def _build_tolerance(*, has_time: bool) -> dict[str, Any]:
-    share = {**_NOT_NEGATIVE, "maximum": 1}
-    properties = {
-        "abs": {
-            **_NOT_NEGATIVE,
-            "description": "How far from the reference, in the unit of the name.",
-        },
-        "rel": {**share, "description": "As a share of the reference."},
-        "reason": _REASON,
-    }
-    if has_time:
-        properties["time_s"] = {**_NOT_NEGATIVE, "description": "How far in time [s]."}
-    return {"type": "object", "required": ["reason"], **_build_table(properties)}
+def _build_tolerance(**more: Any) -> dict[str, Any]:
+    distance = _number("How far from the reference, in the unit of the name.", minimum=0)
+    share = _number("As a share of the reference.", minimum=0, maximum=1)
+    properties = {"abs": distance, "rel": share, "reason": _REASON, **more}
+    return {"type": "object", "required": ["reason"], **_table(properties)}

@@ -22,6 +22,7 @@ from turtlelog.check.judge_formula import check_run, find_formula_unit
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
 from turtlelog.check.robustness import split_comparison, walk_formula
 from turtlelog.check.spec import Check
+from turtlelog.compare.common_clock import merge_times
 from turtlelog.compare.difference import trace_tube
 from turtlelog.expressions import (
     Call,
@@ -45,9 +46,8 @@ from turtlelog.measure import (
     list_signals,
     measure_run,
 )
+from turtlelog.measure.reductions import Values
 from turtlelog.run import Run
-
-Values = NDArray[np.float64]
 
 _SAME: Final = 1e-9
 """Relative difference up to which a metric equals a signal's value at its time."""
@@ -76,8 +76,8 @@ def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
     found = _find_signal(run, result)
     if found.signal is None or result.verdict is Verdict.FAIL:
         return found
-    signal = found.signal
-    return SignalSearch(signal=replace(signal, outside=np.zeros_like(signal.outside)))
+    outside = np.zeros_like(found.signal.outside)
+    return SignalSearch(signal=replace(found.signal, outside=outside))
 
 
 def _find_signal(run: Run, result: CheckResult) -> SignalSearch:
@@ -99,9 +99,9 @@ def _find_in_tube(run: Run, result: CheckResult, judged: JudgedSignal) -> Signal
     tube = trace_tube(
         judged.reference, run, judged.name, judged.tolerance, alignment=judged.alignment
     )
-    outside = None if tube is None else tube.excess > 0.0
-    if tube is None or outside is None or not outside.any():
+    if tube is None or not (tube.excess > 0.0).any():
         return SignalSearch(reason=f"{judged.name} is no number with a distance")
+    outside = tube.excess > 0.0
     kind = list_signals(run.declaration)[judged.name]
     unit, factor = find_scale(kind.unit)
     rows = _Rows(curve=_build_curve(run, kind, tube.time_ns, tube.values), outside=outside)
@@ -193,15 +193,13 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
     if window_ns is None:
         return SignalSearch(reason=f"the run has no phase {check.phase}")
     found = check_run(run, formula, window_ns=window_ns)
-    leaf = next(
-        (
-            leaf
-            for leaf in _list_leaves(formula.root)
-            for link in split_comparison(leaf.node)
-            if format_expression(link) == found.decided_by
-        ),
-        None,
+    leaves = (
+        leaf
+        for leaf in _list_leaves(formula.root)
+        for link in split_comparison(leaf.node)
+        if format_expression(link) == found.decided_by
     )
+    leaf = next(leaves, None)
     signals = read_signals(run, names)
     if leaf is None or not _names_signals(leaf.node, signals):
         of_metric = any(name in list_metrics(run.declaration) for name in names)
@@ -389,12 +387,10 @@ class _BandReader:
         named = {name: signals.get(name) for name in list_names(leaf.node)}
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
         self._signals = columns
-        longest = max(columns.values(), key=lambda column: len(column[0]))[0]
-        others = [time_ns for time_ns, _ in columns.values()]
-        one = all(np.array_equal(time_ns, longest) for time_ns in others)
-        self._time_ns = longest if one else np.unique(np.concatenate(others))
-        start_ns = max(int(time_ns[0]) for time_ns in others)
-        self._time_ns = self._time_ns[self._time_ns >= start_ns]
+        times = [time_ns for time_ns, _ in columns.values()]
+        is_one = all(np.array_equal(time_ns, times[0]) for time_ns in times[1:])
+        time_ns = times[0] if is_one else merge_times(times)
+        self._time_ns = time_ns[time_ns >= max(int(one[0]) for one in times)]
         self._values: dict[str, Any] = {name: signals.get(name) for name in formula.names}
         for name, (time_ns, values) in columns.items():
             rows = np.searchsorted(time_ns, self._time_ns, side="right") - 1

@@ -323,7 +323,16 @@ def print_held_notes() -> None:
 
 
 _OF_SOURCE: Final = (
-    *("chosen", "clock", "clock_set", "silence", "plane", "dropped_nan", "held_transforms"),
+    *(
+        "chosen",
+        "clock",
+        "clock_set",
+        "silence",
+        "plane",
+        "quaternion_order",
+        "dropped_nan",
+        "held_transforms",
+    ),
     *("dropped_before_transforms", "crowded", "heading", "wheels", "reported_rates", "leaps"),
     *("path_by_speed", "still"),
     *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate", "repeated_headers"),

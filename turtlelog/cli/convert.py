@@ -332,7 +332,11 @@ def _describe_loss(report: "tl.log.RecoveryReport") -> str:
     if report.complete:
         return "nothing was lost: the file is complete and undamaged"
     if report.missing is None:
+        from turtlelog.log.recording.head import SUMMARY_ALONE, SUMMARY_LOST
+
         count = sum(loss.end - loss.start for loss in report.lost)
+        if {loss.reason for loss in report.lost} == {SUMMARY_LOST}:
+            return f"{SUMMARY_ALONE} ({count} bytes)"
         return f"an unknown number of messages is lost ({count} bytes)"
     lost = sum(report.missing.values())
     if not lost:

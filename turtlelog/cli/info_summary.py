@@ -43,7 +43,7 @@ _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
 
 _TOLD: Final = (
-    *("unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
+    *("goal", "path", "unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
     *("held_transforms", "dropped_before_transforms", "robots", "heading", "origin", "wheels"),
     "reported_rates",
     *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
@@ -54,8 +54,6 @@ _TOLD: Final = (
 
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """Description of an incomplete file without messages."""
-
-_LEFT_OUT: Final = ": left out: "
 
 _SHOWN_TOPICS: Final = 3
 
@@ -116,7 +114,7 @@ def summarise(
     if info.format_version is not None:
         text = f"a recording of turtlelog's, {NOTHING_LEFT}" if is_lost else _summarise_own(info)
         return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
-    if not info.complete:
+    if not info.complete and (is_lost or not choice.allow_partial):
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
     if not is_asked and (large := _find_large(path, info)):
@@ -278,10 +276,6 @@ def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
 
 def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
-    # The reasons why a goal and a path in the file are not used.
-    notes |= {
-        name: run.notes[name] for name in ("goal", "path") if _LEFT_OUT in run.notes.get(name, "")
-    }
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
     if sideways := tl.measure.describe_sideways(run):
@@ -393,7 +387,7 @@ def _list_missing(run: "tl.Run", info: "tl.log.RecordingInfo") -> "Iterator[str]
     lacks = tl.compare.list_lacks(run)
     for lack in lacks:
         is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)
-        if lack == "commands" and lack in run.notes:
+        if lack in {"poses", "commands"} and lack in run.notes:
             yield f"no {run.notes[lack]}"
         elif is_told and (lack != "commands" or info.topics):
             yield f"no {tl.compare.UNLOCKS[lack]}"

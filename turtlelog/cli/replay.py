@@ -214,7 +214,7 @@ def _format_commands(
             " there on a robot would drive elsewhere. A robot model has no walls: --scenario"
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
-    sentences.append("No poses were recorded: nothing tells whether the robot went there.")
+    sentences.append("No poses were read: nothing tells whether the robot went there.")
     following = f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap"
     if answer.output is not None:
         following = f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png"

@@ -107,13 +107,13 @@ def _tabulate_loops(loops: "list[SampledLoop]") -> "tl.compare.Table":
         *("Kp [1/s]", "slowest pole", column(title="damping", digits=3), "overshoots"),
         column(title="settles in", unit="s", digits=3, lines=("settles", "in")),
         column(title="gain margin", digits=2, lines=("gain", "margin")),
-        column(title="delay margin", unit="ticks", digits=1, lines=("delay", "margin")),
+        column(title="delay margin", unit="s", digits=3, lines=("delay", "margin")),
         "stable",
     )
     rows = (
         (
             *(loop.kp, tell_pole(loop.poles), loop.damping_ratio, _tell_overshoot(loop)),
-            *(loop.settling_time_s, loop.gain_margin, loop.delay_margin_ticks),
+            *(loop.settling_time_s, loop.gain_margin, loop.delay_margin_s),
             _tell(loop.stable),
         )
         for loop in loops
@@ -311,7 +311,7 @@ def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
 
 
 def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> list[str]:
-    """Return the errors from which limits clip commands, at the recommended gains of P."""
+    """Return the errors from which limits clip commands, at the gains of the answer."""
     chosen = {one.loop: one.given if one.is_kept else one.best for one in advice}
     sizes = []
     for one in known:
@@ -326,8 +326,10 @@ def _describe_clipping(known: Sequence[LoopAnswer], advice: Sequence[_Advice]) -
             sizes.append(f"{format_short(one.model.limit / gains.kp, unit)} ({one.title})")
     if not sizes:
         return []
+    are_kept = all(one.is_kept for one in advice)
+    start = "Commands are" if are_kept else "At the recommended gains, commands are"
     return [
-        f"Commands are clipped for errors above {join_words(sizes)}, which changes overshoot and"
+        f"{start} clipped for errors above {join_words(sizes)}, which changes overshoot and"
         " settling time."
     ]
 

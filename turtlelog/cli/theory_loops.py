@@ -67,7 +67,6 @@ class GainAnswer:
     sampled_settling_time_s: float | None
     gain_margin: float
     phase_margin_rad: float | None
-    delay_margin_ticks: float | None
     delay_margin_s: float | None
 
 
@@ -208,15 +207,12 @@ class PidAnswer:
     gain_reduction: float | None
     phase_margin_rad: float | None
     crossover_rad_s: float | None
-    delay_margin_ticks: float | None
     delay_margin_s: float | None
 
 
 def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
     """Return a loop for JSON."""
     whole = loop.gains.kp * loop.process.gain
-    margins = take_fields(loop.margins, *_MARGINS)
-    ticks = margins["delay_margin_ticks"]
     return copy_fields(
         PidAnswer,
         loop,
@@ -225,15 +221,14 @@ def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
         poles=_build_poles(loop.poles),
         overshoots=not loop.stable or _overshoots(loop),
         sampled_settling_time_s=loop.settling_time_s,
-        delay_margin_s=None if ticks is None else ticks * loop.period_s,
         **take_fields(loop.gains, "kp", "ki", "kd", "filter_s"),
-        **margins,
+        **take_fields(loop.margins, *_MARGINS),
     )
 
 
 _MARGINS: Final = (
     *("gain_margin", "gain_reduction", "phase_margin_rad", "crossover_rad_s"),
-    "delay_margin_ticks",
+    "delay_margin_s",
 )
 
 
@@ -428,6 +423,6 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[tl.theory.PidLoop], str]], ...]]"
     ("gain margin", False, _tell_margin("gain_margin", ".2f")),
     ("gain may fall to", True, _tell_margin("gain_reduction", ".3f")),
     ("phase margin [deg]", False, _tell_margin("phase_margin_rad", ".1f", 180.0 / math.pi)),
-    ("delay margin [ticks]", False, _tell_margin("delay_margin_ticks", ".1f")),
+    ("delay margin [ms]", False, _tell_margin("delay_margin_s", ".4g", 1e3)),
 )
 """Rows of the table: name, whether the row is left out if all loops have 0, and format."""

@@ -9,8 +9,9 @@ this half-width grows no faster than the distance, so the nearest values below a
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 from turtlelog.display import parse_utc
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
+from turtlelog.measure.reductions import Values
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import NAME_PATTERN
 
-Values = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
@@ -201,14 +202,6 @@ class Grid:
     later: Times  # number of further rows of the run with the same time
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GridValues:
-    """A run's values on a grid, shape (n,)."""
-
-    grid: Grid
-    values: Values
-
-
 _LONGEST_S = 1e6
 """Longest tolerance in time [s]: eleven days, longer than any run; in ns it fits into an int64."""
 
@@ -219,7 +212,7 @@ def _describe(value: object) -> str:
 
 def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
     """Return the grid of two runs' rows in an interval of their clock, both ends included."""
-    at = _merge_times(reference_at, run_at)
+    at = merge_times([reference_at, run_at])
     at = at[(at >= span[0]) & (at <= span[1])]
     run_row = np.maximum(np.searchsorted(run_at, at, side="right") - 1, 0)
     shares = run_at[1:] == run_at[:-1]
@@ -234,22 +227,41 @@ def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
     return Grid(at=at, run_row=run_row, later=last - run_row)
 
 
-def read_rows(run: Signal, grid: Grid) -> GridValues:
+def read_rows(run: Signal, grid: Grid) -> Values:
     """Return a placed signal's values on a grid, interpolated or held according to its kind."""
     if run.kind.resampling == "line":
-        return GridValues(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
-    return GridValues(grid=grid, values=run.values[grid.run_row])
+        return np.interp(grid.at, run.time_ns, run.values)
+    return run.values[grid.run_row]
 
 
 def find_deciding_values(
-    reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
+    reference: Signal, grid: Grid, values: Values, tolerance: Tolerance, half_width: int
 ) -> Values:
-    """Return the reference value that decides each row; far inside the tolerance, any within it."""
+    """Return the reference value that decides each row; far inside the tolerance, any within it.
+
+    `values` are those of the run on the grid, `half_width` is the tolerance in time.
+    """
     if reference.kind.resampling == "line":
-        return _find_nearest_on_line(reference, rows, half_width)
+        return _find_nearest_on_line(reference, grid, values, half_width)
     if not half_width:
-        return _find_held(reference, rows)
-    return _find_nearest_held(reference, rows, tolerance, half_width)
+        return _find_held(reference, grid)
+    return _find_nearest_held(reference, grid, values, tolerance, half_width)
+
+
+def find_range(reference: Signal, grid: Grid, half_width: int) -> tuple[Values, Values]:
+    """Return the least and the largest reference value in the window around each row."""
+    if reference.kind.resampling == "hold":
+        return _find_ranges(reference.values, *_find_window(reference, grid, half_width))
+    start, end = grid.at - half_width, grid.at + half_width
+    ends = [np.interp(side, reference.time_ns, reference.values) for side in (start, end)]
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    first = np.searchsorted(reference.time_ns, start, side="left")
+    after = np.searchsorted(reference.time_ns, end, side="right")
+    inside = np.flatnonzero(first < after)
+    lowest, highest = _find_ranges(reference.values, first[inside], after[inside])
+    low[inside] = np.minimum(low[inside], lowest)
+    high[inside] = np.maximum(high[inside], highest)
+    return low, high
 
 
 def measure_distance(reference: Signal, values: Values, nearest: Values) -> Values:
@@ -268,19 +280,10 @@ def find_limit(reference: Signal, nearest: Values, tolerance: Tolerance) -> Valu
     return np.maximum(tolerance.abs, tolerance.rel * np.abs(size))
 
 
-def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) -> Values:
+def _find_nearest_on_line(reference: Signal, grid: Grid, values: Values, half_width: int) -> Values:
     if not half_width:
-        return np.interp(rows.grid.at, reference.time_ns, reference.values)
-    start, end = rows.grid.at - half_width, rows.grid.at + half_width
-    ends = [np.interp(side, reference.time_ns, reference.values) for side in (start, end)]
-    low, high = np.minimum(*ends), np.maximum(*ends)
-    first = np.searchsorted(reference.time_ns, start, side="left")
-    after = np.searchsorted(reference.time_ns, end, side="right")
-    inside = np.flatnonzero(first < after)
-    lowest, highest = _find_ranges(reference.values, first[inside], after[inside])
-    low[inside] = np.minimum(low[inside], lowest)
-    high[inside] = np.maximum(high[inside], highest)
-    values = rows.values
+        return np.interp(grid.at, reference.time_ns, reference.values)
+    low, high = find_range(reference, grid, half_width)
     if reference.kind.compared_as == "angle":
         # The run's angles may be counted from another turn: take the turn next to the window.
         middle = (low + high) / 2.0
@@ -288,16 +291,23 @@ def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) 
     return np.clip(values, low, high)
 
 
-def _find_held(reference: Signal, rows: GridValues) -> Values:
+def _find_held(reference: Signal, grid: Grid) -> Values:
     """Return the value held at each row's time; rows at one time match from the last backwards."""
-    last = np.maximum(np.searchsorted(reference.time_ns, rows.grid.at, side="right") - 1, 0)
+    last = np.maximum(np.searchsorted(reference.time_ns, grid.at, side="right") - 1, 0)
     same = np.searchsorted(reference.time_ns, reference.time_ns[last], side="left")
-    is_there = reference.time_ns[last] == rows.grid.at
-    return reference.values[np.where(is_there, np.maximum(last - rows.grid.later, same), last)]
+    is_there = reference.time_ns[last] == grid.at
+    return reference.values[np.where(is_there, np.maximum(last - grid.later, same), last)]
+
+
+def _find_window(reference: Signal, grid: Grid, half_width: int) -> tuple[Times, Times]:
+    """Return the row held at the start of each row's window, and the row after its last."""
+    times_ns, start, end = reference.time_ns, grid.at - half_width, grid.at + half_width
+    first = np.maximum(np.searchsorted(times_ns, start, side="right") - 1, 0)
+    return first, np.maximum(np.searchsorted(times_ns, end, side="right"), first + 1)
 
 
 def _find_nearest_held(
-    reference: Signal, rows: GridValues, tolerance: Tolerance, half_width: int
+    reference: Signal, grid: Grid, values: Values, tolerance: Tolerance, half_width: int
 ) -> Values:
     """Return the nearest row value in each window, if this value can matter.
 
@@ -305,57 +315,72 @@ def _find_nearest_held(
     the range may lie in a gap. The rows are searched only if the held value does not already show
     that the row passes with more margin than another row.
     """
-    start, end = rows.grid.at - half_width, rows.grid.at + half_width
-    first = np.maximum(np.searchsorted(reference.time_ns, start, side="right") - 1, 0)
-    after = np.maximum(np.searchsorted(reference.time_ns, end, side="right"), first + 1)
+    first, after = _find_window(reference, grid, half_width)
     low, high = _find_ranges(reference.values, first, after)
-    edge, held = np.clip(rows.values, low, high), _find_held(reference, rows)
-    between = edge == rows.values
+    edge, held = np.clip(values, low, high), _find_held(reference, grid)
+    between = edge == values
 
     def find_excess(values: Values, nearest: Values) -> Values:
         distance = measure_distance(reference, values, nearest)
         return distance - find_limit(reference, nearest, tolerance)
 
-    enough = min(0.0, float(find_excess(rows.values, edge).max(initial=-np.inf)))
+    enough = min(0.0, float(find_excess(values, edge).max(initial=-np.inf)))
     nearest = np.where(between, held, edge)
-    unsaid = np.flatnonzero(between & (find_excess(rows.values, held) > enough))
+    unsaid = np.flatnonzero(between & (find_excess(values, held) > enough))
     if len(unsaid):
-        wanted = rows.values[unsaid]
+        wanted = values[unsaid]
         sides = _find_neighbours(reference.values, first[unsaid], after[unsaid], wanted)
         excess = [np.nan_to_num(find_excess(wanted, side), nan=np.inf) for side in sides]
         nearest[unsaid] = np.where(excess[0] <= excess[1], *sides)
     return nearest
 
 
-def _merge_times(one: Times, other: Times) -> Times:
-    """Return the times of both signals, sorted and without duplicates."""
-    both = one
-    if not np.array_equal(one, other):
-        # Merges sorted runs, where np.union1d would sort anew.
-        both = np.sort(np.concatenate([one, other]), kind="stable")
-    return both[np.flatnonzero(np.diff(both, prepend=both[0] - 1))]
+def merge_times(times: Sequence[Times]) -> Times:
+    """Return all times, sorted and without duplicates; at least one is given."""
+    merged = np.sort(np.concatenate(times), kind="stable")  # merges sorted runs, unlike np.unique
+    return merged[np.flatnonzero(np.diff(merged, prepend=merged[0] - 1))]  # faster than a mask
 
 
 def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Values]:
-    """Return the minimum and maximum of every segment, in the shape of `first`.
+    """Return the minimum and maximum of the rows from `first` to `after - 1`, for each pair."""
+    lowest, highest = (find_range_maxima(one, first, after - 1) for one in (-values, values))
+    return -lowest, highest
 
-    A segment has the rows `first` to `after - 1`, at least one; all segments are evaluated at once.
-    Two overlapping segments of 2^k rows cover any longer segment. Only the tables of the required k
-    are built, one after another.
+
+def find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
+    """Return the maximum of values[first] to values[last] for each pair.
+
+    Ranges that reach the end use suffix maxima. Other ranges use two overlapping maxima of 2^k
+    values. Firsts and lasts do not decrease.
     """
-    level = np.frexp((after - first).astype(np.float64))[1] - 1
-    low, high = values, values
-    lowest, highest = np.empty(first.shape), np.empty(first.shape)
-    for k in range(int(level.max(initial=-1)) + 1):
-        if k:
-            half = 1 << (k - 1)
-            low = np.minimum(low[:-half], low[half:])
-            high = np.maximum(high[:-half], high[half:])
-        asked = np.flatnonzero(level == k)
-        left, right = first[asked], after[asked] - (1 << k)
-        lowest[asked] = np.minimum(low[left], low[right])
-        highest[asked] = np.maximum(high[left], high[right])
-    return lowest, highest
+    inner = int(np.searchsorted(lasts, len(values) - 1))
+    found = np.empty(len(firsts))
+    tail = int(firsts[inner]) if inner < len(firsts) else len(values)
+    found[inner:] = np.maximum.accumulate(values[tail:][::-1])[::-1][firsts[inner:] - tail]
+    firsts, lasts = firsts[:inner], lasts[:inner]
+    levels = _find_levels(lasts - firsts + 1)
+    maxima, level = values, 0
+    for target in np.flatnonzero(np.bincount(levels)):
+        while level < target:
+            maxima = np.maximum(maxima[: -(1 << level)], maxima[1 << level :])
+            level += 1
+        rows = slice(None) if levels.size == 1 else np.flatnonzero(levels == target)
+        ends = lasts[rows] - ((1 << level) - 1)
+        found[:inner][rows] = np.maximum(maxima[firsts[rows]], maxima[ends])
+    return found
+
+
+def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
+    """Return the largest k with 2^k <= count for each; a single k if all are equal."""
+    if not len(counts):
+        return np.empty(0, np.int64)
+    extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
+    if extremes[0] == extremes[1]:
+        return extremes[:1]
+    levels = np.zeros(len(counts), np.int8)  # few of 64 levels occur: cheaper than all logarithms
+    for level in range(1, int(extremes[1]) + 1):
+        levels += counts >= (1 << level)
+    return levels
 
 
 def _find_neighbours(

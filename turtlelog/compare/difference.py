@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from turtlelog import measure
 from turtlelog.compare import common_clock
-from turtlelog.compare.common_clock import CommonClock, Grid, GridValues, Tolerance
+from turtlelog.compare.common_clock import CommonClock, Grid, Tolerance
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.display import fit_line, format_html, format_notebook, show_angle
 from turtlelog.errors import find_near, join_names
 from turtlelog.measure import SIGNALS, Metric, Signal, find_signal, measure_run
+from turtlelog.measure.reductions import Values
 from turtlelog.measure.references import compute_path_distances
 from turtlelog.measure.step_response import compute_rms
 from turtlelog.replay.differences import Difference, SignalDifference as SignalDifference
@@ -241,7 +242,7 @@ def measure_path_error(
         assert ours is not None
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
         grid = common_clock.lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
-        columns.append([common_clock.read_rows(one, grid).values for one in placed])
+        columns.append([common_clock.read_rows(one, grid) for one in placed])
     theirs_m, ours_m = (np.column_stack(pair) for pair in zip(*columns, strict=True))
     at_s = np.array([clock.read_ns(int(unit)) for unit in grid.at]) / 1e9
     path_m = reference.poses.xy_m[:: -(-len(reference.poses) // _MOST_POINTS)]
@@ -290,11 +291,11 @@ class SignalTube:
     """A signal of a run and its tolerance band around a reference, on the compared rows."""
 
     time_ns: NDArray[np.int64]  # time in the run, not decreasing
-    values: NDArray[np.float64]  # values of the run, in the signal's unit
-    reference: NDArray[np.float64]  # reference value with which each row is compared
-    low: NDArray[np.float64]  # lower end of the band
-    high: NDArray[np.float64]  # upper end of the band
-    excess: NDArray[np.float64]  # distance beyond the tolerance; zero or negative within it
+    values: Values  # values of the run, in the signal's unit
+    reference: Values  # reference value with which each row is compared
+    low: Values  # lower end of the band
+    high: Values  # upper end of the band
+    excess: Values  # distance beyond the tolerance; zero or negative within it
 
 
 def trace_tube(
@@ -312,40 +313,37 @@ def trace_tube(
     grid = common_clock.lay_grid(theirs.time_ns, ours.time_ns, _find_span((theirs, ours), clock))
     if not len(grid.at):
         return None
-    rows = common_clock.read_rows(ours, grid)
-    half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
-    nearest = common_clock.find_deciding_values(theirs, rows, tolerance, half_width=half_width)
+    values, nearest, off, limit = _compare_rows(theirs, ours, grid, tolerance, clock)
     turns = np.zeros(len(nearest))
     if theirs.kind.compared_as == "angle":
-        turns = 2.0 * np.pi * np.round((rows.values - nearest) / (2.0 * np.pi))
-    limit = common_clock.find_limit(theirs, nearest, tolerance)
+        turns = 2.0 * np.pi * np.round((values - nearest) / (2.0 * np.pi))
+    half_width = _find_half_width(tolerance, clock)
     low, high = nearest, nearest
     if half_width:
-        # What comes nearest to something far beyond is the outermost value of its window.
-        kind = replace(theirs.kind, compared_as="number")
-        number = replace(theirs, kind=kind)
-        low, high = (
-            common_clock.find_deciding_values(
-                number,
-                GridValues(grid=grid, values=np.full(len(nearest), beyond)),
-                tolerance,
-                half_width=half_width,
-            )
-            for beyond in (-_BEYOND, _BEYOND)
-        )
+        low, high = common_clock.find_range(theirs, grid, half_width)
     to_run_ns = common_clock.find_zero_ns(run, alignment, reference)
     return SignalTube(
         time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,
-        values=rows.values,
+        values=values,
         reference=nearest + turns,
         low=low - common_clock.find_limit(theirs, low, tolerance) + turns,
         high=high + common_clock.find_limit(theirs, high, tolerance) + turns,
-        excess=common_clock.measure_distance(theirs, rows.values, nearest) - limit,
+        excess=off - limit,
     )
 
 
-_BEYOND: Final = 1e12
-"""A distance larger than any signal, in its unit."""
+def _find_half_width(tolerance: Tolerance, clock: CommonClock) -> int:
+    return round(tolerance.time_s * 1e9) if clock.tells_time else 0
+
+
+def _compare_rows(
+    reference: Signal, run: Signal, grid: Grid, tolerance: Tolerance, clock: CommonClock
+) -> tuple[Values, Values, Values, Values]:
+    """Return a run's values, those of the reference that decide, their distances, and limits."""
+    values, half_width = common_clock.read_rows(run, grid), _find_half_width(tolerance, clock)
+    nearest = common_clock.find_deciding_values(reference, grid, values, tolerance, half_width)
+    off = common_clock.measure_distance(reference, values, nearest)
+    return values, nearest, off, common_clock.find_limit(reference, nearest, tolerance)
 
 
 def explain_lack(name: str, reference: Run, run: Run) -> str:
@@ -391,8 +389,7 @@ def compare_aligned_signals(
             grids[source] = common_clock.lay_grid(placed[0].time_ns, placed[1].time_ns, span)
         if not len(grids[source].at):
             continue
-        rows = common_clock.read_rows(placed[1], grids[source])
-        found[name] = _measure_rows(placed[0], rows, tolerance, clock, phases)
+        found[name] = _measure_rows(placed, grids[source], tolerance, clock, phases)
     return found
 
 
@@ -415,29 +412,27 @@ def _share_track(reference: Run, run: Run) -> bool:
 
 
 def _measure_rows(
-    reference: Signal,
-    rows: GridValues,
+    placed: tuple[Signal, Signal],
+    grid: Grid,
     tolerance: Tolerance,
     clock: CommonClock,
     phases: list[str],
 ) -> SignalDifference:
     """Return the deviation of a run's rows from the reference's signal, both on one clock."""
-    half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
-    nearest = common_clock.find_deciding_values(reference, rows, tolerance, half_width=half_width)
-    off = common_clock.measure_distance(reference, rows.values, nearest)
-    limit = common_clock.find_limit(reference, nearest, tolerance)
+    reference = placed[0]
+    values, nearest, off, limit = _compare_rows(*placed, grid, tolerance, clock)
     outside = off > limit
     least = int((off - limit).argmax())
     if not outside[least] and outside.any():
         least = int(outside.argmax())
 
     def read_row(row: int) -> Difference:
-        values = float(nearest[row]), float(rows.values[row])
         is_label = reference.kind.compared_as == "label"
-        sides = [phases[int(value)] if is_label else value for value in values]
+        numbers = float(nearest[row]), float(values[row])
+        sides = [phases[int(number)] if is_label else number for number in numbers]
         return Difference(
             signal=reference.name,
-            time_ns=clock.read_ns(int(rows.grid.at[row])),
+            time_ns=clock.read_ns(int(grid.at[row])),
             recorded=sides[0],
             replayed=sides[1],
         )

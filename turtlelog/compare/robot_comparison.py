@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.display import describe_count, fit_line, format_html, format_notebook
 from turtlelog.identify import AxisTraces
+from turtlelog.measure.reductions import Rows, Values
 from turtlelog.run import Clock, PoseColumns
 from turtlelog.run.angles import subtract_headings
-
-Values = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 SEEDS: Final = 39
 """Number of simulations of one motion. Another motion of the same kind lies between the smallest

@@ -9,6 +9,7 @@ there with all earlier commands.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,14 +22,13 @@ from turtlelog.compare.robot_comparison import (
     NoiseLevel,
     Quantity,
     RobotComparison,
-    Rows,
-    Values,
 )
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.identify import axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.identify.robot_noise import NORMAL_MAD
+from turtlelog.measure.reductions import Rows, Values
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.run.angles import subtract_headings
@@ -56,10 +56,7 @@ _MOVED: Final = 1e-9
 """Smallest motion between two poses of a moving robot [m] or [rad]; rounding alone moves a robot as
 far."""
 
-_QUANTITIES: Final[tuple[Quantity, Quantity]] = (
-    "position",
-    "heading",
-)
+_QUANTITIES: Final[tuple[Quantity, Quantity]] = ("position", "heading")
 _CENTRAL: Final = (0.025, 0.5, 0.975)
 
 
@@ -94,28 +91,14 @@ def compare_robot(
     simulated = replace(recorded, xy_m=states[:, :2], heading_rad=states[:, 2])
     known_ns = _find_known(run, scenario)
     jumps = _find_impossible_steps(run, simulated, scenario)
-
-    def cut_sound(horizon_s: float) -> tuple[Rows, int, int]:
-        cut, gaps = robot_comparison.cut_pieces(recorded.time_ns, round(horizon_s * 1e9), known_ns)
-        sound, lost = robot_comparison.drop_jumps(cut, jumps)
-        return sound, gaps, lost
-
-    cuts = {}
-    for horizon_s in horizons_s:
-        sound, gaps, lost = cut_sound(horizon_s)
-        after, outliers = f"After {horizon_s:g} s:", describe_count(lost, "outlier")
-        many = f"{describe_count(gaps, 'gap')} of the poses"
-        notes += [f"{after} {many}, over which nothing is predicted."] if gaps else []
-        notes += [f"{after} {outliers}, as the poses jump meanwhile; not counted."] if lost else []
-        if sound.shape[1]:
-            cuts[horizon_s] = sound
-        else:
-            notes.append(f"No piece of {horizon_s:g} s is left to predict.")
+    cut = partial(_cut_sound, recorded.time_ns, known_ns, jumps)
+    found = {horizon_s: cut(horizon_s) for horizon_s in horizons_s}
+    cuts = {horizon_s: sound for horizon_s, (sound, _, _) in found.items() if sound.shape[1]}
     if not cuts:
         raise CompareError(_tell_too_short(run, horizons_s, known_ns, len(jumps)))
     longest = cuts[max(cuts)]
     short_s = max(robot_comparison.SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
-    short, _, _ = cut_sound(short_s)
+    short, _, _ = cut(short_s)
     grown = robot_comparison.list_growth_rows(recorded.time_ns, longest, max(cuts))
     rows = np.unique(np.concatenate([one.ravel() for one in (grown, short, *cuts.values())]))
     # Here sensed poses are never lost or late, so these random effects do nothing.
@@ -152,8 +135,31 @@ def compare_robot(
             for axis, ((time_s, measured, _), (_, modelled, _)) in zip(AXES, rates, strict=True)
         ),
         start_s=zero_ns / 1e9,
-        notes=(*notes, *_list_notes(run, motions, zero_ns, known_ns, jumps)),
+        notes=(*notes, *_list_cuts(found), *_list_notes(run, motions, zero_ns, known_ns, jumps)),
     )
+
+
+def _cut_sound(
+    time_ns: Rows, known_ns: int, jumps: Rows, horizon_s: float
+) -> tuple[Rows, int, int]:
+    """Return the pieces of a horizon without jumps, and the numbers of gaps and of jumps."""
+    cut, gaps = robot_comparison.cut_pieces(time_ns, round(horizon_s * 1e9), known_ns)
+    sound, lost = robot_comparison.drop_jumps(cut, jumps)
+    return sound, gaps, lost
+
+
+def _list_cuts(found: Mapping[float, tuple[Rows, int, int]]) -> Iterator[str]:
+    """Yield what is not predicted after each horizon."""
+    for horizon_s, (sound, gaps, lost) in found.items():
+        after = f"After {horizon_s:g} s:"
+        if gaps:
+            many = describe_count(gaps, "gap")
+            yield f"{after} {many} of the poses, over which nothing is predicted."
+        if lost:
+            outliers = describe_count(lost, "outlier")
+            yield f"{after} {outliers}, as the poses jump meanwhile; not counted."
+        if not sound.shape[1]:
+            yield f"No piece of {horizon_s:g} s is left to predict."
 
 
 class _Stack:
@@ -249,6 +255,8 @@ def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) ->
         raise CompareError(
             f"horizons_s: expected times above 0 s, found {[*map(float, horizons_s)]}"
         )
+    if not len(run.poses):
+        raise CompareError(f"{run.name}: the recording holds no poses, which are compared")
     if not len(run.commands):
         raise CompareError(f"{run.name}: no commands to drive the simulated robot with")
 

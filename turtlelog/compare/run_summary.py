@@ -238,9 +238,8 @@ def _describe_since(run: Run) -> dict[str, str]:
     """Return a note on when the goal and the path were given, if that was during the run."""
     if not run.is_lawless or not len(run.poses):
         return {}
-    rows = {"goal": run.goal_row if run.goal_xy_m is not None else 0, "path": run.path_row}
-    if run.path is None:
-        rows["path"] = 0
+    goal_row = 0 if run.goal_xy_m is None else run.goal_row
+    rows = {"goal": goal_row, "path": 0 if run.path is None else run.path_row}
     times_s = {name: (run.poses.time_ns[row] - run.start_ns) / 1e9 for name, row in rows.items()}
     said = [f"the {name} given at {at_s:.1f} s" for name, at_s in times_s.items() if rows[name]]
     return {"counts_since": join_words(said)} if said else {}
@@ -249,7 +248,7 @@ def _describe_since(run: Run) -> dict[str, str]:
 def _describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     if run.poses.speed_m_s is not None:
         return {}
-    from turtlelog.measure.pose_notes import describe_poses  # only bags need it
+    from turtlelog.measure.pose_quality import describe_poses  # only bags need it
 
     return describe_poses(run, metrics)
 

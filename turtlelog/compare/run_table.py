@@ -1,6 +1,6 @@
 """Tables across runs: runs as rows or as columns of metrics, and the paper's Table 1."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, replace
 from itertools import accumulate
 from types import MappingProxyType
@@ -85,31 +85,19 @@ def tabulate_runs(
         )
         for name, summary in zip(names, summaries, strict=True)
     )
-    columns = (Column(title="run"), *gains, *(_head_column(name, units[name]) for name in shown))
     besides = [key for key in others if key not in ranking.keys]
-    hidden = [key for key in besides[_MOST_NAMED:] if key not in shown]
-    told = []
-    if hidden:
-        more = len(hidden) - _MOST_HIDDEN
-        rest = f" and {more} more" if more > 0 else ""
-        told = [f"More parameters that differ: {', '.join(hidden[:_MOST_HIDDEN])}{rest}."]
-    told += [
-        f"{name} is not compared: loops of that name control signals of other units."
-        for name in shown
-        if len(units[name]) > 1
-    ]
-    if "run.path_length" in shown:
-        told += _describe_scatter(names, summaries)
     marks = {name: mark_metric(summaries, name, ranking=ranking) for name in shown}
     head = title or describe_count(len(summaries), "run")
     varied = _describe_varied(summaries, gains, rows, ranking, besides)
     answer = ranking.describe() or name_best(names, marks)
+    told = [*ranking.list_notes(names), *_list_hidden(besides, units)]
+    told += _describe_scatter(names, summaries) if "run.path_length" in shown else []
     unlocks = [] if only else list_unlocks(summaries)
     return Table(
         title=f"{head}{varied}{f': {answer}' if answer else ''}",
-        columns=columns,
+        columns=(Column(title="run"), *gains, *(_head_column(*one) for one in units.items())),
         rows=rows,
-        notes=(*notes, *ranking.list_notes(names), *told, *unlocks),
+        notes=(*notes, *told, *unlocks),
         marks=MappingProxyType(
             {
                 (row, index): mark
@@ -118,6 +106,18 @@ def tabulate_runs(
             }
         ),
     )
+
+
+def _list_hidden(besides: Sequence[str], units: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield the keys that differ but are not shown, and the columns with several units."""
+    hidden = [key for key in besides[_MOST_NAMED:] if key not in units]
+    if hidden:
+        more = len(hidden) - _MOST_HIDDEN
+        rest = f" and {more} more" if more > 0 else ""
+        yield f"More parameters that differ: {', '.join(hidden[:_MOST_HIDDEN])}{rest}."
+    for name, found in units.items():
+        if len(found) > 1:
+            yield f"{name} is not compared: loops of that name control signals of other units."
 
 
 def _describe_scatter(names: Sequence[str], summaries: Sequence[RunSummary]) -> list[str]:

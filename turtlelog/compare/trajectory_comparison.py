@@ -92,7 +92,7 @@ class TrajectoryComparison:
             compared.
         align: Alignment of the estimate.
         alignment: Transformation of the alignment.
-        reference: trajectory_errors.Associated poses of the reference.
+        reference: Associated poses of the reference.
         estimate: Aligned poses of the estimate at the same times.
         whole_reference: All poses of the reference from the first to the last of these times.
         errors: ATE of positions and rotations, then the RPE of each delta.
@@ -251,20 +251,15 @@ def _associate(
     reference: Trajectory, estimate: Trajectory, settings: TrajectorySettings
 ) -> trajectory_errors.Associated:
     if reference.clock != estimate.clock:
-        untimed, timed = (
-            (reference, estimate) if reference.clock == "frame" else (estimate, reference)
-        )
+        untimed, timed = sorted((reference, estimate), key=lambda one: one.clock != "frame")
         raise CompareError(
             f"{untimed.name}: has no times, but {timed.name} has; --times FILE gives the time of"
             " each pose, one a line"
         )
     offset_s = settings.offset_s
-    moved_ns = (
-        int(reference.time_ns[0] - estimate.time_ns[0])
-        if offset_s is None
-        else round(offset_s * 1e9)
-    )
-    moved = replace(estimate, time_ns=estimate.time_ns + moved_ns)
+    offset_ns = reference.time_ns[0] - estimate.time_ns[0]
+    offset_ns = offset_ns if offset_s is None else round(offset_s * 1e9)
+    moved = replace(estimate, time_ns=estimate.time_ns + offset_ns)
     pair = trajectory_errors.associate_trajectories(
         reference,
         moved,
@@ -283,13 +278,9 @@ def _associate(
 def _describe_times(reference: Trajectory, estimate: Trajectory, offset_s: float | None) -> str:
     if len(reference) < LEAST_POSES or len(estimate) < LEAST_POSES:
         return f"they have {len(estimate)} and {len(reference)} poses"
-    begins, ends = zip(
-        *((one.time_ns[0], one.time_ns[-1]) for one in (estimate, reference)), strict=True
-    )
-    spans = [
-        f"{begin / 1e9:.9g} to {end / 1e9:.9g} s" for begin, end in zip(begins, ends, strict=True)
-    ]
-    if max(begins) <= min(ends):
+    both = [(one.time_ns[0], one.time_ns[-1]) for one in (estimate, reference)]
+    spans = [f"{begin / 1e9:.9g} to {end / 1e9:.9g} s" for begin, end in both]
+    if max(begin for begin, _ in both) <= min(end for _, end in both):
         return f"a larger --max-difference takes more; their times are {spans[0]} and {spans[1]}"
     hint = "" if offset_s is None else "; --time-offset start brings the first poses together"
     return f"their times do not overlap: {spans[0]} and {spans[1]}{hint}"
@@ -359,11 +350,8 @@ def _list_notes(
             " errors are of these alone. A larger --max-difference takes more."
         )
     yield from _describe_gap(pair.reference)
-    spread_m = float(
-        np.sqrt(
-            ((pair.reference.xyz_m - pair.reference.xyz_m.mean(axis=0)) ** 2).sum(axis=1).mean()
-        )
-    )
+    off_m = pair.reference.xyz_m - pair.reference.xyz_m.mean(axis=0)
+    spread_m = float(np.sqrt((off_m**2).sum(axis=1).mean()))
     rmse_m = trajectory_errors.summarise_errors(absolute.position_m).rmse
     if align in NAMES and rmse_m > _MOST_RMSE * spread_m:
         yield (

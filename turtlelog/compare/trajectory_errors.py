@@ -16,13 +16,11 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from turtlelog.measure.reductions import Rows, Values
 from turtlelog.run.angles import find_quaternions
 from turtlelog.run.columns import Trajectory
 
-Values = NDArray[np.float64]
-Rows = NDArray[np.int64]
 DeltaUnit = Literal["frames", "m", "deg", "s"]
 
 _LEAST_SPREAD: Final = 1e-9

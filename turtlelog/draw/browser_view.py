@@ -64,7 +64,6 @@ _KINDS: Final[Mapping[str, str]] = {
 
 _HOSTS: Final = frozenset({"127.0.0.1", "localhost"})  # names of this machine
 
-_RECORDING: Final = "application/octet-stream"
 _PATIENCE_S: Final = 30.0
 _PAUSE_S: Final = 0.02
 
@@ -179,7 +178,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         with stream:
-            self._send_head(_RECORDING, path.stat().st_size)
+            self._send_head("application/octet-stream", path.stat().st_size)
             shutil.copyfileobj(stream, self.wfile)
 
     def _send_head(self, kind: str, size: int) -> None:

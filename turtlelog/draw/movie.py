@@ -204,8 +204,6 @@ class _Growing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Goal:
-    """The view of the goal."""
-
     axes: Axes  # axes of the view
     close_up: CloseUp  # content of the view
     words: list[Artist]  # distances of the runs, shown when they have arrived

@@ -273,12 +273,18 @@ def _draw_violation(
     time_s, red = thin(plots, [curve.time_s, red], red)
     draw(time_s, red, color=RED, line_width=3.5)
     _name_moments(plots, figure, violated, (low, high), x_range.end)
-    cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
-    figure.add_layout(cursor)
-    plots.config["cursors"].append(cursor.id)
+    add_cursor(plots, figure)
     tips = [("time", "$x{0.000} s"), (violated.name, f"$y{{0.0000}} {violated.unit}")]
     figure.add_tools(models.CrosshairTool(overlay=plots.crosshair))
     figure.add_tools(models.HoverTool(tooltips=tips, line_policy="nearest"))
+
+
+def add_cursor(plots: Plots, figure: Any) -> None:
+    """Add the line at the time of the slider to a plot over time."""
+    span = load_library("bokeh.models").Span
+    cursor = span(location=0.0, dimension="height", line_color=RING, line_width=1)
+    figure.add_layout(cursor)
+    plots.config["cursors"].append(cursor.id)
 
 
 def _draw_band(

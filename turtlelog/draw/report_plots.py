@@ -49,8 +49,7 @@ _RARE: Final = 1e-3
 """Largest share of rows that may be left out of view at either end; faults of a sensor are rare."""
 
 _FAR_OFF: Final = 20.0
-"""Height of outliers, as a multiple of the height of all other rows, from which they are left out
-of view. With such outliers, the other rows would take less than a twentieth of the plot."""
+"""Ratio of heights of outliers and other rows, from which outliers are left out of view."""
 
 
 def draw_plots(
@@ -171,9 +170,7 @@ def _draw_plot(
                     line_color=drawing.RED, line_dash="dotted", line_width=2,
                 )
             )  # fmt: skip
-    cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
-    figure.add_layout(cursor)
-    plots.config["cursors"].append(cursor.id)
+    drawing.add_cursor(plots, figure)
     value = f"$snap_y{{0.0000}} {plot.unit}"
     tips = [("", "@name"), ("time", "$snap_x{0.000} s"), (plot.title, value)]
     mode = "vline" if len(config["curves"]) <= _MOST_TIPS else "mouse"

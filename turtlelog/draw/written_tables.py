@@ -168,7 +168,7 @@ def _format_rows(table: Table, kind: str) -> list[list[str]]:
 def _format(cell: Cell, column: Column, kind: str) -> str:
     text = format_cell(cell, column)
     if not isinstance(cell, float | int):
-        return _ESCAPES[kind](text)
+        return escape_markdown(text) if kind == "md" else _escape_latex(text)
     mantissa, _, power = text.partition("e")
     if kind == "tex" and power:
         return rf"${mantissa} \times 10^{{{int(power)}}}$"
@@ -349,9 +349,6 @@ _LEGENDS: Final[Mapping[str, str]] = {
     "md": "**best**, *worst* of a column.",
     "tex": r"\textbf{best}, \textit{worst} of a column.",
 }
-
-_ESCAPES: Final[Mapping[str, Callable[[str], str]]] = {"md": escape_markdown, "tex": _escape_latex}
-
 
 _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run"}
 

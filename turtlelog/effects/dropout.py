@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.parts import Action, Effect, Probability, Stream, absent
+from turtlelog.parts import Action, Effect, Probability, absent, draw_chance
 from turtlelog.run.loops import Cause
 
 
@@ -28,16 +28,7 @@ PART = Effect(
     name="dropout",
     tables={"sensing": DropoutKeys},
     actions={
-        "lose_pose": Action(
-            step=lose_pose,
-            stream=Stream(
-                number=1,
-                kind="uniform",
-                fields=("chance",),
-                keys=("sensing.dropout_probability",),
-                is_chance=True,
-            ),
-        )
+        "lose_pose": Action(step=lose_pose, stream=draw_chance(1, "sensing.dropout_probability"))
     },
     causes=(
         Cause(

@@ -6,7 +6,7 @@ from typing import Any
 
 from turtlelog.arithmetic import to_ns
 from turtlelog.effects.delay import judge_delays
-from turtlelog.parts import Action, Complaint, Effect, Probability, Stream, Time, absent
+from turtlelog.parts import Action, Complaint, Effect, Probability, Time, absent, draw_chance
 from turtlelog.run.loops import Cause
 
 
@@ -47,16 +47,7 @@ PART = Effect(
     name="late",
     tables={"loop": LateKeys},
     actions={
-        "command_travel": Action(
-            step=hold_up,
-            stream=Stream(
-                number=7,
-                kind="uniform",
-                fields=("chance",),
-                keys=("loop.late_probability",),
-                is_chance=True,
-            ),
-        )
+        "command_travel": Action(step=hold_up, stream=draw_chance(7, "loop.late_probability"))
     },
     causes=(
         Cause(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.parts import Action, Effect, Probability, Stream, absent
+from turtlelog.parts import Action, Effect, Probability, absent, draw_chance
 from turtlelog.run.loops import Cause
 
 
@@ -29,16 +29,7 @@ PART = Effect(
     name="loss",
     tables={"loop": LossKeys},
     actions={
-        "lose_command": Action(
-            step=lose_command,
-            stream=Stream(
-                number=5,
-                kind="uniform",
-                fields=("chance",),
-                keys=("loop.loss_probability",),
-                is_chance=True,
-            ),
-        )
+        "lose_command": Action(step=lose_command, stream=draw_chance(5, "loop.loss_probability"))
     },
     causes=(
         Cause(

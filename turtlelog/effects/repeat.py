@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.parts import Action, Effect, Probability, Stream, absent
+from turtlelog.parts import Action, Effect, Probability, absent, draw_chance
 from turtlelog.run.loops import Cause
 
 
@@ -30,16 +30,7 @@ PART = Effect(
     name="repeat",
     tables={"loop": RepeatKeys},
     actions={
-        "repeat": Action(
-            step=repeat_command,
-            stream=Stream(
-                number=6,
-                kind="uniform",
-                fields=("chance",),
-                keys=("loop.repeat_probability",),
-                is_chance=True,
-            ),
-        )
+        "repeat": Action(step=repeat_command, stream=draw_chance(6, "loop.repeat_probability"))
     },
     causes=(
         Cause(

@@ -17,8 +17,7 @@ parameter is named above the same share of the value."""
 _MOST_TOGETHER: Final = 3
 """Largest number of joint parts in one sentence; four causes have eleven joint parts."""
 
-_ALIKE: Final = 1.25
-"""Largest ratio of contributions that count as about equal."""
+_ALIKE: Final = 1.25  # largest ratio of contributions that count as about equal
 
 _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 """Numbers of effects in words. More than six effects take part only if the user chooses them."""

@@ -10,8 +10,7 @@ from turtlelog.replay import Departure as Departure
 SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
-_ROUNDING: Final = 1e-12
-"""Share of a value by which sums in another order may differ."""
+_ROUNDING: Final = 1e-12  # share of a value by which sums in another order may differ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,8 +42,26 @@ def is_clear(value: float, standard_error: float | None) -> bool:
     return abs(value) > _CLEAR * (standard_error or 0.0)
 
 
+class Sized:
+    """A contribution, perhaps withheld, with its standard error, if any."""
+
+    __slots__ = ()
+    contribution: float | None
+    standard_error: float | None
+
+    @property
+    def size(self) -> float:
+        """The contribution; 0 without one."""
+        return self.contribution or 0.0
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the contribution differs from 0 significantly."""
+        return is_clear(self.size, self.standard_error)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Contribution:
+class Contribution(Sized):
     """The contribution of one cause to a value, and the value without this cause alone.
 
     Attributes:
@@ -67,16 +84,6 @@ class Contribution:
     ending: str | None = None
     meaning: str
     standard_error: float | None = None
-
-    @property
-    def size(self) -> float:
-        """The contribution; 0 without one."""
-        return self.contribution or 0.0
-
-    @property
-    def is_clear(self) -> bool:
-        """Whether the contribution differs from 0 significantly over seeds."""
-        return is_clear(self.size, self.standard_error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,9 +252,8 @@ class Attribution:
         """Write the sentences."""
         from turtlelog.explain.answer_words import write_sentences
 
-        this_seed = None
-        if self.seeds is not None and self.resimulated is not None:
-            this_seed = self.resimulated - self.seeds.mean
+        value, seeds = self.resimulated, self.seeds
+        this_seed = None if value is None or seeds is None else value - seeds.mean
         object.__setattr__(self, "this_seed", this_seed)
         object.__setattr__(self, "sentences", write_sentences(self))
 
@@ -272,12 +278,11 @@ class Attribution:
         """Contributions and other causes that change the value or the ending of the run."""
         least = _ROUNDING * abs(self.divided)
 
-        def changes(one: Contribution) -> bool:
+        def acts(one: Contribution) -> bool:
             apart = 0.0 if one.alone is None else one.alone - self.divided
             return max(abs(apart), abs(one.size), one.standard_error or 0.0) > least
 
-        every = (*self.contributions, *self.others)
-        return tuple(one for one in every if one.ending or changes(one))
+        return tuple(one for one in (*self.contributions, *self.others) if one.ending or acts(one))
 
     @property
     def divided(self) -> float:
@@ -336,7 +341,7 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class Change(Sized):
     """A group of settings that differ, with its contribution to the difference of the metric.
 
     Attributes:
@@ -363,11 +368,6 @@ class Change:
     low: float | None = None
     high: float | None = None
     undone: float | None = None
-
-    @property
-    def size(self) -> float:
-        """The contribution; 0 without one."""
-        return self.contribution or 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
 from turtlelog.explain import contributions
-from turtlelog.explain.answers import SAME, Attribution
+from turtlelog.explain.answers import SAME, Attribution, Contribution
 from turtlelog.explain.causes import (
     SAMPLING,
     choose_metric,
@@ -105,15 +105,8 @@ def attribute_run(
     found = replace(found, as_logged=logged.value, reason=reason, remarks=remarks)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
     if is_identified:
-        others = []
-        for other in found.others:
-            # A property has no value if the value depends on a gain that the log hides.
-            gains = [
-                key for key in _list_gains(other.cause) if identified.findings[key].value is None
-            ]
-            ending = f"the log does not show {' and '.join(gains)}"
-            others.append(replace(other, alone=None, ending=ending) if gains else other)
-        found = replace(found, others=tuple(others))
+        others = tuple(_withhold_hidden(one, identified.findings) for one in found.others)
+        found = replace(found, others=others)
     obstacle = found.withheld or _compare_with_log(found, knows_seed=identified.is_recorded)
     if obstacle:
         return replace(found, withheld=obstacle, contributions=())
@@ -230,6 +223,13 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     return f"log and re-simulation differ by more than {limit}"
 
 
+def _withhold_hidden(other: Contribution, findings: Mapping[str, Finding]) -> Contribution:
+    """Return a cause without its value alone if this depends on a gain that the log hides."""
+    gains = [key for key in _list_gains(other.cause) if findings[key].value is None]
+    ending = f"the log does not show {' and '.join(gains)}"
+    return replace(other, alone=None, ending=ending) if gains else other
+
+
 def _list_gains(cause: str) -> tuple[str, ...]:
     """Return the gains that the value without a cause depends on; if clipped, any gain fits."""
     return ("law.kp_angular", "law.kp_linear") if cause == "saturation" else ()
@@ -260,8 +260,7 @@ def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Cause]) -> It
 
 Values = NDArray[np.float64]
 
-_COUNT: Final = 65
-"""Number of starts; every fourth start belongs to the range of an attribution."""
+_COUNT: Final = 65  # number of starts; every fourth start belongs to the range of an attribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -372,15 +371,7 @@ def measure_luck(
             raise ExplainError(f"{reason}: no start meets its samples elsewhere")
     cases = [(), *((name,) for name in found.causes)]
     whole, *alone = _simulate_curves(game, found.metric, offsets_rad, work, cases)
-    curves = [
-        whole,
-        *(
-            one
-            for one in alone
-            if one.without[0] in found.deciding
-            or not np.array_equal(one.values, whole.values, equal_nan=True)
-        ),
-    ]
+    curves = [whole, *(one for one in alone if _acts(one, whole, found))]
     if len(curves) > 2:
         cases = [tuple(one.without[0] for one in curves[1:])]
         curves += _simulate_curves(game, found.metric, offsets_rad, work, cases)
@@ -399,6 +390,12 @@ def measure_luck(
         goal_xy_m=run.goal_xy_m,
         dependence=_judge(curves, found),
     )
+
+
+def _acts(one: LuckCurve, whole: LuckCurve, found: Attribution) -> bool:
+    """Return whether a cause decides the value, or changes it from some start or with some seed."""
+    is_same = np.array_equal(one.values, whole.values, equal_nan=True)
+    return one.without[0] in found.deciding or not is_same
 
 
 def _simulate_curves(

@@ -11,7 +11,6 @@ The metric to explain is chosen and checked here as well, and its resolution is 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog import measure
@@ -53,9 +52,9 @@ LOOP_CAUSES: Final = (
 )
 """Causes between law and plant, for every law."""
 
-PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = MappingProxyType(
-    {kind: part.causes for kind, part in PLANTS.items() if part.causes}
-)
+PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = {
+    kind: part.causes for kind, part in PLANTS.items() if part.causes
+}
 """Causes in a plant, by kind of plant. Dead time and time constant of a robot are not among
 them."""
 
@@ -96,7 +95,7 @@ def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
                 f" found {cause.name!r}"
             )
         found[cause.name] = cause
-    return MappingProxyType(found)
+    return found
 
 
 def list_effects(table: Mapping[str, Cause]) -> tuple[str, ...]:
@@ -198,8 +197,7 @@ GAINS: Final = "gains"
 _NOT_SETTINGS: Final = ("name", "seed")
 """Keys that are not settings: a name changes nothing, and the seeds have their own line."""
 
-_WHOLE: Final = ("goal", "start", "path")
-"""Tables that are changed as a whole."""
+_WHOLE: Final = ("goal", "start", "path")  # tables that are changed as a whole
 
 _NAMES: Final[Mapping[str, str]] = {
     "saturation": "limits",
@@ -333,8 +331,7 @@ _SHARE: Final = 0.01
 """Share of a value that is negligible if neither a tolerance nor a clock bounds it. A phase of the
 paper's runs has at least a hundred samples, so this is about one sample's effect on an integral."""
 
-_HALF_A_COUNT: Final = 0.5
-"""Negligible change of a count; counts change by at least one."""
+_HALF_A_COUNT: Final = 0.5  # negligible change of a count; counts change by at least one
 
 _COUNTS: Final = (
     *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),

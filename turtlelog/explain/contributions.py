@@ -331,8 +331,7 @@ _FEWEST: Final = 0.5
 """Smallest share of seeds with a value. With fewer seeds, those without a value would be the
 majority."""
 
-_CENTRAL: Final = (0.025, 0.975)
-"""Quantiles that bound the central 95 %."""
+_CENTRAL: Final = (0.025, 0.975)  # quantiles that bound the central 95 %
 
 
 def divide_over_seeds(found: Attribution, game: Game) -> Attribution:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from html import escape
-from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
@@ -14,7 +13,6 @@ from turtlelog.explain.answers import (
     Change,
     ExplainedDifference,
     Side,
-    is_clear,
 )
 from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
@@ -27,8 +25,7 @@ _TINY: Final = 1e-3
 """Share of the total below which a change appears only in the list, because no printed digit
 changes."""
 
-_DIGITS: Final = 4
-"""Number of digits of the largest value; all other values have as many decimals."""
+_DIGITS: Final = 4  # number of digits of the largest value; all other values have as many decimals
 
 _FEWEST: Final = 2
 """Smallest number of digits of the largest contribution, even if it is much smaller than the
@@ -114,9 +111,8 @@ def _write_dependences(found: ExplainedDifference) -> Iterator[str]:
     if found.orders is not None and found.contributions:
         orders = f"{found.orders} orders of the changes were sampled"
         yield f"{orders}: each contribution has a standard error."
-    sizes = [(one, one.size, one.standard_error) for one in found.contributions]
     unclear = [
-        name_change(one) for one, size, error in sizes if error and not is_clear(size, error)
+        name_change(one) for one in found.contributions if one.standard_error and not one.is_clear
     ]
     if unclear:
         yield f"May be chance: what {join_words(unclear)} {'adds' if len(unclear) == 1 else 'add'}."
@@ -214,8 +210,7 @@ def _sum(changes: Sequence[Change]) -> float:
 
 
 def _is_large(one: Change, least: float) -> bool:
-    size = one.size
-    return abs(size) > least and is_clear(size, one.standard_error)
+    return abs(one.size) > least and one.is_clear
 
 
 def _write_move(found: ExplainedDifference, size: float, *, is_many: bool) -> str:
@@ -225,13 +220,12 @@ def _write_move(found: ExplainedDifference, size: float, *, is_many: bool) -> st
 
 def format_change(found: ExplainedDifference, one: Change) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
-    size = one.size
     if one.low is not None and one.high is not None:
         low, high = (format_magnitude(found, end) for end in (one.low, one.high))
         spread = f" ({low} to {high})"
     else:
         spread = f" +- {one.standard_error:.2g}" if one.standard_error else ""
-    return f"{'+' if size >= 0.0 else ''}{format_magnitude(found, size)}{spread}"
+    return f"{'+' if one.size >= 0.0 else ''}{format_magnitude(found, one.size)}{spread}"
 
 
 def name_change(one: Change) -> str:
@@ -344,10 +338,9 @@ def _write_software(found: ExplainedDifference) -> str:
     return f"No setting differs: both ran with {describe_software(first)}{code}."
 
 
-_MS: Final = ("dead_time_s", "lag_s")
-"""Fields of values that are printed in milliseconds."""
+_MS: Final = ("dead_time_s", "lag_s")  # fields of values that are printed in milliseconds
 
-_AFTER: Final = MappingProxyType({"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"})
+_AFTER: Final = {"gain": "", "reverse_gain": " backwards", "rate_limit": "/s"}
 """Text after a value: instead of the axis's unit, or after this unit."""
 
 
@@ -373,10 +366,7 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
             said.append(f"{told}, so the other robot's is taken for it.")
     if not sides or not found.contributions:
         return said
-    answers = any(
-        one.name == COMMANDS and is_clear(one.size, one.standard_error)
-        for one in found.contributions
-    )
+    answers = any(one.name == COMMANDS and one.is_clear for one in found.contributions)
     return [
         *(["Why the commands differ is not in the logs: they may answer the robot."] * answers),
         "Each robot's model is driven with the recorded commands. Intervals are 95 %, from"

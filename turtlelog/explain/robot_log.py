@@ -8,7 +8,6 @@ about its motion need no model.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -40,22 +39,20 @@ ROBOT: Final = "robot"
 CHANCE: Final = (NOISE, TIMES)
 """Parts that are chance instead of causes, because they do not belong to the robot."""
 
-MOTIONS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "driving", "turn_rate": "turning"})
+MOTIONS: Final[Mapping[Axis, str]] = {"speed": "driving", "turn_rate": "turning"}
 """Words for the motions of the axes, for names of parts."""
 
-FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "gain": ("gain", "reverse_gain"),
-        "dead time": ("dead_time_s",),
-        "time constant": ("lag_s", "lag_product_s2", "model"),
-        "limits": (
-            *("bound", "bound_acts", "bound_beside"),
-            *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
-        ),
-        "friction": ("friction", "deadband"),
-        "drift": ("drift",),
-    }
-)
+FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "gain": ("gain", "reverse_gain"),
+    "dead time": ("dead_time_s",),
+    "time constant": ("lag_s", "lag_product_s2", "model"),
+    "limits": (
+        *("bound", "bound_acts", "bound_beside"),
+        *("rate_limit", "limit_acts", "rate_limit_beside", "jerk_time_s"),
+    ),
+    "friction": ("friction", "deadband"),
+    "drift": ("drift",),
+}
 """Fields of an axis that are exchanged together."""
 
 _MIXED: Final = ("gain", "dead time", "time constant and limits", "friction", "drift")
@@ -64,8 +61,7 @@ _MIXED: Final = ("gain", "dead time", "time constant and limits", "friction", "d
 _MOSTLY: Final = 0.98
 """Share of the steps between poses that are used; the fastest steps have the largest noise."""
 
-_BEYOND: Final = 1.05
-"""Factor on a bound that noise of poses does not exceed."""
+_BEYOND: Final = 1.05  # factor on a bound that noise of poses does not exceed
 
 _LEAST: Final = 1e-3
 """Smallest random value as a share of the value, so that no parameter is negative, however wide its
@@ -286,8 +282,7 @@ def _move(one: Estimate | None, number: float) -> Estimate | None:
     return replace(one, value=max(value, _LEAST * one.value))
 
 
-_SPREAD: Final = (5.0, 95.0)
-"""Percentiles that bound the central 90 % of periods."""
+_SPREAD: Final = (5.0, 95.0)  # percentiles that bound the central 90 % of periods
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,11 +42,8 @@ paper's runs."""
 _AGREEMENT: Final = 0.1
 """Largest difference between re-simulation and log, as a share of the difference between runs."""
 
-_ROUNDING: Final = 1e-12
-"""Share of a value that a mean over equal values may differ by."""
-
-_NAMES: Final = ("the first run", "the second run")
-"""Names of runs that have equal names."""
+_ROUNDING: Final = 1e-12  # share of a value that a mean over equal values may differ by
+_NAMES: Final = ("the first run", "the second run")  # names of runs that have equal names
 
 _NO_SAMPLES: Final = (
     "without controller samples no scenario is known (turtlelog identify shows how a robot follows"
@@ -251,7 +248,7 @@ def _stand_for(
     if not len(run.samples):
         return replace(side, note=_NO_SAMPLES), None
     if run.scenario_is_complete and length_s <= LONGEST_S:
-        recorded = check_recorded_scenario(run, mark_breaks(trace_run(run)), trust_law=trust_law)
+        recorded = check_recorded_scenario(mark_breaks(trace_run(run)), trust_law=trust_law)
         note = recorded.reach
         if recorded.scenario is not None:
             side = replace(side, basis="recorded", note=note, is_exact=True)

@@ -40,8 +40,7 @@ moving steps deviate more than its rests: these steps are its motion."""
 _LONGEST_JUMP: Final = 5
 """Largest number of steps of a jump: a wrong pose gives two, an odometry filter some more."""
 
-_LAG_STEP_S: Final = 1e-4
-"""Difference for derivatives with respect to the time constant [s]."""
+_LAG_STEP_S: Final = 1e-4  # difference for derivatives with respect to the time constant [s]
 
 _LAG_RESOLUTION: Final = 0.05
 """Share of the longest possible time constant to which it is searched, and of a step between poses
@@ -52,8 +51,7 @@ NORMAL_95: Final = 1.96
 
 _MOST_ROUNDS: Final = 40
 
-_ROUND_ENDS: Final = 1e-9
-"""Share of the cost that another round must save to continue."""
+_ROUND_ENDS: Final = 1e-9  # share of the cost that another round must save to continue
 
 _SAME: Final = 1e-6
 """Share of the cost by which two searches that end in the same minimum may differ: a thousand times
@@ -182,11 +180,7 @@ class AxisFit:
 
 
 def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
-    """Return the best first-order fit.
-
-    Raises:
-        NoGainError: If no gain above 0 explains any of the motion.
-    """
+    """Return the best first-order fit; NoGainError if no gain above 0 explains any motion."""
     model = StepModel(motions)
     return finish_fit(model, _search_start(motions))
 

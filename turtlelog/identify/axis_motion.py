@@ -6,7 +6,6 @@ commands forever would mistake this for a slow robot.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
-from turtlelog.measure.pose_notes import find_travel_direction
+from turtlelog.measure.pose_quality import find_travel_direction
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
@@ -26,7 +25,7 @@ Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
 UNITS: Final = COMMAND_UNITS
 
-OTHER: Final[Mapping[Axis, Axis]] = MappingProxyType({"speed": "turn_rate", "turn_rate": "speed"})
+OTHER: Final[Mapping[Axis, Axis]] = {"speed": "turn_rate", "turn_rate": "speed"}
 NAMES: Final = COMMAND_WORDS
 """Names of the axes in sentences."""
 
@@ -298,8 +297,7 @@ _JOINED_S: Final = 0.1
 """Time over which rates are averaged [s]; otherwise noise of poses would hide the time of a
 stop."""
 
-_STOPPED: Final = 0.1
-"""Share of the largest rate in a silence below which the robot is at rest."""
+_STOPPED: Final = 0.1  # share of the largest rate in a silence below which the robot is at rest
 
 _OBEYS: Final = 0.25
 """Share of the held command from which a robot still follows it: gains are at least 0.5. Before a
@@ -358,8 +356,7 @@ def _look_at_silence(
 
 # The rates of a robot's model for recorded commands, beside the robot's own rates.
 
-_SHOWN_S: Final = 0.1
-"""Time over which rates are averaged for display [s]."""
+_SHOWN_S: Final = 0.1  # time over which rates are averaged for display [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -436,11 +433,7 @@ def predict_axis(model: "AxisModel", run: Run, time_s: Values) -> tuple[Values, 
 def predict_response(
     model: "AxisModel", commands: HeldInput, time_s: Values, beside: HeldInput | None
 ) -> tuple[Values, Values]:
-    """Return displacement or turn, and rate, of a model for commands of both axes.
-
-    Raises:
-        IdentifyError: If the axis of the model is unknown.
-    """
+    """Return displacement or turn, and rate, of a model for commands; IdentifyError if unknown."""
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:
         raise IdentifyError(f"{model.axis}: not identified: {model.reason}")

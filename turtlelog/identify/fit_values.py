@@ -6,7 +6,6 @@ widen the intervals until they cover the alternatives, and are reported.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -20,8 +19,7 @@ from turtlelog.identify.held_response import FIRST_ORDER, Structure, Values
 from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 
-_SHORT_LAG: Final = 2.0
-"""Time constant in steps between poses up to which it may be 0."""
+_SHORT_LAG: Final = 2.0  # time constant in steps between poses up to which it may be 0
 
 _FINEST: Final = 1e-4
 """Smallest standard error of a limit, as a share of the limit: the change over which its effect on
@@ -164,15 +162,13 @@ _LIMITS: Final = (
 )
 """Further parameters of structures; their values may differ between two structures."""
 
-_FEWEST: Final = 50
-"""Smallest number of steps of a part of the motion with values of its own."""
+_FEWEST: Final = 50  # smallest number of steps of a part of the motion with values of its own
 
 _APART: Final = 4.0
 """Smallest unexplained difference between two parts of the motion, in standard deviations. By
 chance, such a difference occurs in 1 of 800 robots with 20 differences each."""
 
-_LIKELY: Final = 2.0
-"""The same limit if the residual is a curve, so that some difference is likely."""
+_LIKELY: Final = 2.0  # same limit if the residual is a curve, so that some difference is likely
 
 _CURVE: Final = 4.0
 """Correlation of neighbouring residuals from which they form a curve, in standard deviations. Of
@@ -185,11 +181,8 @@ assumed slip alone causes 0.01 or 0.02: significant in a long log, but harmless.
 _NEIGHBOURS_S: Final = 0.5
 """Largest time between neighbours [s]: the duration of a usual robot's step response."""
 
-_MOST: Final = 3.0
-"""Limit of residuals in this comparison, in standard deviations."""
-
-_TELLS: Final = 1.05
-"""Growth factor of an interval from which the growth is reported."""
+_MOST: Final = 3.0  # limit of residuals in this comparison, in standard deviations
+_TELLS: Final = 1.05  # growth factor of an interval from which the growth is reported
 
 _MATTERS: Final = 0.01
 """Half-width of an interval from which a doubt is reported, as a share of the gain or of the total
@@ -248,25 +241,23 @@ def describe_rivals(structures: Sequence[Structure]) -> str:
     return f"{join_words(shared)}, {join_words(sorted(ways, key='alone'.__ne__), 'or')}"
 
 
-_PARTS: Final = MappingProxyType(
-    {
-        "second_order": "a second time constant",
-        "limited_before": "a limit of the acceleration before the time constant",
-        "limited_softly": "limits of the acceleration and the jerk before the time constant",
-        "limited_within": "a limit of the acceleration within the velocity loop",
-        "limited_wheels": "a limit of the acceleration of each wheel",
-        "command": "a bound of the command",
-        "rate": "a bound of the rate",
-        "scaled": "a bound of the wheels that scales both axes",
-        "clipped": "a bound of each wheel",
-        "yielding": "a bound of the wheels that the other axis uses first",
-        "reduced": "a reduction by the other axis",
-        "has_reverse": "another gain backwards",
-        "has_friction": "friction",
-        "has_drift": "a drift",
-        "deadband": "a deadband",
-    }
-)
+_PARTS: Final = {
+    "second_order": "a second time constant",
+    "limited_before": "a limit of the acceleration before the time constant",
+    "limited_softly": "limits of the acceleration and the jerk before the time constant",
+    "limited_within": "a limit of the acceleration within the velocity loop",
+    "limited_wheels": "a limit of the acceleration of each wheel",
+    "command": "a bound of the command",
+    "rate": "a bound of the rate",
+    "scaled": "a bound of the wheels that scales both axes",
+    "clipped": "a bound of each wheel",
+    "yielding": "a bound of the wheels that the other axis uses first",
+    "reduced": "a reduction by the other axis",
+    "has_reverse": "another gain backwards",
+    "has_friction": "friction",
+    "has_drift": "a drift",
+    "deadband": "a deadband",
+}
 """Words for the further parameters: by order, by bound, and by field of a structure."""
 
 

@@ -10,7 +10,6 @@ import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -20,8 +19,7 @@ from turtlelog.effects.acceleration import plan_curve
 
 Values = NDArray[np.float64]
 
-_FADED: Final = 1e-18
-"""Share of an earlier transient that is below the resolution of doubles."""
+_FADED: Final = 1e-18  # share of an earlier transient that is below the resolution of doubles
 
 _LEAST_LAG_S: Final = 1e-9
 """Time constant that represents no time constant [s]: it decays within the resolution of any
@@ -279,8 +277,7 @@ def _list_transients(commands: HeldInput, lag_s: Any) -> NDArray[Any]:
 _LEAST_TIGHTNESS: Final = 1e-6
 """Reciprocal of what stands for no limit of an axis without the other [s/m or s/rad]."""
 
-_LEAST_SLOWNESS: Final = 1e-9
-"""Time for a unit change that stands for none [s^2/m] or [s^2/rad]."""
+_LEAST_SLOWNESS: Final = 1e-9  # time for a unit change that stands for none [s^2/m] or [s^2/rad]
 
 Order = Literal[
     "first_order",
@@ -307,22 +304,17 @@ COUPLED: Final[tuple[Bound, ...]] = ("reduced", "scaled", "clipped", "yielding")
 or leaves this axis what the other does not need; or the other axis alone decides by how much this
 one is reduced: all that commands of one size show."""
 
-_STEP: Final = 1e-4
-"""Step for derivatives with respect to a further parameter, in its unit."""
+_STEP: Final = 1e-4  # step for derivatives with respect to a further parameter, in its unit
+_FINE_STEPS: Final = {"product": 1e-7, "friction": 1e-5}  # same for small parameters
 
-_FINE_STEPS: Final = MappingProxyType({"product": 1e-7, "friction": 1e-5})
-"""The same for small parameters."""
-
-_OF_ORDER: Final = MappingProxyType(
-    {
-        "first_order": (),
-        "second_order": ("product",),
-        "limited_before": ("slowness",),
-        "limited_softly": ("slowness", "jerk_time"),
-        "limited_within": ("slowness",),
-        "limited_wheels": ("slowness", "slowness_beside"),
-    }
-)
+_OF_ORDER: Final = {
+    "first_order": (),
+    "second_order": ("product",),
+    "limited_before": ("slowness",),
+    "limited_softly": ("slowness", "jerk_time"),
+    "limited_within": ("slowness",),
+    "limited_wheels": ("slowness", "slowness_beside"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

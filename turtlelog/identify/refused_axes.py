@@ -7,7 +7,6 @@ explain the motion as well as the best delay, within the differences between par
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -61,12 +60,10 @@ it. Larger values come from bytes that are not numbers."""
 _NEGLIGIBLE: Final = 1e-9
 """Value below which commands do not move a robot [m/s] or [rad/s]: a millimetre in twelve days."""
 
-_OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
-    {
-        "speed": "its front and its back may be swapped",
-        "turn_rate": "its left and its right motor may be swapped",
-    }
-)
+_OPPOSITE_WHY: Final[Mapping[Axis, str]] = {
+    "speed": "its front and its back may be swapped",
+    "turn_rate": "its left and its right motor may be swapped",
+}
 
 
 def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
@@ -230,11 +227,8 @@ def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
     return value.high - value.low > max(value.value, fine)
 
 
-_SAMPLE_S: Final = 0.01
-"""Sampling time for the comparison of commands with earlier ones [s]."""
-
-_MOST_S: Final = 120.0
-"""Length of each run that is compared [s]."""
+_SAMPLE_S: Final = 0.01  # sampling time for the comparison of commands with earlier ones [s]
+_MOST_S: Final = 120.0  # length of each run that is compared [s]
 
 _ALIKE: Final = 0.8
 """Correlation from which commands repeat: a switch that is 5 % of a period early or late reduces
@@ -247,8 +241,7 @@ resemble the commands shortly before."""
 _DIFFERS: Final = 0.25
 """Smallest difference of two models in a decisive step, as a share of the largest step."""
 
-_FEWEST: Final = 3
-"""Smallest number of decisive steps; fewer steps may be jumps."""
+_FEWEST: Final = 3  # smallest number of decisive steps; fewer steps may be jumps
 
 _BETTER: Final = 0.5
 """Largest error of the right model in these steps, as a share of the other model's error."""
@@ -342,11 +335,8 @@ _MOST_STEPS: Final = 20_000
 _PART_S: Final = 1.0
 """Length of parts of the log that count as independent [s]: a usual time constant has faded."""
 
-_FEWEST_PARTS: Final = 8
-"""Smallest number of parts whose scatter is meaningful."""
-
-_CHANCE: Final = 0.05
-"""Probability that the range does not contain the true best delay."""
+_FEWEST_PARTS: Final = 8  # smallest number of parts whose scatter is meaningful
+_CHANCE: Final = 0.05  # probability that the range does not contain the true best delay
 
 _NEAR: Final = 0.6
 """Factor of Student's t from which a delay is worse than the best. The excess residual grows with

@@ -26,7 +26,7 @@ from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiti
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
 from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure
-from turtlelog.measure.pose_notes import describe_sideways, find_travel_direction
+from turtlelog.measure.pose_quality import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
@@ -174,8 +174,12 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     return found, _list_events(names, axis, fit)
 
 
+def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:
+    return np.concatenate([get_commands(run, axis) for run in runs])
+
+
 def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    sizes = np.abs(np.concatenate([get_commands(run, model.axis) for run in runs]))
+    sizes = np.abs(_join_commands(runs, model.axis))
     moving, name = sizes[sizes > 0.0], NAMES[model.axis]
     if model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max()):
         yield (
@@ -196,7 +200,7 @@ def _list_moving(
     """Return the magnitudes of moving commands of one sign, and whether they reach the bound."""
     # A command that reaches the bound within its interval fits any larger gain as well. The way to
     # a bound of the rate shows the gain anyway.
-    sizes = sign * np.concatenate([get_commands(run, model.axis) for run in runs])
+    sizes = sign * _join_commands(runs, model.axis)
     sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
     if model.gain is None or model.bound is None or model.bound_acts == "rate":
         return sizes, np.zeros(len(sizes), dtype=bool)
@@ -256,10 +260,7 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
     # Wheels that reach their limit together show only this one gain; other commands may have a
     # larger gain.
     other = OTHER[model.axis]
-    own, beside = (
-        np.abs(np.concatenate([get_commands(run, axis) for run in runs]))
-        for axis in (model.axis, other)
-    )
+    own, beside = (np.abs(_join_commands(runs, axis)) for axis in (model.axis, other))
     beside = beside[own > 0.0]
     if not model.is_known or not len(beside):
         return

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
-from types import MappingProxyType
 from typing import Any, Final, Literal, SupportsFloat
 
 from turtlelog.display import fit_line, format_html, format_notebook, join_words
@@ -272,24 +271,24 @@ class AxisModel:
         return self.reason == f"the {NAMES[self.axis]} is never commanded"
 
 
-ORDERS: Final[Mapping[str, Order]] = MappingProxyType(
-    {"before_lag": "limited_before", "within_lag": "limited_within", "at_wheels": "limited_wheels"}
-)
+ORDERS: Final[Mapping[str, Order]] = {
+    "before_lag": "limited_before",
+    "within_lag": "limited_within",
+    "at_wheels": "limited_wheels",
+}
 """Order of a model by the place of its limit."""
 
-FURTHER: Final = MappingProxyType(
-    {
-        "product": ("lag_product_s2", "itself", "s^2"),
-        "slowness": ("rate_limit", "quotient", "{own}^2"),
-        "jerk_time": ("jerk_time_s", "itself", "s"),
-        "slowness_beside": ("rate_limit_beside", "reciprocal", "{other}^2"),
-        "tightness": ("bound", "quotient", "{own}"),
-        "coupling": ("bound_beside", "reciprocal", "{other}"),
-        "reverse": ("reverse_gain", "product", "1"),
-        "friction": ("friction", "itself", "{own}"),
-        "drift": ("drift", "product", "{own}"),
-    }
-)
+FURTHER: Final = {
+    "product": ("lag_product_s2", "itself", "s^2"),
+    "slowness": ("rate_limit", "quotient", "{own}^2"),
+    "jerk_time": ("jerk_time_s", "itself", "s"),
+    "slowness_beside": ("rate_limit_beside", "reciprocal", "{other}^2"),
+    "tightness": ("bound", "quotient", "{own}"),
+    "coupling": ("bound_beside", "reciprocal", "{other}"),
+    "reverse": ("reverse_gain", "product", "1"),
+    "friction": ("friction", "itself", "{own}"),
+    "drift": ("drift", "product", "{own}"),
+}
 """Field of each further parameter of a structure; the relation of its value to the parameter
 (`quotient`: gain by parameter; `product`: gain times parameter); and its unit, by the units of the
 rates of its own axis and the other one."""

@@ -23,15 +23,13 @@ from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
 
-_SHORTEST_STAND_S: Final = 1.0
-"""Shortest rest that is used [s]: 30 poses of a usual robot."""
+_SHORTEST_STAND_S: Final = 1.0  # shortest rest that is used [s]: 30 poses of a usual robot
 
 _SETTLED_S: Final = 0.5
 """Time until a robot is at rest, after dead time and five time constants of the last command
 [s]."""
 
-_FADED: Final = 5.0
-"""Time constants after which less than 1 % of a rate is left."""
+_FADED: Final = 5.0  # time constants after which less than 1 % of a rate is left
 
 _MOST_RATE: Final = 0.05
 """Mean rate above which a robot is not at rest, as a share of the largest command."""
@@ -120,11 +118,7 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
 
 
 def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> Noise | None:
-    """Return the growth of a model's error [m or rad per root of a second].
-
-    Returns:
-        The noise; None if the axis has no model, or no run is long enough.
-    """
+    """Return the growth of a model's error [m or rad per root of a second]; None if unknown."""
     if not getattr(model, axis).is_known:
         return None
     stretches = [stretch for run in runs for stretch in _list_errors(model, axis, run)]

@@ -4,7 +4,6 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -27,11 +26,8 @@ message at 10 Hz by some milliseconds; manual input shifts messages by tenths of
 _MOSTLY: Final = 0.8
 """Share of the intervals that must be regular; the others are lost messages and pauses."""
 
-_FEWEST: Final = 10
-"""Smallest number of intervals from which a period is computed."""
-
-_DIGITS: Final = 6
-"""Significant digits of written numbers: a hundredth of the narrowest interval."""
+_FEWEST: Final = 10  # smallest number of intervals from which a period is computed
+_DIGITS: Final = 6  # significant digits of written numbers: a hundredth of the narrowest interval
 
 _DOUBT: Final = "Doubt: "
 _NOTE: Final = "Note: "
@@ -46,24 +42,21 @@ _FEWEST_ARRIVALS: Final = 3
 """Number of commands at exactly the largest value from which this value is a limit: two commands
 may be two steps of one drive."""
 
-_EXACT: Final = 1e-6
-"""Relative difference of equal commands: single precision, or sums of steps."""
+_EXACT: Final = 1e-6  # relative difference of equal commands: single precision, or sums of steps
 
-_RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = MappingProxyType(
-    {
-        "speed": ("limits.acceleration_m_s2", "limits.jerk_m_s3"),
-        "turn_rate": ("limits.turn_acceleration_rad_s2", "limits.turn_jerk_rad_s3"),
-    }
-)
+_RAMP_KEYS: Final[Mapping[Axis, tuple[str, str]]] = {
+    "speed": ("limits.acceleration_m_s2", "limits.jerk_m_s3"),
+    "turn_rate": ("limits.turn_acceleration_rad_s2", "limits.turn_jerk_rad_s3"),
+}
 """Keys of the limits before the time constant."""
 
-_DRIFT_KEYS: Final[Mapping[Axis, str]] = MappingProxyType(
-    {"speed": "disturbance.speed_m_s", "turn_rate": "disturbance.turn_rate_rad_s"}
-)
+_DRIFT_KEYS: Final[Mapping[Axis, str]] = {
+    "speed": "disturbance.speed_m_s",
+    "turn_rate": "disturbance.turn_rate_rad_s",
+}
 
 _LONGEST_PERIOD_S: Final = 1.0
-_SHORTEST_PERIOD_S: Final = 0.001
-"""Shortest period of a scenario [s]."""
+_SHORTEST_PERIOD_S: Final = 0.001  # shortest period of a scenario [s]
 
 
 Part = tuple[dict[str, Any], list[str]]
@@ -429,20 +422,17 @@ def _round(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
 
-_TOLERANCE: Final = 0.01
-"""Tolerance of the goal [m] and [rad], usual for wheeled robots."""
+_TOLERANCE: Final = 0.01  # tolerance of the goal [m] and [rad], usual for wheeled robots
 
 _ABOVE_NOISE: Final = 5.0
 """Smallest tolerance in standard deviations of the poses' noise: a smaller one is never met."""
 
-_DRIVE_S: Final = 5.0
-"""Duration of a drive towards the goal, in which the heading drifts [s]."""
+_DRIVE_S: Final = 5.0  # duration of a drive towards the goal, in which the heading drifts [s]
 
 _ABOVE_DRIFT: Final = 2.0
 """Standard deviations of that drift within the tolerance: 1 drive of 20 drifts further."""
 
-_AHEAD_M: Final = 1.0
-"""Distance of the goal ahead and to the left, if the bag has none [m]."""
+_AHEAD_M: Final = 1.0  # distance of the goal ahead and to the left, if the bag has none [m]
 
 
 def _find_start_and_goal(run: Run) -> Part:

@@ -7,6 +7,7 @@ from .base import (
     Law as Law,
     LawPart as LawPart,
     Pose as Pose,
+    find_part as find_part,
 )
 from .given_laws import (
     WorkWithLaws as WorkWithLaws,

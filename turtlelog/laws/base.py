@@ -331,6 +331,12 @@ class AskedLaw:
         )
 
 
+def find_part(law: Any) -> LawPart | None:
+    """Return the part that a law with its parameters is; None for any other law."""
+    part: LawPart | None = getattr(type(law), "_part", None)
+    return part if part is not None and type(law) is _build_class(part) else None
+
+
 def _read_error(value: float) -> float | None:
     """Return a value that a step wrote, or None if the step did not write it."""
     return None if math.isnan(value) else value

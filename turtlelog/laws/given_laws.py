@@ -11,13 +11,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from secrets import token_hex
 from threading import Lock
 from typing import Any, Final, Generic, TypeVar
 
 from turtlelog.errors import LawError, describe_error
-from turtlelog.laws.base import Goal, Law, LawPart, Pose
+from turtlelog.laws.base import Goal, Law, LawPart, Pose, find_part
 from turtlelog.laws.loading import LAWS
 from turtlelog.libraries import load_library
 from turtlelog.run.paths import Path
@@ -25,8 +25,7 @@ from turtlelog.run.paths import Path
 T = TypeVar("T")
 R = TypeVar("R")
 
-_SESSION: Final = "session:"
-"""Beginning of the kind of a law of a session."""
+_SESSION: Final = "session:"  # beginning of the kind of a law of a session
 
 _GIVEN: Final[dict[str, Any]] = {}
 _GIVING: Final = Lock()
@@ -36,11 +35,13 @@ def name_given_law(law: Any) -> str:
     """Return the kind of a law: the built-in kind, `module:NAME` if importable, or `session:NAME`.
 
     Args:
-        law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`.
+        law: A class, a function of `(time_ns, pose, goal)`, a `LawPart`, or an object with `step`;
+            of a part with its parameters, the part.
 
     Raises:
         LawError: If `law` is none of these.
     """
+    law = find_part(law) or law
     if isinstance(law, LawPart) and LAWS.get(law.name) is law:
         return law.name
     is_named = isinstance(law, type | LawPart) or inspect.isfunction(law)
@@ -192,11 +193,25 @@ def _complete_object(law: Any) -> type[Any]:
         def step(self, time_ns: int, pose: Pose) -> Any:
             return self._law.step(time_ns, pose)
 
-    for name in ("declare", "causes"):
-        if hasattr(law, name):
-            setattr(Given, name, staticmethod(law.declare) if name == "declare" else law.causes)
+    for name, member in _list_members(law).items():
+        setattr(Given, name, member)
     _take_name(Given, type(law))
     return Given
+
+
+def _list_members(law: Any) -> dict[str, Any]:
+    """Return what an object declares about itself, by name."""
+
+    def ask(name: str, parameters: object, *others: Any) -> Any:
+        return getattr(law, name)(getattr(law, "parameters", parameters), *others)
+
+    names = [name for name in ("declare", "list_unused") if hasattr(law, name)]
+    members: dict[str, Any] = {name: staticmethod(partial(ask, name)) for name in names}
+    if hasattr(law, "causes"):
+        members["causes"] = law.causes
+    if getattr(law, "counts_samples", None) == ():  # no scenario scales what an object counts
+        members["counts_samples"] = ()
+    return members
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
@@ -15,8 +14,7 @@ from turtlelog.run import stop_reasons
 from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path
 
-_TICK_S: Final = 0.016
-"""One tick of turtlesim [s], the usual sampling period of the controller."""
+_TICK_S: Final = 0.016  # one tick of turtlesim [s], the usual sampling period of the controller
 
 _END_OF_SIGNAL: Final = 1
 
@@ -32,22 +30,26 @@ and far below the limits of turtlesim's 32-bit floats."""
 _COMMON: Final = {"axis": "turn_rate", "amplitude": 1.0, "start_s": 0.0, "duration_s": 2.4}
 _MAXIMUM_LENGTH: Final = {"bit_s": 0.192, "order": 7, "register": 1}
 
-USED_KEYS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
-    {
-        "impulse": {**_COMMON, "width_s": _TICK_S},
-        "step": _COMMON,
-        "ramp": _COMMON,
-        "prbs": {**_COMMON, **_MAXIMUM_LENGTH, "amplitude": 0.5, "duration_s": 24.384},
-        "sequence": {"time_s": (), "speed_m_s": (), "turn_rate_rad_s": ()},
-    }
-)
+USED_KEYS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "impulse": {**_COMMON, "width_s": _TICK_S},
+    "step": _COMMON,
+    "ramp": _COMMON,
+    "prbs": {**_COMMON, **_MAXIMUM_LENGTH, "amplitude": 0.5, "duration_s": 24.384},
+    "sequence": {"time_s": (), "speed_m_s": (), "turn_rate_rad_s": ()},
+}
 """Keys of each signal with their defaults. In 2.4 s, 150 ticks, a step of 1 rad/s turns less than
 half a turn. The default PRBS lasts one period: 127 bits of 12 ticks."""
 
-TAPS: Final[Mapping[int, tuple[int, int]]] = MappingProxyType(
-    {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 9: (9, 5), 10: (10, 7)}
-    | {11: (11, 9), 15: (15, 14)}
-)
+TAPS: Final[Mapping[int, tuple[int, int]]] = {
+    2: (2, 1),
+    3: (3, 2),
+    4: (4, 3),
+    5: (5, 3),
+    6: (6, 5),
+    7: (7, 6),
+    9: (9, 5),
+    10: (10, 7),
+} | {11: (11, 9), 15: (15, 14)}
 """Feedback of shift registers by their order: x^n + x^m + 1 is primitive, so each register runs
 through all 2^n - 1 states except 0 (S. W. Golomb, "Shift Register Sequences", 1967). Orders 8, 12,
 13 and 14 have no such polynomial of three terms."""

@@ -45,11 +45,7 @@ class TrackingState:
 def declare(
     name: str, along_gain: str, parameters: Any, goal: Goal | None, path: Path | None
 ) -> Declaration:
-    """Return the loops along and across the path, which act at the same time.
-
-    Raises:
-        LawError: If there is no path.
-    """
+    """Return the loops along and across the path, which act together; LawError without a path."""
     del parameters, goal
     if path is None:
         raise LawError(f"{name}: expected a path to track, found no table [path]")

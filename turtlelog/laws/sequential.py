@@ -8,6 +8,7 @@ at 0. The first sample only computes the goal bearing.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from itertools import pairwise
 from typing import Any, Final, Literal, NoReturn
 
 from turtlelog.arithmetic import (
@@ -377,7 +378,7 @@ class GainSchedule:
     def _require_places(self) -> None:
         if not 2 <= len(self.at) <= MOST_ENTRIES:
             _refuse("at", f"2 to {MOST_ENTRIES} entries", len(self.at))
-        for low, high in zip(self.at[:-1], self.at[1:], strict=True):
+        for low, high in pairwise(self.at):
             if not low < high:
                 _refuse("at", "rising numbers", f"{high:g} after {low:g}")
 
@@ -415,9 +416,8 @@ def _read_numbers(name: str, values: Any) -> tuple[float, ...]:
     least = "> 0" if name in _POSITIVE else ">= 0"
     for value in values:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not (is_number and math.isfinite(value) and value >= 0):
-            _refuse(name, f"finite numbers {least}", value)
-        if value == 0 and name in _POSITIVE:
+        is_valid = is_number and math.isfinite(value) and value >= 0
+        if not is_valid or (value == 0 and name in _POSITIVE):
             _refuse(name, f"finite numbers {least}", value)
     return tuple(map(float, values))
 

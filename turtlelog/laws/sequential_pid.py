@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
@@ -19,14 +18,12 @@ from turtlelog.parts import ABSENT_BY_DEFAULT
 from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.run.paths import Path
 
-_STATES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "integral_angular": "rad/s",
-        "derivative_angular": "rad/s",
-        "integral_linear": "m/s",
-        "derivative_linear": "m/s",
-    }
-)
+_STATES: Final[Mapping[str, str]] = {
+    "integral_angular": "rad/s",
+    "derivative_angular": "rad/s",
+    "integral_linear": "m/s",
+    "derivative_linear": "m/s",
+}
 """States of the integral and derivative terms: their contributions to the commands, with units."""
 
 NonNegative = Annotated[float, Meta(ge=0)]
@@ -66,11 +63,7 @@ class SequentialPIDParameters(SequentialPParameters):
 
 
 def declare(parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
-    """Return the loops of `sequential-p` with the gains of this law, and the law's states.
-
-    Raises:
-        LawError: If the law must reorient and the goal has no heading.
-    """
+    """Return the loops of `sequential-p` with the gains of this law, and the law's states."""
     del path
     rotate, translate = DECLARATION.loops
     loops = (

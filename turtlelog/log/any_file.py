@@ -14,7 +14,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log import recording, ros2
-from turtlelog.log.engine.opening import is_bag_file
+from turtlelog.log.engine.opening import is_bag_file, strip_suffixes
 from turtlelog.log.file_access import name_file, open_file
 from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
@@ -86,7 +86,29 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice, "recording")
-    return _note_unused(ros2.read_bag(path, **_list_options(choice)), choice, "bag")
+    return _note_unused(_read_bag(path, choice), choice, "bag")
+
+
+def _read_bag(path: Path, choice: ReadChoice) -> "Run":
+    """Return the run in a bag, or in what can be recovered of it if the choice allows this."""
+    try:
+        return ros2.read_bag(path, **_list_options(choice))
+    except LogError:
+        if not choice.allow_partial:
+            raise
+        from tempfile import TemporaryDirectory  # sound bags need none
+
+        with TemporaryDirectory() as folder:
+            copy = Path(folder) / (path.name if path.is_dir() else f"{strip_suffixes(path)}.mcap")
+            report = None
+            with suppress(LogError):  # the first error names what is wrong
+                report = log.recover_recording(path, copy)
+            if report is None or report.complete:
+                raise
+            run = ros2.read_bag(copy, **_list_options(choice))
+    lost = run.notes["recovered"]
+    warnings.warn(f"{path}: {lost}", recording.PartialRecordingWarning, stacklevel=4)
+    return run
 
 
 def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
@@ -271,7 +293,7 @@ def read_trajectory(
             columns = {**of_robot, **choice.columns}
             chosen = log.assign_columns(table.names, columns, table.units)
             if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
-                return _build_from_table(file, log.Cells(table, chosen))
+                return _build_from_table(file, log.Cells(table, chosen, choice.robot))
     bag = None
     if file.exists() and (file.is_dir() or is_bag_file(file)):
         with suppress(LogError):  # the reader of the run gives the error
@@ -303,11 +325,8 @@ def _is_plain_table(path: Path, choice: ReadChoice) -> bool:
 
 def _build_from_table(path: Path, cells: "Cells") -> "Trajectory":
     xyz_m = np.column_stack([cells.require(name) for name in "xyz"])
-    turns = np.column_stack([cells.require(name) for name in _QUATERNION])
-    with np.errstate(over="ignore"):
-        empty = (turns**2).sum(axis=1) == 0.0
-    if empty.any():
-        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    x, y, z, w = cells.require_turns()
+    turns = np.column_stack([w, x, y, z])
     notes = {CHOSEN: cells.describe()} if cells.table.has_header else {}
     notes |= cells.notes
     return runs.build_trajectory(path.stem, cells.time_ns, xyz_m, turns, notes=notes)

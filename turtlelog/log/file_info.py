@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, fit_line
 from turtlelog.files.urls import make_path
-from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
+from turtlelog.log.engine.blocks import parse_others, read_heads, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue, describe_unread
 from turtlelog.log.engine.limits import Allowance, measure_stored
 from turtlelog.log.engine.opening import open_storage, strip_suffixes
-from turtlelog.log.engine.records import gather_heads
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
@@ -290,7 +289,7 @@ def _survey_source(stream: BinaryIO) -> Survey:
     if not source.is_indexed:
         _walk(stream, survey, source.allowance, None)
     elif statistics is None or (statistics.message_count and not statistics.channel_message_counts):
-        for found in source.map_blocks(_read_heads):
+        for found in source.map_blocks(read_heads):
             survey.count(*found)
     else:
         survey.counts.update(statistics.channel_message_counts)
@@ -315,12 +314,6 @@ def _walk(
 
     for _ in walk_through(stream, take, damages=damages):
         pass
-
-
-def _read_heads(block: Block) -> tuple[NDArray[np.uint16], NDArray[np.uint64]]:
-    starts = np.concatenate([np.empty(0, np.int64), *block.offsets.values()])
-    heads = gather_heads(block.data, starts)
-    return heads["channel"], heads["log_time"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

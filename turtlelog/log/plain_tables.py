@@ -3,13 +3,14 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress, islice
 from pathlib import Path
 from typing import Final, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_utc, join_words
+from turtlelog.display import describe_count, format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file
@@ -20,6 +21,7 @@ from turtlelog.log.planar_poses import (
     compute_tilt,
     describe_headings,
     describe_height,
+    describe_order,
     fits_degrees,
     lift_poses,
     separate_times,
@@ -40,8 +42,12 @@ from turtlelog.log.table_columns import (
     Choice,
     assign_columns,
     describe_units,
+    find_robot_column,
     find_runs,
     find_table_robots,
+    guess_time_unit,
+    list_row_robots,
+    offer_robots,
     read_date,
     read_time,
     show_column,
@@ -62,6 +68,9 @@ _NEEDED: Final = ("t", "x", "y", "heading")
 
 _SHOWN_NAMES: Final = 12
 """Largest number of columns that an error lists."""
+
+_MOST_UNREAD: Final = 160
+"""Largest number of letters that list the columns which are not read, at least one each."""
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
 
@@ -87,7 +96,7 @@ def import_plain_table(
     Args:
         path: Text file with commas, semicolons, tabs or blanks between cells, or a Parquet file.
         columns: Columns by quantity, if names are not clear, as in `{"heading": "psi [deg]"}`.
-        robot: Name of one of several robots, as in `robot1_x`.
+        robot: Name of one of several robots, as in `robot1_x` or in a column `robot`.
         allow_partial: Whether to leave out a last row with too few cells.
 
     Raises:
@@ -100,8 +109,9 @@ def import_plain_table(
         asked = {**robots.get(robot or "", {}), **(columns or {})}
         chosen = assign_columns(table.names, asked, table.units)
         _require_columns(table, chosen, [*robots])
-        run = _build_run(path, Cells(table, chosen))
-        if robot not in robots:
+        cells = Cells(table, chosen, robot)
+        run = _build_run(path, cells)
+        if robot not in {*robots, *cells.robots}:
             return run
         return replace(run, name=f"{run.name}:{robot}", notes={**run.notes, ROBOT: robot})
 
@@ -119,12 +129,12 @@ def _require_columns(
                 "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
                 " --reference FILE --ate compares two of them"
             )
-        found = ", ".join(table.names[:_SHOWN_NAMES])
+        shown = range(min(len(table.names), _SHOWN_NAMES))
+        found = ", ".join(show_column(table.names, place) for place in shown)
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
-        option = f"--column {missing[0]}='NAME [UNIT]' says which"
-        if robots:
-            option = f"{' or '.join(f'--robot {robot}' for robot in robots[:3])} chooses a robot"
-        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {option}")
+        offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
+        options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
+        raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
 
 
 def _build_run(path: Path, cells: "Cells") -> Run:
@@ -144,7 +154,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     poses = {name: column[has_pose] for name, column in values.items()}
     whole = {name: column for name, column in poses.items() if not np.isnan(column).any()}
     absent = [*_NEVER, *(() if len(commands) else ("commands",))]
-    start = f"{start_ns / 1e9:.9f} s" if start_ns < 1e18 else format_utc(start_ns)
+    start = f"{format_seconds(start_ns)} s" if start_ns < 1e18 else format_utc(start_ns)
     pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses["heading"])
     plane = describe_height(poses.get("z"), poses.get("tilt"))
@@ -220,11 +230,9 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
-    x, y, z, w = (cells.require(name) for name in _QUATERNION)
-    with np.errstate(over="ignore"):
-        empty = x**2 + y**2 + z**2 + w**2 == 0.0
-    if empty.any():
-        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    x, y, z, w = cells.require_turns()
+    names = [cells.chosen[name].name for name in _QUATERNION]
+    cells.notes |= describe_order(x, y, z, w, names=names)
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
 
 
@@ -300,14 +308,29 @@ class Cells:
         chosen: Chosen columns by quantity.
         time_ns: Times [ns], since 1970 or from another start, shape (n,).
         notes: Notes on rows that are left out.
+        robots: Robots whose rows alternate; empty for one robot.
     """
 
-    def __init__(self, table: PlainTable, chosen: Mapping[str, Choice]) -> None:
+    def __init__(
+        self, table: PlainTable, chosen: Mapping[str, Choice], robot: str | None = None
+    ) -> None:
         self.table, self.chosen = table, chosen
         self._guesses: dict[str, str] = {}
-        found = table.columns.read([choice.column for choice in chosen.values()])
-        self._cells = dict(zip(chosen, found, strict=True))
+        taken = [choice.column for choice in chosen.values()]
+        named = find_robot_column(table.names, {*taken})
+        found = table.columns.read([*taken, *named])
+        self._cells = dict(zip(chosen, found, strict=False))
+        self._lines, self.robots = table.columns.lines, list[str]()
         time_ns = self._read_times()
+        if named:
+            placed = np.isfinite(self._parse(self.chosen["x"]))
+            self.robots = list_row_robots([*compress(found[-1], placed)], time_ns[placed])
+        if self.robots:
+            if robot not in self.robots:
+                raise LogError(f"rows of several robots alternate: {offer_robots(self.robots)}")
+            rows = np.flatnonzero([str(name) == robot for name in found[-1]])
+            time_ns = time_ns[rows]
+            self._take_robot(rows)
         runs = self._find_runs(time_ns)
         self._rows = max(runs, key=lambda rows: rows.stop - rows.start)
         self.time_ns = time_ns[self._rows]
@@ -333,12 +356,15 @@ class Cells:
 
     def find_assumed(self, *fields: str) -> dict[str, str]:
         """Return the names of columns in assumed standard units, by quantity."""
-        guesses = {field: self._guesses.get(field, "") for field in fields}
-        return {
-            field: self.chosen[field].name
-            for field, guess in guesses.items()
-            if guess.endswith(_ASSUMED)
+        guessed = [one for one in fields if self._guesses.get(one, "").endswith(_ASSUMED)]
+        return {field: self.chosen[field].name for field in guessed}
+
+    def _take_robot(self, rows: NDArray[np.int64]) -> None:
+        self._cells = {
+            field: cells[rows] if isinstance(cells, np.ndarray) else [cells[row] for row in rows]
+            for field, cells in self._cells.items()
         }
+        self._lines = [self._lines[row] for row in rows]
 
     def _find_runs(self, time_ns: NDArray[np.int64]) -> list[slice]:
         """Return the rows of each run, judged by rows with a position.
@@ -354,7 +380,7 @@ class Cells:
 
     def _describe_restart(self, runs: Sequence[slice]) -> str:
         """Return a sentence on a table with several runs, of which one is read."""
-        lines, word, rows = self.table.columns.lines, self.table.word, self._rows
+        lines, word, rows = self._lines, self.table.word, self._rows
         left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
         return (
             f"run {runs.index(rows) + 1} of {len(runs)} in the table is read, {word}s"
@@ -367,7 +393,7 @@ class Cells:
         """Return a description of the columns: quantities, units, and unread columns."""
         told = []
         for field, choice in self.chosen.items():
-            unit = self._guesses.get(field, choice.unit)
+            unit = self._guesses.get(field, choice.unit or "ns")  # of nanoseconds without a unit
             # The unit is not repeated if the column's name ends with it.
             is_said = QUANTITIES[field] == "number" or (
                 unit == choice.unit and choice.name.endswith(("]", ")"))
@@ -375,20 +401,30 @@ class Cells:
             told.append(f"{field} from {choice.name}" + ("" if is_said else f" [{unit}]"))
         used = {choice.column for choice in self.chosen.values()}
         names = self.table.names
-        rest = [show_column(names, place) for place in range(len(names)) if place not in used]
+        rest = (show_column(names, place) for place in range(len(names)) if place not in used)
         text = ", ".join(told)
-        if rest:
-            text += f"; not read: {', '.join(rest)[:160]}"
+        if unread := ", ".join(islice(rest, _MOST_UNREAD))[:_MOST_UNREAD]:
+            text += f"; not read: {unread}"
         if self._guesses:
             field = [*self._guesses][-1]
             text += f"; --column {field}='{self.chosen[field].name} [UNIT]' names another unit"
         return text
 
+    def require_turns(self) -> Sequence[Values]:
+        """Return the columns of quaternions x, y, z, w. A length of 0 is refused."""
+        columns = [self.require(name) for name in _QUATERNION]
+        with np.errstate(over="ignore"):
+            empty = np.square(columns).sum(axis=0) == 0.0
+        if empty.any():
+            row = self._rows.start + int(empty.argmax())
+            self.refuse("qw", row, "a rotation of a length other than 0")
+        return columns
+
     def refuse(self, field: str, row: int, expected: str = "a number") -> NoReturn:
         """Raise an error for an invalid cell."""
         table, choice = self.table, self.chosen[field]
         found = repr(str(self._cells[field][row])[:40])
-        place = f"{table.word} {table.columns.lines[row]}, column {choice.name}"
+        place = f"{table.word} {self._lines[row]}, column {choice.name}"
         raise LogError(f"{place}: expected {expected}, found {found}")
 
     def _parse(self, choice: Choice) -> Values:
@@ -440,7 +476,10 @@ class Cells:
                 self.refuse("t", row, "a time")
             times[row] = time_ns
         more = self.chosen.get("t_nanosec")
-        return times if more is None else times + self._parse(more).astype(np.int64)
+        if more is None:
+            return times
+        factor = np.int64(10 ** _POWERS[more.unit or "ns"])
+        return times + self._parse(more).astype(np.int64) * factor
 
     def _guess_time_unit(self, choice: Choice) -> str:
         numbers = self._parse(choice)
@@ -452,8 +491,8 @@ class Cells:
         if step > _LONGEST_STEP_S:
             raise LogError(
                 f"column {choice.name}: expected a time with its unit, found steps of {step:g},"
-                f" which are no seconds: --column t='{choice.name} [ns]' names the unit (s, ms, us,"
-                " ns)"
+                f" which are no seconds: --column t='{choice.name} [{guess_time_unit(step)}]' names"
+                " the unit (s, ms, us, ns)"
             )
         self._guesses["t"] = f"s{_ASSUMED}"
         return "s"

@@ -4,7 +4,7 @@ Headings are judged by the direction of travel.
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -204,6 +204,23 @@ def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     if not found:
         return None
     return f"the robot leaves the plane: {' and '.join(found)}; {_SEEN}"
+
+
+def describe_order(
+    x: Values, y: Values, z: Values, w: Values, *, names: Sequence[str]
+) -> dict[str, str]:
+    """Return a note on a robot that stays upright only if its quaternions begin with w.
+
+    The columns of x, y, z and w have these `names`.
+    """
+    tilt_rad, other_rad = _keep_finite(compute_tilt(x, y, z, w)), compute_tilt(y, z, w, x)
+    if not len(tilt_rad) or float(np.ptp(tilt_rad)) <= _MOST_TILT_RAD:
+        return {}  # a frame that is tilted throughout
+    if float(np.nanmax(other_rad)) > _MOST_TILT_RAD:
+        return {}
+    pairs = zip(("qw", "qx", "qy", "qz"), names, strict=True)
+    options = " ".join(f"--column {part}='{name}'" for part, name in pairs)
+    return {"quaternion_order": f"as w, x, y, z they keep the robot upright: {options}"}
 
 
 def describe_level(z_m: Values | None) -> str | None:

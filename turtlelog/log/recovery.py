@@ -23,7 +23,7 @@ from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.file_access import create_folder, name_file, replace_when_complete
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import LIBRARY, join_records
-from turtlelog.log.recording.head import RECOVERY, format_recovery
+from turtlelog.log.recording.head import RECOVERY, SUMMARY_LOST, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2.bag_files import list_present_files, read_compression
 
@@ -167,8 +167,8 @@ def _copy(source: Path, found: Damaged, output: BinaryIO, summary: FileSummary |
         schemas, channels = first.first_schemas.values(), first.first_channels.values()
         copied = _copy_records(_walk(source, found), found.stored_size, output, schemas, channels)
     if copied.data_end is not None and summary is None:
-        reason, size = "the summary is damaged or missing", found.place.stat().st_size
-        copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
+        size = found.place.stat().st_size
+        copied.summary = Loss(start=copied.data_end, end=size, reason=SUMMARY_LOST)
     return copied
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
+from itertools import islice
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -58,6 +59,9 @@ _SPELLINGS: Final[Mapping[str, str]] = {
 }
 """Common spellings of units."""
 
+_DATES: Final = frozenset({"utc", "gmt", "date", "datetime", "iso", "iso8601", "iso 8601"})
+"""Texts in a row of units above times that need no unit."""
+
 _NAMES: Final[Mapping[str, str]] = {
     "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
     " stamp_sec stamp_secs elapsed elapsed_time sim_time ros_time sec secs seconds",
@@ -71,10 +75,10 @@ _NAMES: Final[Mapping[str, str]] = {
     "heading": "heading yaw theta psi pos_theta pose_theta heading_angle yaw_angle"
     " orientation_yaw pose_yaw",
     **{
-        f"q{axis}": f"q{axis} q_{axis} quat_{axis} quaternion_{axis} orientation_{axis}"
+        f"q{axis}": f"q{axis} q_{axis} q_{number} quat_{axis} quaternion_{axis} orientation_{axis}"
         f" rotation_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"
         f" transform_rotation_{axis} q_rs_{axis}"
-        for axis in "xyzw"
+        for number, axis in enumerate("wxyz")  # PX4's q[0] is w
     },
     "speed": "speed v vel velocity linear_velocity linear_speed lin_vel forward_speed linear_x"
     " vel_linear_x twist_linear_x twist_twist_linear_x",
@@ -95,6 +99,11 @@ _WANTED: Final = frozenset(
     }
 )
 """Words in names of columns without the robot's position or motion."""
+
+_ROBOTS: Final = frozenset(
+    f"{noun}{end}" for noun in ("robot", "agent", "vehicle") for end in ("", "_id", "_name")
+) | {"id", "name", "object_id", "track_id"}
+"""Names of columns that may contain the robot of each row."""
 
 _LONGEST_NAME: Final = 512
 """Longest name that is searched for a quantity [letters].
@@ -160,6 +169,8 @@ def _fill_unit(choice: Choice, text: str) -> Choice:
     if choice.unit is not None or not text or QUANTITIES[choice.field] == "number":
         return choice
     unit = _read_unit(choice.field, text)
+    if unit is None and choice.field == "t" and text.lower() in _DATES:
+        return choice
     if unit is None:
         known = ", ".join(choice.units)
         raise LogError(
@@ -187,12 +198,40 @@ def find_table_robots(names: Sequence[str]) -> dict[str, dict[str, str]]:
     }
 
 
+def find_robot_column(names: Sequence[str], taken: set[int]) -> list[int]:
+    """Return the column that may contain the robot of each row, as a list of at most one index."""
+    short = ((place, name) for place, name in enumerate(names) if len(name) <= _LONGEST_NAME)
+    found = (place for place, name in short if place not in taken and _simplify(name) in _ROBOTS)
+    return [*islice(found, 1)]
+
+
+def list_row_robots(names: Sequence[str], time_ns: NDArray[np.int64]) -> list[str]:
+    """Return the robots whose rows alternate in time; empty for one robot.
+
+    The number of a lap or waypoint changes seldom, and that of a row is never repeated.
+    """
+    known, codes, counts = np.unique(
+        np.array(names, dtype=object).astype(str), return_inverse=True, return_counts=True
+    )
+    if len(known) < 2 or (second := int(np.sort(counts)[-2])) < _FEWEST_ROWS:
+        return []
+    codes = codes[np.argsort(time_ns, kind="stable")]
+    changes = int(np.count_nonzero(np.diff(codes)))
+    return known.tolist() if changes >= second else []
+
+
+def offer_robots(robots: Sequence[str]) -> str:
+    """Return the options that choose one of several robots; empty without robots."""
+    options = " or ".join(f"--robot {robot}" for robot in robots[:3])
+    return options and f"{options} chooses a robot"
+
+
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
     """Return the column named by the user, with the user's unit or the unit in its name."""
     # `psi [deg]` is a name, or `psi` in deg.
     readings: list[tuple[str, str | None]] = [(text.strip(), None)]
     bracketed = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
-    if bracketed is not None:
+    if bracketed is not None and text.strip() not in map(str.strip, names):  # as q[0] is
         given = _read_unit(field, bracketed[2])
         if given is None:
             known, found = ", ".join(UNITS[QUANTITIES[field]]), bracketed[2]
@@ -229,6 +268,9 @@ def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
     if not ranked:
         return None
     best = ranked[min(ranked)]
+    if field == "heading" and any(_split_name(field, name)[0] == "phi" for name in names):
+        # Of the Euler angles phi, theta and psi, theta is the pitch.
+        best = [one for one in best if _split_name(field, one.name)[0] != "theta"] or best
     if len(best) > 1:
         found = " and ".join(show_column(names, choice.column) for choice in best)
         first = _name(names, best[0].column)
@@ -285,6 +327,8 @@ def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, 
     Unless the user named this column, the words before the unit must name the quantity.
     """
     text = name.strip().lower()
+    if QUANTITIES[field] == "number" and _rank(field, _simplify(text)) is not None:
+        return _simplify(text), None  # q[1] has no unit
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", text)
     if match is not None and (unit := _read_unit(field, match[2])) is not None:
         return _simplify(match[1]), unit
@@ -375,6 +419,12 @@ DATE: Final = re.compile(
 )
 
 
+def guess_time_unit(step: float) -> str:
+    """Return the unit in which a usual step between rows is nearest to 0.05 s."""
+    units = UNITS["time"]
+    return min(units, key=lambda unit: abs(math.log10(step * units[unit] / 0.05)))
+
+
 def read_time(cell: Any, power: int) -> int | None:
     """Return a time in a unit of 10**power ns as exact nanoseconds; None if it is not a number."""
     try:
@@ -420,15 +470,19 @@ def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
     starts = np.append(0, np.flatnonzero(np.diff(time_ns) < 0) + 1)
     ends = np.append(starts[1:], len(time_ns))
     columns = (starts, ends, time_ns[starts], time_ns[ends - 1])
-    found, first = [], 0
+    found, first, head = [], 0, None
     low = high = int(time_ns[0])
     for start, end, begin, last in zip(*(column.tolist() for column in columns), strict=True):
-        is_long = start - first >= _FEWEST_ROWS <= end - start
-        if is_long and begin <= low + _FAR_BACK * (high - low):
+        if not begin <= low + _FAR_BACK * (high - low):
+            head = None
+        elif head is None or start - head >= _FEWEST_ROWS:
+            head = start  # late rows may divide the first rows of a run
+        if head is not None and head - first >= _FEWEST_ROWS <= end - start:
             part = time_ns[start:end]
             within = np.searchsorted(part, high, "right") - np.searchsorted(part, low)
             if within >= _FEWEST_ROWS:
-                found.append(slice(first, start))
-                first, low, high = start, begin, last
+                found.append(slice(first, head))
+                first, low, high = head, int(time_ns[head:start].min(initial=begin)), last
+        head = None if end - start >= _FEWEST_ROWS else head
         low, high = min(low, begin), max(high, last)
     return [*found, slice(first, len(time_ns))]

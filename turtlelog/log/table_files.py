@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, format_seconds
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import BLANKS_AND_COMMENTS, describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
@@ -108,8 +108,8 @@ def _parse_text(text: str, size: int, *, allow_partial: bool) -> PlainTable:
     header = _split_line(first, delimiter)
     has_header, units = True, dict[str, str]()
     is_first = all(map(_is_number, header))
-    if is_first:
-        has_header, header = _find_names(comments, delimiter, len(header))
+    if is_first or (is_first := _is_row(header, second, delimiter)):
+        has_header, header = _find_names(comments, delimiter, header)
         units = {} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"}
     elif is_row_of_units(cells := _split_line(second, delimiter) if _is_whole(second) else []):
         units = dict(zip(header, cells, strict=False))
@@ -148,8 +148,23 @@ def _find_delimiter(line: str) -> str:
     return next((delimiter for delimiter in (";", "\t", ",") if delimiter in line), _BLANK)
 
 
-def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bool, list[str]]:
-    """Return column names of a file without a header: from its last comment, or of TUM or KITTI."""
+def _is_row(first: Sequence[str], second: str, delimiter: str) -> bool:
+    """Return whether the first row has numbers and texts where the second row has them."""
+    kinds = [_is_number(cell) for cell in first if cell]
+    if not any(kinds) or not _is_whole(second):
+        return False
+    cells = _split_line(second, delimiter)
+    return [*map(_is_number, first)] == [*map(_is_number, cells)]
+
+
+def _find_names(
+    comments: Sequence[str], delimiter: str, first: Sequence[str]
+) -> tuple[bool, list[str]]:
+    """Return column names of a file without a header: from its last comment, or of TUM or KITTI.
+
+    Columns of numbers and texts, as by `ros2 topic echo --csv`, are numbered.
+    """
+    count = len(first)
     for comment in reversed(comments):
         for candidate in dict.fromkeys((delimiter, _find_delimiter(comment))):
             if _count_cells(comment, candidate) > MOST_COLUMNS:
@@ -160,6 +175,8 @@ def _find_names(comments: Sequence[str], delimiter: str, count: int) -> tuple[bo
     for known in (_TUM_COLUMNS, KITTI_COLUMNS):
         if count == len(known):
             return False, [*known]
+    if not all(map(_is_number, first)):
+        return True, [f"#{place + 1}" for place in range(count)]
     raise LogError(
         "expected a header that names the columns, the 8 columns of a TUM trajectory"
         f" ({' '.join(_TUM_COLUMNS)}) or the 12 of KITTI, found {count} columns without names"
@@ -286,7 +303,7 @@ def _read_parquet(path: Path) -> PlainTable:
         names=tuple(columns.names),
         columns=columns,
         word="row",
-        units={leaf.path: "ns" for leaf in file.leaves if leaf.logical_type.type == "TIMESTAMP"},
+        units=dict.fromkeys(columns.list_times(), "ns"),
     )
 
 
@@ -302,6 +319,13 @@ class _StoredColumns:
         """Return the cells of some columns."""
         return [self._read_one(self.names[place]) for place in places]
 
+    def list_times(self) -> list[str]:
+        """Return the names of columns with the type of a time or duration, read in ns."""
+        kinds = zip(self._file.schema.names, self._file.schema.types, strict=True)
+        durations = [name for name, kind in kinds if str(kind).startswith("duration")]
+        leaves = self._file.leaves
+        return durations + [leaf.path for leaf in leaves if leaf.logical_type.type == "TIMESTAMP"]
+
     def _read_one(self, name: str) -> Sequence[Any]:
         """Return the cells of a column: numbers, times in ns, or else texts; null becomes empty."""
         table = self._file.read([name])
@@ -312,8 +336,8 @@ class _StoredColumns:
         column = table.column(0)
         if not str(column.type).startswith(("dictionary", "string", "large_string")):
             values = column.to_numpy()
-            if values.dtype.kind == "M":
-                found: Sequence[Any] = values.astype("datetime64[ns]").astype(np.int64)
+            if values.dtype.kind in "mM":
+                found: Sequence[Any] = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
                 return found
             if values.dtype.kind in "iuf":
                 return values  # type: ignore[no-any-return]
@@ -354,8 +378,9 @@ def require_few_columns(columns: int) -> None:
 def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
     """Write the poses of a run as a TUM trajectory, replacing the file, and return the file.
 
-    Each pose is one line, for programs such as evo: time [s], x y z [m], and the quaternion x y z w
-    of the heading. Position and time can be read back exactly, the heading to about 1e-15 rad.
+    Each pose is one line, for programs such as evo: time [s] on the clock of the run's source, x y
+    z [m], and the quaternion x y z w of the heading. Position and time can be read back exactly,
+    the heading to about 1e-15 rad.
 
     Raises:
         LogError: If the file cannot be written.
@@ -372,10 +397,14 @@ def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
 def _format_tum(run: Run) -> Iterator[str]:
     poses = run.poses
     half_rad = poses.heading_rad / 2.0
-    columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
+    columns = (
+        poses.time_ns + run.source_start_ns,
+        *poses.xy_m.T,
+        np.sin(half_rad),
+        np.cos(half_rad),
+    )
     for time_ns, x, y, qz, qw in list_rows(columns):
-        sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
-        yield f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
+        yield f"{format_seconds(time_ns)} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
 
 
 def require_same_poses(path: Path, run: Run) -> None:
@@ -386,7 +415,7 @@ def require_same_poses(path: Path, run: Run) -> None:
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
         rows = slice(first, first + len(time_ns))
-        if not np.array_equal(poses.time_ns[rows], time_ns):
+        if not np.array_equal(poses.time_ns[rows] + run.source_start_ns, time_ns):
             raise describe_mismatch(path, "time_ns")
         if not np.array_equal(poses.xy_m[rows], xy_m):
             raise describe_mismatch(path, "xy_m")

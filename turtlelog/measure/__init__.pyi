@@ -35,7 +35,7 @@ from .metric_list import (
     measure_run as measure_run,
     miss_metric as miss_metric,
 )
-from .pose_notes import (
+from .pose_quality import (
     TravelDirection as TravelDirection,
     describe_breaks as describe_breaks,
     describe_sideways as describe_sideways,

@@ -30,12 +30,10 @@ from turtlelog.measure.rates import (
     find_changing_rows,
     find_usual_step,
 )
-from turtlelog.measure.reductions import compute_median
+from turtlelog.measure.reductions import Values, compute_median
 from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
 from turtlelog.run.angles import subtract_headings
-
-Values = NDArray[np.float64]
 
 _FAST: Final = 3.0
 """Ratio to the greatest lasting rate from which a step is a jump. A robot near that rate, and a

@@ -13,14 +13,13 @@ from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.motion import (
     CERTAIN,
     LoopMotion,
-    Values,
     describe_follower,
     find_lags,
     fit_way,
     is_within_steps,
     read_loop_motion,
 )
-from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import describe_no_phase, find_loop_samples
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Parameter, Run, take_rows

@@ -65,6 +65,17 @@ class MetricWatch(Protocol):
         """Return the metric's name with the operations applied to it."""
 
 
+_Operation = Callable[[Any, Any], Any]
+
+
+def _operate(operation: _Operation) -> _Operation:
+    return lambda self, other: operation(float(self), other)
+
+
+def _operate_mirrored(operation: _Operation) -> _Operation:
+    return lambda self, other: operation(other, float(self))
+
+
 class Numeric(ABC):
     """Object that behaves like its float in arithmetic, also with numpy's numbers and arrays."""
 
@@ -101,33 +112,11 @@ class Numeric(ABC):
     def __round__(self, digits: int | None = None) -> float:
         return round(float(self), digits)
 
-    def __add__(self, other: Any) -> Any:
-        return float(self) + other
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Any:
-        return float(self) - other
-
-    def __rsub__(self, other: Any) -> Any:
-        return other - float(self)
-
-    def __mul__(self, other: Any) -> Any:
-        return float(self) * other
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Any:
-        return float(self) / other
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return other / float(self)
-
-    def __pow__(self, other: Any) -> Any:
-        return float(self) ** other
-
-    def __rpow__(self, other: Any) -> Any:
-        return other ** float(self)
+    __add__ = __radd__ = _operate(operator.add)
+    __mul__ = __rmul__ = _operate(operator.mul)
+    __sub__, __rsub__ = _operate(operator.sub), _operate_mirrored(operator.sub)
+    __truediv__, __rtruediv__ = _operate(operator.truediv), _operate_mirrored(operator.truediv)
+    __pow__, __rpow__ = _operate(operator.pow), _operate_mirrored(operator.pow)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -31,7 +31,7 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
-from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.references import compute_path_distances, read_heading_reference
 from turtlelog.measure.response import Response, find_response
 from turtlelog.measure.signals import Signal, find_signal
@@ -40,9 +40,8 @@ from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, Co
 
 if TYPE_CHECKING:
     from turtlelog.measure.metric_list import MeasureSettings
-    from turtlelog.measure.pose_noise import WhiteNoise
+    from turtlelog.measure.pose_quality import WhiteNoise
 
-Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
 
 _WHITE: Final = 0.5
@@ -109,7 +108,7 @@ class RunContext:
         """Noise of the poses that are used for differences; None of a simulation."""
         if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
             return None
-        from turtlelog.measure.pose_noise import find_noise
+        from turtlelog.measure.pose_quality import find_noise
 
         return find_noise(self.run, self.spaced_poses.rows)
 
@@ -382,15 +381,12 @@ class LoopMetricKind:
     def describe_unit(self, loop: ControlLoop | None) -> str:
         """Return the unit for a loop; for None, the unit of a heading or else of a length."""
         if loop is None:
-            turn, way = ("deg", "rad", "rad"), ("m", "m", "m")
-            units = [self._fill(turn), self._fill(way)]
-            return units[0] if units[0] == units[1] else " or ".join(units)
-        is_angle, is_turn = loop.signal == "heading", loop.command == "turn_rate"
-        words = ("deg" if is_angle else "m", "rad" if is_angle else "m", "rad" if is_turn else "m")
-        return self._fill(words)
-
-    def _fill(self, words: tuple[str, str, str]) -> str:
-        return self.unit.format_map(dict(zip(("value", "signal", "command"), words, strict=True)))
+            turn = self.unit.format(value="deg", signal="rad", command="rad")
+            way = self.unit.format(value="m", signal="m", command="m")
+            return turn if turn == way else f"{turn} or {way}"
+        value, signal = ("deg", "rad") if loop.signal == "heading" else ("m", "m")
+        command = "rad" if loop.command == "turn_rate" else "m"
+        return self.unit.format(value=value, signal=signal, command=command)
 
 
 LOOP_METRICS: Final[dict[str, LoopMetricKind]] = {}
@@ -482,9 +478,9 @@ def course_metric(
     """
 
     def enter(numbers: OfCourse) -> OfCourse:
-        enter_run = run_metric(name, unit, meaning or read_meaning(numbers), **traits)
+        meant = meaning or read_meaning(numbers)
+        enter_run = run_metric(name, unit, meant, numbers=numbers, **traits)
         enter_run(lambda course: read_outcome(numbers(course)))
-        RUN_METRICS[name] = replace(RUN_METRICS[name], numbers=numbers)
         return numbers
 
     return enter

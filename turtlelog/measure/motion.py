@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.rates import GAP_STEPS
-from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.lagged import want_rate
@@ -17,8 +17,6 @@ from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
-
-Values = NDArray[np.float64]
 
 _NEAR_TICK: Final = 0.15
 """Largest difference of a wall clock's usual step from turtlesim's tick, as a share of the tick."""
@@ -177,7 +175,8 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
 
 def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Values:
     """Return the motion caused by the scenario's disturbances in each step [rad or m]."""
-    rate = read_number(run.parameters, f"disturbance.{_UNITS[loop.command]}", 0.0)
+    unit = "rad_s" if loop.command == "turn_rate" else "m_s"
+    rate = read_number(run.parameters, f"disturbance.{loop.command}_{unit}", 0.0)
     if not rate:
         return np.zeros(len(rows))
     from_ns = 1e9 * read_number(run.parameters, "disturbance.from_s", 0.0)
@@ -247,10 +246,6 @@ def _sort_different(values: Values) -> Values:
     is_first = np.ones(len(ordered), dtype=np.bool_)
     is_first[1:] = ordered[1:] != ordered[:-1]
     return ordered[is_first]
-
-
-_UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
-"""Suffixes of the keys of a disturbance, by command."""
 
 
 def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float:

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
-from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.signals import find_signal
 from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import unwrap_headings
 
-Values = NDArray[np.float64]
 Axis = Literal["speed", "turn_rate"]
 
 AXES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "m/s", "turn_rate": "rad/s"})
@@ -282,8 +281,6 @@ _ROUNDING: Final = 1e-6
 """Differences below this share of the largest value are 32-bit rounding instead of a quantisation
 step."""
 
-_ROWS_AT_ONCE: Final = 65_536
-
 _LEAST_CHANGES: Final = 8
 """Number of changes, besides those of the outliers, that a signal needs: a single pulse in a
 constant signal may be a test impulse."""
@@ -324,10 +321,8 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     if len(values) < _LEAST_ROWS:
         return none
     smooth = np.array(values)
-    for first in range(1, len(values) - 1, _ROWS_AT_ONCE):
-        last = min(first + _ROWS_AT_ONCE, len(values) - 1)
-        three = [values[first + step : last + step] for step in (-1, 0, 1)]
-        smooth[first:last] = np.median(three, axis=0)
+    sides = values[:-2], values[2:]
+    smooth[1:-1] = np.clip(values[1:-1], np.minimum(*sides), np.maximum(*sides))  # median of three
     height = np.abs(values - smooth)
     rows = _find_apart(height)
     if not len(rows) or np.count_nonzero(np.diff(np.delete(values, rows))) < _LEAST_CHANGES:

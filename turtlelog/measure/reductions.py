@@ -347,8 +347,9 @@ def _add_block(values: Any, first: int, count: int) -> float:
     return total
 
 
-def _find_half(first: int, count: int, depth: int, path: int) -> tuple[int, int]:
+def _find_half(count: int, depth: int, path: int) -> tuple[int, int]:
     """Return the start and count of a half; the bits of `path` select the halves."""
+    first = 0
     for level in range(depth - 1, -1, -1):
         half = count // 2
         half -= half % _LANES
@@ -367,14 +368,14 @@ def add_up(values: Any, count: int) -> float:
     # Without recursion: recursive functions crash when numba loads them from its disk cache.
     depth = path = 0
     while True:
-        begin, left = _find_half(0, count, depth, path)
+        begin, left = _find_half(count, depth, path)
         while left > _BLOCK:
             depth, path = depth + 1, path << 1
-            begin, left = _find_half(0, count, depth, path)
+            begin, left = _find_half(count, depth, path)
         total = _add_block(values, begin, left)
         while path & 1:
             depth, path = depth - 1, path >> 1
-            begin, _ = _find_half(0, count, depth, path)
+            begin, _ = _find_half(count, depth, path)
             total = values[begin] + total
         if depth == 0:
             return total

@@ -26,12 +26,11 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, MeasureError
 from turtlelog.files.text_files import describe_csv_error, read_text_file
 from turtlelog.files.urls import make_path
-from turtlelog.measure.reductions import measure_way
+from turtlelog.measure.reductions import Values, measure_way
 from turtlelog.run import GoalLine, Run
 from turtlelog.run.loops import ControlLoop
 from turtlelog.run.paths import Path, PathFollower
 
-Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
 
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.reductions import compute_median, subtract_neighbours
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.references import read_controlled_distance, read_reference, trace_poses
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
@@ -23,8 +24,6 @@ from turtlelog.run.stop_reasons import TIMEOUT
 
 if TYPE_CHECKING:
     from turtlelog.measure.metric_list import MeasureSettings
-
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,18 +184,15 @@ def find_response(
     start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
     first = _find_first_row(run.poses.time_ns, start_ns)
     inside = slice(first, int(np.searchsorted(run.poses.time_ns, end_ns, side="right")))
-    if len(controlled[inside]) < 2:
-        found = f"{len(controlled[inside])} pose" + ("" if len(controlled[inside]) == 1 else "s")
-        return Missing(Status.TOO_SHORT, f"{found} in {loop.name}")
-    moves = find_heading_steps(run.poses) if loop.signal == "heading" else None
-    # The error of a moving reference is wrapped, which aliases.
-    if (
-        moves
-        and (moves.is_fast if isinstance(wanted, np.ndarray) else moves.is_lost)[
-            first : inside.stop - 1
-        ].any()
-    ):
-        return Missing(Status.UNDETERMINED, LOST_TURNS)
+    count = len(controlled[inside])
+    if count < 2:
+        return Missing(Status.TOO_SHORT, f"{describe_count(count, 'pose')} in {loop.name}")
+    if loop.signal == "heading":
+        moves = find_heading_steps(run.poses)
+        # The error of a moving reference is wrapped, which aliases.
+        is_wrong = moves.is_fast if isinstance(wanted, np.ndarray) else moves.is_lost
+        if is_wrong[first : inside.stop - 1].any():
+            return Missing(Status.UNDETERMINED, LOST_TURNS)
     values, target = _refer_to_start(loop, controlled[inside], wanted, inside)
     initial, reference = _find_step(loop, values, target, settings)
     return Response(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
+from turtlelog.measure.reductions import Values
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
@@ -24,8 +25,6 @@ from turtlelog.run import Run, require_run
 from turtlelog.run.angles import subtract_headings, unwrap_headings
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import STATE_PATTERN, Declaration
-
-Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,11 +233,6 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
     return None if line is None else project_on_line(run.poses.xy_m, line, along=along)
 
 
-def _read_heading(run: Run) -> Values:
-    """Return the heading without jumps at full turns."""
-    return unwrap_headings(run.poses)
-
-
 def _read_sensed(run: Run, axis: int) -> Values | None:
     xy_m = run.poses.sensed_xy_m
     return None if xy_m is None else xy_m[~run.poses.dropped_out, axis]
@@ -246,11 +240,11 @@ def _read_sensed(run: Run, axis: int) -> Values | None:
 
 def _read_sensed_heading(run: Run) -> Values | None:
     """Return the sensed heading within half a turn of the true one, so that noise adds no turn."""
-    sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
-    if sensed_rad is None:
+    if run.poses.sensed_heading_rad is None:
         return None
     rows = ~run.poses.dropped_out
-    return heading_rad[rows] + subtract_headings(sensed_rad[rows], heading_rad[rows])
+    sensed_rad, heading_rad = run.poses.sensed_heading_rad[rows], unwrap_headings(run.poses)[rows]
+    return heading_rad + subtract_headings(sensed_rad, heading_rad)
 
 
 _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyType(
@@ -316,7 +310,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = display.NamedValues(
         "heading": _pose(
             "rad",
             "Heading, counter-clockwise from the x axis, without jumps at a full turn.",
-            _read_heading,
+            lambda run: unwrap_headings(run.poses),
         ),
         "speed": _sample("m/s", "Commanded speed along the heading, after clipping.", "speed_m_s"),
         "turn_rate": _sample("rad/s", "Commanded turn rate, after clipping.", "turn_rate_rad_s"),

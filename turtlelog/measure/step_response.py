@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from turtlelog.arithmetic import least
 from turtlelog.measure.reductions import (
+    Values,
     add_triples,
     add_values,
     compare_durations,
@@ -47,8 +48,6 @@ from turtlelog.measure.reductions import (
     find_rise_behind_peak,
     find_swing_ends,
 )
-
-Values = NDArray[np.float64]
 
 SETTLING_BAND: Final = 0.02
 """Default half-width of the settling band, as a fraction of the step."""

@@ -140,8 +140,7 @@ def require_whole(run: Run) -> None:
         )
 
 
-_MOST_S: Final = 3600.0
-"""Longest simulated time [s], as for a replay in closed loop."""
+_MOST_S: Final = 3600.0  # longest simulated time [s], as for a replay in closed loop
 
 
 def require_driveable(run: Run) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -364,26 +363,24 @@ def _take(columns: NDArray[np.float64] | None, row: int) -> NDArray[np.float64] 
     return None if columns is None else columns[:, row]
 
 
-_NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
-    {
-        "wanted_speed": ("m/s", lambda samples: samples.wanted_speed_m_s),
-        "wanted_turn_rate": ("rad/s", lambda samples: samples.wanted_turn_rate_rad_s),
-        "shaped_speed": ("m/s", lambda samples: samples.shaped_speed_m_s),
-        "shaped_turn_rate": ("rad/s", lambda samples: samples.shaped_turn_rate_rad_s),
-        "speed": ("m/s", lambda samples: samples.speed_m_s),
-        "turn_rate": ("rad/s", lambda samples: samples.turn_rate_rad_s),
-        "bearing": ("rad", lambda samples: samples.bearing_rad),
-        "heading_error": ("rad", lambda samples: samples.heading_error_rad),
-        "error_x": ("m", lambda samples: _take(samples.error_xy_m, 0)),
-        "error_y": ("m", lambda samples: _take(samples.error_xy_m, 1)),
-        "distance": ("m", lambda samples: samples.distance_m),
-        "world_v_x": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 0)),
-        "world_v_y": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 1)),
-        "reference_x": ("m", lambda samples: _take(samples.reference_xy_m, 0)),
-        "reference_y": ("m", lambda samples: _take(samples.reference_xy_m, 1)),
-        "reference_heading": ("rad", lambda samples: samples.reference_heading_rad),
-    }
-)
+_NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = {
+    "wanted_speed": ("m/s", lambda samples: samples.wanted_speed_m_s),
+    "wanted_turn_rate": ("rad/s", lambda samples: samples.wanted_turn_rate_rad_s),
+    "shaped_speed": ("m/s", lambda samples: samples.shaped_speed_m_s),
+    "shaped_turn_rate": ("rad/s", lambda samples: samples.shaped_turn_rate_rad_s),
+    "speed": ("m/s", lambda samples: samples.speed_m_s),
+    "turn_rate": ("rad/s", lambda samples: samples.turn_rate_rad_s),
+    "bearing": ("rad", lambda samples: samples.bearing_rad),
+    "heading_error": ("rad", lambda samples: samples.heading_error_rad),
+    "error_x": ("m", lambda samples: _take(samples.error_xy_m, 0)),
+    "error_y": ("m", lambda samples: _take(samples.error_xy_m, 1)),
+    "distance": ("m", lambda samples: samples.distance_m),
+    "world_v_x": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 0)),
+    "world_v_y": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 1)),
+    "reference_x": ("m", lambda samples: _take(samples.reference_xy_m, 0)),
+    "reference_y": ("m", lambda samples: _take(samples.reference_xy_m, 1)),
+    "reference_heading": ("rad", lambda samples: samples.reference_heading_rad),
+}
 """Numbers that a controller computes, by name: commands first, then errors."""
 
 _ANGLES: Final = frozenset({"bearing", "reference_heading"})

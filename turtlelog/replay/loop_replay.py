@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -336,7 +335,7 @@ def replay_loop(
         samples=known["phase"].rows if "phase" in known else 0,
         max_abs_error=differences.find_pose_error(signals),
         signals=signals,
-        counts=MappingProxyType(counts),
+        counts=counts,
         stop=stop,
         others=others,
         declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,

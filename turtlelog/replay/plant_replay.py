@@ -48,14 +48,9 @@ from turtlelog.simulate.rows import SampleRow, TickRow
 _HALF_STEP_M: Final = 2.0**-21
 """Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest step in this world [m]."""
 
-_HALF_STEP_RAD: Final = 2.0**-23
-"""Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
-
-_HALF_SHARE: Final = 2.0**-24
-"""Half a 32-bit step of a velocity, as a share of the velocity."""
-
-_RIGHT: Final = 1e-9
-"""Accuracy of a robot model's position [m]."""
+_HALF_STEP_RAD: Final = 2.0**-23  # half a 32-bit step of a heading between 2 and 4 rad [rad]
+_HALF_SHARE: Final = 2.0**-24  # half a 32-bit step of a velocity, as a share of the velocity
+_RIGHT: Final = 1e-9  # accuracy of a robot model's position [m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)

@@ -18,15 +18,13 @@ if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
 
-PAIRS: Final = MappingProxyType(
-    {
-        "xy_m": ("x_m", "y_m"),
-        "sensed_xy_m": ("sensed_x_m", "sensed_y_m"),
-        "error_xy_m": ("error_x_m", "error_y_m"),
-        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
-        "reference_xy_m": ("reference_x_m", "reference_y_m"),
-    }
-)
+PAIRS: Final = {
+    "xy_m": ("x_m", "y_m"),
+    "sensed_xy_m": ("sensed_x_m", "sensed_y_m"),
+    "error_xy_m": ("error_x_m", "error_y_m"),
+    "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
+    "reference_xy_m": ("reference_x_m", "reference_y_m"),
+}
 """Words for the two columns of a pair."""
 
 _WHOLE = frozenset({"time_ns", "sequence", "pose_sequence", "phase"})
@@ -409,10 +407,10 @@ class Trajectory:
 
 
 def build_planar_trajectory(run: "Run") -> Trajectory:
-    """Return the poses of a run as a planar trajectory, with the run's times."""
+    """Return the poses of a run as a planar trajectory, with its source's times."""
     return Trajectory(
         name=run.name,
-        time_ns=run.poses.time_ns,
+        time_ns=run.poses.time_ns + run.source_start_ns,
         xyz_m=np.column_stack([run.poses.xy_m, np.zeros(len(run.poses))]),
         orientation_quat_wxyz=turn_headings(run.poses.heading_rad),
         space="plane",

@@ -18,14 +18,12 @@ PAUSE: Final = "pause"
 DONE: Final = "done"
 """Phase of every law after the end of the run."""
 
-REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "heading": ("goal_bearing", "bearing_now", "goal_heading", "zero", "path", "recorded"),
-        "along_track": ("goal_distance", "zero", "path", "recorded"),
-        "cross_track": ("zero", "path", "recorded"),
-        "distance": ("zero", "recorded"),
-    }
-)
+REFERENCES: Final[Mapping[str, tuple[str, ...]]] = {
+    "heading": ("goal_bearing", "bearing_now", "goal_heading", "zero", "path", "recorded"),
+    "along_track": ("goal_distance", "zero", "path", "recorded"),
+    "cross_track": ("zero", "path", "recorded"),
+    "distance": ("zero", "recorded"),
+}
 """References that each controlled signal can have.
 
 - `goal_bearing`: the bearing of the goal from the start; `bearing_now`: from the present position.
@@ -39,33 +37,29 @@ REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
   0.
 """
 
-SIGNAL_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "heading": "heading",
-        "along_track": "along-track",
-        "cross_track": "cross-track",
-        "distance": "distance to the goal",
-    }
-)
+SIGNAL_WORDS: Final[Mapping[str, str]] = {
+    "heading": "heading",
+    "along_track": "along-track",
+    "cross_track": "cross-track",
+    "distance": "distance to the goal",
+}
 """Words for each controlled signal."""
 
-REFERENCE_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "goal_bearing": "goal bearing",
-        "bearing_now": "bearing of the goal",
-        "goal_heading": "goal heading",
-        "goal_distance": "goal",
-        "zero": "zero",
-        "path": "path",
-        "recorded": "reference",
-    }
-)
+REFERENCE_WORDS: Final[Mapping[str, str]] = {
+    "goal_bearing": "goal bearing",
+    "bearing_now": "bearing of the goal",
+    "goal_heading": "goal heading",
+    "goal_distance": "goal",
+    "zero": "zero",
+    "path": "path",
+    "recorded": "reference",
+}
 """Words for each reference in texts and legends."""
 
-COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn rate", "speed": "speed"})
+COMMAND_WORDS: Final = {"turn_rate": "turn rate", "speed": "speed"}
 """Words for each command, in the order of lists."""
 
-COMMAND_UNITS: Final[Mapping[str, str]] = MappingProxyType({"turn_rate": "rad/s", "speed": "m/s"})
+COMMAND_UNITS: Final[Mapping[str, str]] = {"turn_rate": "rad/s", "speed": "m/s"}
 
 MOVING: Final = frozenset({"path", "recorded"})
 """References that the law moves: their loops have tracking metrics instead of step metrics."""
@@ -95,8 +89,7 @@ _STATE: Final = re.compile(STATE_PATTERN)
 _UNIT: Final = re.compile(r"[A-Za-z0-9%/^*. -]{1,20}")
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)+")
-_MOST_PHASES: Final = 250
-"""Largest number of phases: a sample records its phase in 8 bits."""
+_MOST_PHASES: Final = 250  # largest number of phases: a sample records its phase in 8 bits
 
 _MOST_NAMES: Final = 250
 """Largest number of loops or states of a law: each loop has dozens of metrics, each state a
@@ -196,12 +189,13 @@ class ControlLoop:
         return self.limit or LIMIT_KEYS[self.command]
 
 
-LIMIT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
-)
+LIMIT_KEYS: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_rate_rad_s",
+    "speed": "limits.speed_m_s",
+}
 """Scenario keys of the limits of the commands."""
 
-PLANT_KEYS: Final = MappingProxyType({"turn_rate": "plant.turn_", "speed": "plant.speed_"})
+PLANT_KEYS: Final = {"turn_rate": "plant.turn_", "speed": "plant.speed_"}
 """Beginnings of the keys that describe how a robot model follows a command: `gain`, `dead_time_s`,
 `lag_s`."""
 

@@ -307,11 +307,7 @@ class PathFollower:
 
 
 def restore_path(parameters: Mapping[str, Any]) -> Path | None:
-    """Return the path among a run's parameters (`path.kind` ...); None if there is none.
-
-    Raises:
-        PathError: If the parameters do not form a path.
-    """
+    """Return the path among a run's parameters; None without one, PathError if it is none."""
     found = [key for key in PATH_KEYS if key in parameters]
     values = {key.removeprefix("path."): parameters[key] for key in found}
     if not values:

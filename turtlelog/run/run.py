@@ -236,6 +236,17 @@ class Run:
         return next(int(column.time_ns[0]) for column in columns if len(column))
 
     @property
+    def source_start_ns(self) -> int:
+        """Time zero on the clock of the source's poses [ns]; 0 if unknown, as in simulations."""
+        text = self.notes.get("original_timestamp", "")
+        if not text.endswith("Z"):  # the date of a paper's log is not that of its first pose
+            found = text.removesuffix(" s").replace(".", "") if text.endswith(" s") else ""
+            return int(found) if found.lstrip("-").isdecimal() else 0
+        is_stamped = self.clock is not None and self.clock.used == "stamp"
+        offset_s = (self.clock.offset_s if self.clock and is_stamped else None) or 0.0
+        return (display.parse_utc(text) or 0) - round(offset_s * 1e9)
+
+    @property
     def begin_ns(self) -> int:
         """Time of the first row of any column [ns]."""
         columns = (self.poses, self.samples, self.commands)

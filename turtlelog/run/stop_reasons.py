@@ -74,8 +74,7 @@ _STAYS_S: Final = 1.0
 """Time for which a robot that a time limit stops must stay within the tolerances at its last speed
 [s]. A faster robot passes its goal."""
 
-_ROUNDING_M: Final = 1e-9
-"""Distance below which an error is rounding of numbers of 64 bits [m]."""
+_ROUNDING_M: Final = 1e-9  # distance below which an error is rounding of numbers of 64 bits [m]
 
 _SMALL: Final = 0.01
 """Share of the error below which a part of it, across or along the line to the goal, is left out:
@@ -159,7 +158,7 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
         verdict = "reached"
     elif error_m > allowed_m and run.stop_reason in MAY_MISS and allowed_m:
         verdict = "missed"
-    left_m, short_m = _find_place(run, run.goal_xy_m, allowed_m)
+    left_m, short_m = _find_place(run, allowed_m)
     return GoalEnd(
         verdict=verdict,
         error_m=error_m,
@@ -190,18 +189,16 @@ def _find_turned(run: "Run") -> float | None:
     return None if is_within else turned_rad
 
 
-def _find_place(
-    run: "Run", goal_xy_m: tuple[float, float], allowed_m: float
-) -> tuple[float, float]:
+def _find_place(run: "Run", allowed_m: float) -> tuple[float, float]:
     """Return how far the end is left of the line from start to goal, and short of the goal [m]."""
-    (x_m, y_m), (end_x_m, end_y_m) = run.poses.xy_m[0].tolist(), run.poses.xy_m[-1].tolist()
-    goal_x_m, goal_y_m = goal_xy_m
-    if math.hypot(goal_x_m - x_m, goal_y_m - y_m) <= allowed_m:
+    line = run.goal_line
+    if line is None or line.length_m is None or line.length_m <= allowed_m:
         return 0.0, 0.0
-    bearing_rad = math.atan2(goal_y_m - y_m, goal_x_m - x_m)
-    cos, sin = math.cos(bearing_rad), math.sin(bearing_rad)
-    to_x_m, to_y_m = goal_x_m - end_x_m, goal_y_m - end_y_m
-    return sin * to_x_m - cos * to_y_m, cos * to_x_m + sin * to_y_m
+    (x_m, y_m), (end_x_m, end_y_m) = line.start_xy_m, run.poses.xy_m[-1].tolist()
+    cos, sin = math.cos(line.bearing_rad), math.sin(line.bearing_rad)
+    gone_x_m, gone_y_m = end_x_m - x_m, end_y_m - y_m
+    along_m = cos * gone_x_m + sin * gone_y_m
+    return cos * gone_y_m - sin * gone_x_m, line.length_m - along_m
 
 
 def allow_position(heading_rad: float, position_m: float, distance_m: float) -> float:

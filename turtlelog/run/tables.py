@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from numbers import Real
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import numpy as np
@@ -24,9 +23,7 @@ if TYPE_CHECKING:
 Table = Mapping[str, NDArray[Any]]
 """Columns by name, all of one length: float64, int64, or objects for text."""
 
-_UNITS: Final = MappingProxyType(
-    {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_ns": "ns", "_m": "m"}
-)
+_UNITS: Final = {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_ns": "ns", "_m": "m"}
 """Units by the end of a column's name, the longest end first."""
 
 
@@ -60,14 +57,12 @@ def _tabulate_events(run: "Run") -> Table:
     }
 
 
-TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
-    {
-        "poses": lambda run: _flatten(run.poses),
-        "commands": lambda run: _flatten(run.commands),
-        "samples": _tabulate_samples,
-        "events": _tabulate_events,
-    }
-)
+TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = {
+    "poses": lambda run: _flatten(run.poses),
+    "commands": lambda run: _flatten(run.commands),
+    "samples": _tabulate_samples,
+    "events": _tabulate_events,
+}
 """Functions that make the tables of a run, by name."""
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
 from turtlelog.files.text_files import parse_toml
-from turtlelog.laws import find_law, name_given_law
+from turtlelog.laws import find_law, find_part, name_given_law
 from turtlelog.run import Run
 from turtlelog.run.paths import PATH_KEYS
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario, require_scenario
@@ -76,6 +76,8 @@ def choose_scenario(
     if law is not None:
         kind = law if isinstance(law, str) else name_given_law(law)
         scenario = override_scenario(scenario, {"law.kind": kind}, source="law")
+        if find_part(law) is not None:
+            scenario = replace(scenario, law=LawChoice(kind=kind, parameters=law.parameters))
     if changes is None:
         return scenario
     if not hasattr(changes, "keys"):

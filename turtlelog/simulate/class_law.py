@@ -23,8 +23,7 @@ from turtlelog.simulate.step_budget import Step
 _FAR_M: Final = 1e300
 """Distance up to which errors need no check [m]. Squares may overflow, but distances are finite."""
 
-_MOST_TICKS: Final = 2**31 - 1
-"""Longest block [ticks]: a year, whose nanoseconds fit into 64 bits."""
+_MOST_TICKS: Final = 2**31 - 1  # longest block [ticks]: a year, whose nanoseconds fit into 64 bits
 
 _FLOATS: Final = {float}
 

@@ -222,11 +222,7 @@ def _list_examples(kinds: Kinds) -> tuple[Any, ...]:
 
 
 def name_loop(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> str:
-    """Return the name of a loop in numba's cache.
-
-    Raises:
-        TwinError: If the law uses an object that cannot be compiled.
-    """
+    """Return the name of a loop in numba's cache; TwinError if the law cannot be compiled."""
     stamp = _bind(law, plant, states)[2]
     # A user law may have the name of a built-in one, whose loop must stay in the cache.
     owner = "" if is_built_in(law) else "own_"

@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType
+from types import BuiltinFunctionType, CodeType, FunctionType
 from typing import Any, Final
 
 import numpy as np
@@ -277,8 +277,7 @@ _PLACES: Final = (
 )
 """Patterns for the place of an error; the default is numba's context."""
 
-_MEMORY: Final = "NRT required"
-"""Text of numba's error for code that allocates memory."""
+_MEMORY: Final = "NRT required"  # text of numba's error for code that allocates memory
 
 _HEADS: Final = ("Failed in", "During", "File", "[", "-", "^", "<", "There are", "Overload")
 
@@ -374,21 +373,19 @@ def _find_hypot(x: float, y: float) -> float:
     return (root + left / (2.0 * root)) / scale
 
 
-_TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = MappingProxyType(
-    {
-        arithmetic.hypot: _find_hypot,
-        arithmetic.fmod: _fmod,
-        arithmetic.floor: _floor,
-        arithmetic.ceil: _ceil,
-        arithmetic.nearest: _nearest,
-        arithmetic.nearest_int: _nearest_int,
-        arithmetic.to_float32: _to_float32,
-        arithmetic.pose_to_float32: _pose_to_float32,
-        arithmetic.message_to_float32: _message_to_float32,
-        arithmetic.begin_row: _begin_row,
-        angles.wrap_angle: arithmetic.wrap_angle,
-    }
-)
+_TWINS: Final[Mapping[Callable[..., Any], Callable[..., Any]]] = {
+    arithmetic.hypot: _find_hypot,
+    arithmetic.fmod: _fmod,
+    arithmetic.floor: _floor,
+    arithmetic.ceil: _ceil,
+    arithmetic.nearest: _nearest,
+    arithmetic.nearest_int: _nearest_int,
+    arithmetic.to_float32: _to_float32,
+    arithmetic.pose_to_float32: _pose_to_float32,
+    arithmetic.message_to_float32: _message_to_float32,
+    arithmetic.begin_row: _begin_row,
+    angles.wrap_angle: arithmetic.wrap_angle,
+}
 """Functions of compiled code that replace Python functions."""
 
 

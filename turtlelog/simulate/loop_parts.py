@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 from functools import cache, lru_cache
 from inspect import signature
 from operator import attrgetter
-from types import FunctionType, MappingProxyType, SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any, Final, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -363,7 +363,7 @@ _PLACED: Final = [
     if action.stream is not None
 ]
 
-STREAMS: Final[Mapping[str, Stream]] = MappingProxyType({name: one for name, _, one in _PLACED})
+STREAMS: Final[Mapping[str, Stream]] = {name: one for name, _, one in _PLACED}
 """Streams of random numbers by the names of their rows in the loop."""
 
 RANDOM_KEYS: Final[frozenset[str]] = frozenset(
@@ -373,8 +373,7 @@ RANDOM_KEYS: Final[frozenset[str]] = frozenset(
 
 _READ: Final = {name: tuple(map(attrgetter, one.keys)) for name, one in STREAMS.items()}
 
-_BLOCK: Final = 256
-"""Number of events whose random numbers are drawn at once."""
+_BLOCK: Final = 256  # number of events whose random numbers are drawn at once
 
 
 def list_streams(scenario: Scenario) -> frozenset[str]:

@@ -51,14 +51,9 @@ _PATIENCE_S: Final = 1.0
 """Additional wait after the budget [s]. If the step returns in this time, the error contains its
 duration."""
 
-_AGAIN_S: Final = 0.05
-"""Time between attempts to end a step [s]: a law may catch the exception."""
-
-_ATTEMPTS: Final = 10
-"""Number of attempts to end a step before the run continues without it."""
-
-_LONGEST_S: Final = 3600.0
-"""Longest single wait [s]: a queue refuses waits of years."""
+_AGAIN_S: Final = 0.05  # time between attempts to end a step [s]: a law may catch the exception
+_ATTEMPTS: Final = 10  # number of attempts to end a step before the run continues without it
+_LONGEST_S: Final = 3600.0  # longest single wait [s]: a queue refuses waits of years
 
 _DEBUGGERS: Final = frozenset({"bdb", "pdb", "pydevd", "_pydevd_bundle", "debugpy"})
 
@@ -255,11 +250,7 @@ class LimitedLoop(Generic[_Item]):
         self._hands_out = self._is_late = False
 
     def iterate(self) -> Iterator[_Item]:
-        """Yield the items.
-
-        Raises:
-            StepBudgetError: If a step takes longer than the budget, after the items before it.
-        """
+        """Yield the items, then raise StepBudgetError if a step takes longer than the budget."""
         worker, stdout = _Worker(self._advance, "loop"), sys.stdout
         is_over: bool | None = False
         error: BaseException | None = None

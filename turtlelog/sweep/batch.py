@@ -112,20 +112,11 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     ahead: int = 0,
     step_budget_s: float = STEP_BUDGET_S,
 ) -> MeasuredRows:
-    """Simulate rows that vary a scenario and return their metrics.
+    """Simulate rows that vary a scenario, whose law may run, and return metrics by their ids.
 
-    Args:
-        base: Scenario that the rows vary; its law may run.
-        columns: Values of each varied key, one per row.
-        metrics: Metric ids, no patterns.
-        threads: Number of threads. Default: one per core.
-        first: Number of the first row; the name of the row's scenario contains it.
-        ahead: Approximate number of rows still to be done by this process, which decides whether
-            compiled loops are worth loading.
-        step_budget_s: Longest computing time of the law per step [s].
-
-    Raises:
-        SweepError: If columns have different lengths, or there are no columns.
+    `columns` are the values of each varied key, one per row. There is a thread per core by default.
+    `ahead`, about the number of rows still to be done by this process, decides whether compiled
+    loops are worth loading. The row's number, from `first` on, is in the name of its scenario.
     """
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:

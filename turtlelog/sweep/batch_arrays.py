@@ -74,8 +74,7 @@ LOOP: Final = np.dtype(
 of its pause; indices into `SIGNALS` and `REFERENCES`; whether its command is the turn rate."""
 
 SPAN: Final = np.dtype([(name, np.int64) for name in ("first", "after", "end", "last")])
-"""Sample indices of a loop: the first sample, the one after its phases, the end of its first
-segment with pauses, and the last sample."""
+"""Samples of a loop: the first, the one after its phases, its first segment's end, and the last."""
 
 FIRST_POSE: Final = slice(-2, None)
 """Last columns: x and y of the first pose that the controller read [m]."""

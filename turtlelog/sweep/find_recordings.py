@@ -210,9 +210,7 @@ def list_contents(path: Path) -> list[Path]:
 def hash_recording(path: Path) -> str:
     """Return the SHA-256 of a file, or of the names and contents of a bag's files.
 
-    Raises:
-        OSError: If a file cannot be read.
-        LogError: If a file is a pipe or a device.
+    OSError if a file cannot be read, LogError for a pipe or a device.
     """
     files, whole = list_contents(path), hashlib.sha256()
     if files == [path]:

@@ -239,12 +239,7 @@ _NAMES: Final = {
 
 
 class KeptParts(Generic[T]):
-    """The partial file of a table, locked while it is open.
-
-    Attributes:
-        places: Start of each part in the file [bytes].
-        was_begun: Whether the file already existed, for the same table.
-    """
+    """The partial file of a table, locked while it is open."""
 
     def __init__(
         self,
@@ -260,8 +255,8 @@ class KeptParts(Generic[T]):
         error; without `require`, the file is replaced.
         """
         self.path, self._output = name_partial(output), output
-        self.places: list[int] = []
-        self.was_begun = False
+        self.places: list[int] = []  # start of each part in the file [bytes]
+        self.was_begun = False  # whether the file already existed, for the same table
         self._decoder = msgspec.msgpack.Decoder(kind)
         try:
             self._stream = self._open()

@@ -111,9 +111,7 @@ class TabulatedFiles:
 def describe_former(output: Path, table: RecordingTable) -> str | None:
     """Return why an existing table cannot be reused; None if it can, or does not exist.
 
-    Raises:
-        LogError: If the file is not such a table and must not be replaced.
-        LibraryError: If pyarrow is not installed.
+    LogError if the file is not such a table and must not be replaced.
     """
     if not result_table.has_result_file(output):
         return None

@@ -252,13 +252,7 @@ def open_result_table(path: str | Path, *, kind: str) -> "StoredTable":
 
 
 class StoredTable:
-    """A table in a file. The file is open only during reads and may be replaced between reads.
-
-    Attributes:
-        kind: Kind of the table, as in `ResultTable`; empty if the file is not a result table.
-        names: Names of the columns.
-        group_rows: Number of rows in each group.
-    """
+    """A table in a file. The file is open only during reads and may be replaced between reads."""
 
     def __init__(self, path: str | Path) -> None:
         """Read the facts of the table; errors are as in `read_result_table`."""
@@ -266,11 +260,12 @@ class StoredTable:
         with _name_table(path):
             self._file = ParquetFile(path)
             facts = dict(_read_facts(self._file.schema.metadata) or {})
-        self.kind, self.version = facts.pop("kind", ""), facts.pop("version", "")
+        self.kind = facts.pop("kind", "")  # empty if the file is not a result table
+        self.version = facts.pop("version", "")
         facts.pop("format", None)
         self.facts: Mapping[str, str] = facts
-        self.names: Sequence[str] = self._file.schema.names
-        self.group_rows = self._file.group_rows
+        self.names: Sequence[str] = self._file.schema.names  # of the columns
+        self.group_rows = self._file.group_rows  # number of rows in each group
 
     @property
     def row_count(self) -> int:

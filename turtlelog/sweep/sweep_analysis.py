@@ -194,14 +194,8 @@ def find_borders(
 ) -> list[Border] | None:
     """Return where a measured verdict changes along its loop's gain, with the theoretical limit.
 
-    Args:
-        view: Rows that are shown.
-        metric: One of the view's metrics.
-        limits: Result of `find_loop_limits`.
-
-    Returns:
-        A border for each value of the other axis. The result is None if the metric is not true or
-            false, if its loop's gain is not an axis, or if rows were chosen at random.
+    There is a border for each value of the other axis. The result is None if the metric is not true
+    or false, if its loop's gain is not an axis, or if rows were chosen at random.
     """
     own = next((one for one in limits if one.loop == metric.loop), None)
     if not metric.is_verdict or own is None or view.results.is_sampled:
@@ -272,8 +266,7 @@ _LEAST_ROWS: Final = 10
 """Smallest sample; with fewer rows, chance gives correlations of 0.65 in one of 20 cases."""
 
 _NORMAL_95: Final = 1.959964
-"""Half-width of the central 95 % of the normal distribution. By chance, ranks of n independent rows
-correlate with the standard deviation 1 / sqrt(n - 1)."""
+"""Central 95 % of the normal distribution. Chance correlates n ranks by 1 / sqrt(n - 1)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -149,8 +149,7 @@ class SweepPlan:
     def spread_gains(self, gains: Sequence[str]) -> "SweepPlan":
         """Return the plan with the key `kp` replaced by the law's gains, which vary together.
 
-        Raises:
-            SweepError: If the law declares no gain, or other keys already vary together.
+        SweepError if the law declares no gain, or other keys already vary together.
         """
         kp = next((one for one in self.grid if one.key == KP), None)
         if kp is None:

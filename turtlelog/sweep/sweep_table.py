@@ -35,8 +35,6 @@ _FIRST: Final = ("stable", "overshoot", "settling_time", "position_error")
 _LARGEST: Final = 1e150
 """Largest value on an axis: squares of differences of larger values overflow."""
 
-_BEYOND: Final = "beyond 1e150"
-
 _USUAL_METRICS: Final = 4
 """Default number of panels: two rows of two panels, each as wide as a column of a paper."""
 
@@ -82,6 +80,10 @@ class SweptAxis:
         """Return keys and values of a place, as in `law.kp_linear = 4`."""
         pairs = zip(self.keys, self.values[place], strict=True)
         return ", ".join(f"{key} = {format_key_value(value)}" for key, value in pairs)
+
+    def tell_row(self, row: int) -> str:
+        """Return keys and values of a row."""
+        return self.tell_keys(self.places[row])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,7 +133,7 @@ class SweptResults:
 
     def tell_row(self, row: int) -> str:
         """Return the values of all varied keys in a row, in words."""
-        return ", ".join(axis.tell_keys(axis.places[row]) for axis in self.axes)
+        return ", ".join(axis.tell_row(row) for axis in self.axes)
 
 
 def read_swept_results(path: str | Path, patterns: Sequence[str] | None = None) -> SweptResults:
@@ -291,7 +293,13 @@ def _build_metric(
     told = list_cells(codes.take(without)) if len(without) else []
     for row, status in zip(without.tolist(), told, strict=True):
         why = "no such loop" if status is None else status.replace("_", " ")
-        why = _BEYOND if not math.isnan(values[row]) else "not a number" if why == "ok" else why
+        why = (
+            "beyond 1e150"
+            if not math.isnan(values[row])
+            else "not a number"
+            if why == "ok"
+            else why
+        )
         reasons[row] = "failed" if has_failed[row] else why
     values[~is_drawn] = math.nan
     return SweptMetric(name=name, unit=column.unit or "", values=values, reasons=reasons)
@@ -405,12 +413,7 @@ class SweepTable(Tabular):
 
 
 def read_sweep_table(path: str | Path) -> SweepTable:
-    """Return the table of a sweep in a file.
-
-    Raises:
-        LogError: If the file is not a table of a sweep.
-        LibraryError: If pyarrow is not installed.
-    """
+    """Return the table of a sweep in a file; LogError for another file."""
     table = result_table.open_result_table(path, kind="sweep").load()
     name = parse_scenario(table.facts["base"]).name
     plan = json.loads(table.facts["plan"])

@@ -200,11 +200,7 @@ def complete_searched(
 ) -> tuple[Scenario, tuple[SearchedKey, ...]]:
     """Return the keys, and the scenario with a value for each key, because laws may lack defaults.
 
-    Args:
-        scenario: Scenario to tune.
-        texts: Keys with their bounds, in the form that `parse_searched_keys` reads.
-        source: Prefix of error messages.
-        trust_law: Whether a law named in a recording may run too.
+    The keys are texts that `parse_searched_keys` reads, `source` is the prefix of error messages.
     """
     known = flatten_scenario(scenario)
     keys = parse_searched_keys(texts, known, source=source)

@@ -83,11 +83,7 @@ class TuningGoal:
         """Return the value of the objective; None if the objective has no value.
 
         Some metrics have a floor: an overshoot below 0 is no better than 0. If such a metric is
-        minimised, the floor replaces all values below it.
-
-        Raises:
-            ExpressionError: If the objective contains an unknown name.
-            TuneError: If the result is not a number.
+        minimised, the floor replaces all values below it. TuneError if the result is not a number.
         """
         found = evaluate_expression(self.objective, values)
         if found is None:
@@ -112,11 +108,7 @@ class TuningGoal:
 def parse_goal(
     objective: str, constraints: Sequence[str] = (), *, is_maximised: bool = False
 ) -> TuningGoal:
-    """Return the goal from the texts of its expressions.
-
-    Raises:
-        ExpressionError: If an expression cannot be parsed.
-    """
+    """Return the goal from the texts of its expressions; ExpressionError for others."""
     source = "--maximise" if is_maximised else "--minimise"
     return TuningGoal(
         objective=parse_expression(objective, source=source),
@@ -223,12 +215,7 @@ class Candidate:
 
 
 class Candidates:
-    """Evaluated candidates of a scenario.
-
-    Attributes:
-        keys: Varied keys.
-        evaluations: Number of different candidates that were simulated.
-    """
+    """Evaluated candidates of a scenario."""
 
     def __init__(  # noqa: PLR0913  (all but the first three have defaults)
         self,
@@ -265,7 +252,7 @@ class Candidates:
             TuneError: If the goal is invalid.
         """
         self.keys = tuple(keys)
-        self.evaluations = 0
+        self.evaluations = 0  # number of different candidates that were simulated
         resolved = resolve_scenario(base, trust_law=trust_law)
         self._parameters: Mapping[str, Any] = flatten_scenario(resolved)
         self._source = source

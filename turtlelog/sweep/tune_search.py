@@ -25,8 +25,7 @@ from turtlelog.errors import TuneError
 from turtlelog.sweep.tune_candidates import Candidate, Candidates, Point, SearchedKey, TuningGoal
 
 _SPREAD: Final = 32
-"""Number of points per key of the first cover: one key has steps of 3 % of its range. The number is
-a power of two, as the Sobol sequence requires."""
+"""Points per key of the first cover, a power of two for Sobol: one key has steps of 3 %."""
 
 _SPREAD_ALONE: Final = 128
 """The same number if one key varies alone, with steps of 1 % of its range: a metric that depends on
@@ -39,8 +38,7 @@ _FEWEST: Final = 16  # smallest population of the evolution
 
 _FIRST_STEP: Final = 1.0 / 16.0
 _LAST_STEP: Final = 1e-5
-"""Last step of the compass search as a share of the range, finer than typed values. The first step
-is the distance between two points of the cover."""
+"""Steps of the compass search, from two points of the cover to less than a typed value."""
 
 _CORNERS: Final = 6
 """Largest number of keys for which the corners of the range are candidates, at most 64 corners."""
@@ -218,8 +216,7 @@ _WORSE: Final = 0.1
 """Largest loss of the objective, as a share of the best value: the rounding of a gain."""
 
 _OF_SPREAD: Final = 0.01
-"""The same loss as a share of the distance from the best to the median candidate, if that is
-larger. A share of a best value of 0 would always be 0."""
+"""The same share of the way from best to median, if larger: a best value of 0 has none."""
 
 _POINTS: Final = 16
 """Number of candidates between the best value and each bound, denser near the best."""
@@ -228,8 +225,7 @@ _ROUNDS: Final = 5  # largest number of neighbourhoods, each of which may contai
 _HALVINGS: Final = 8  # number of halvings of the step, down to 1/256
 
 _SCAN: Final = 32
-"""Number of candidates between the best value and each end of its range, at equal distances: a part
-of 1/32 of either side that is worse ends the range."""
+"""Candidates from the best value to each end: a worse part of 1/32 of a side ends the range."""
 
 _SCANS: Final = 8  # largest number of scans. A scan follows each one that makes the range smaller
 

@@ -6,7 +6,6 @@ This module reads both runs and scenarios, because they have the same dotted key
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Final, TypedDict
 
 import numpy as np
@@ -207,14 +206,16 @@ _OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3"
 
 _OF_PLANT: Final = ("gain", "dead_time_s", "lag_s")
 
-_SLOPES: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "limits.turn_acceleration_rad_s2", "speed": "limits.acceleration_m_s2"}
-)
+_SLOPES: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_acceleration_rad_s2",
+    "speed": "limits.acceleration_m_s2",
+}
 """Keys of the limits on the rate of change, by command."""
 
-_JERKS: Final[Mapping[str, str]] = MappingProxyType(
-    {"turn_rate": "limits.turn_jerk_rad_s3", "speed": "limits.jerk_m_s3"}
-)
+_JERKS: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_jerk_rad_s3",
+    "speed": "limits.jerk_m_s3",
+}
 """Keys of the limits on the change of the acceleration, by command."""
 
 _DEFAULTS: Final = flatten_scenario(Scenario())
@@ -267,23 +268,22 @@ class LoopTiming:
 
 def read_gains(loop: ControlLoop, parameters: _Parameters) -> PidGains | str:
     """Return the gains of a loop for theory, or the reason why they are unknown."""
-    kp = loop.read_gain(parameters)
     if not loop.is_integrator:
         words = SIGNAL_WORDS[loop.signal], COMMAND_WORDS[loop.command]
         return f"theory knows no loop of {words[0]} under {words[1]}"
+    if loop.gain is None:
+        return "the law declares no constant proportional gain"
     if not (loop.is_proportional or loop.integral_gain or loop.derivative_gain):
         return "the law declares that its command is more than gain times error, but not its terms"
-    if kp is None:
-        known = "the law declares no proportional gain"
-        return known if loop.gain is None else f"{loop.gain} is not known"
     found = []
-    for key in (loop.integral_gain, loop.derivative_gain, loop.derivative_filter):
+    kinds = (loop.gain, loop.integral_gain, loop.derivative_gain, loop.derivative_filter)
+    for key in kinds:
         value = 0.0 if key is None else parameters.get(key)
         if not isinstance(value, int | float) or isinstance(value, bool):
             return f"{key} is not known"
         found.append(float(value))
     try:
-        return PidGains(kp=kp, ki=found[0], kd=found[1], filter_s=found[2])
+        return PidGains(kp=found[0], ki=found[1], kd=found[2], filter_s=found[3])
     except TheoryError as err:
         return str(err)
 

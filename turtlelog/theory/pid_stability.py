@@ -311,8 +311,8 @@ class Margins:
         phase_margin_rad: Smallest loss of phase, at an open-loop magnitude of 1, that makes the
             loop unstable [rad]; None if the magnitude is never 1.
         crossover_rad_s: Frequency of the phase margin [rad/s]; None without a phase margin.
-        delay_margin_ticks: Additional dead time [samples] up to which the loop is stable, rounded
-            down to whole ticks. None without a crossover.
+        delay_margin_s: Additional dead time up to which the loop is stable [s], exact for whole
+            periods. None without a crossover.
     """
 
     gain_margin: float | None
@@ -320,7 +320,7 @@ class Margins:
     gain_frequency_rad_s: float | None
     phase_margin_rad: float | None
     crossover_rad_s: float | None
-    delay_margin_ticks: float | None
+    delay_margin_s: float | None
 
 
 def evaluate_open_loop(shape: LoopShape, angle: ArrayLike) -> NDArray[np.complex128]:
@@ -354,13 +354,14 @@ def find_margins(shape: LoopShape, period_s: float) -> Margins:
     kept = (values > -_LARGEST_FACTOR) & (values < -1.0 / _LARGEST_FACTOR)
     factors = [*zip((-1.0 / values[kept]).tolist(), angles[kept].tolist(), strict=True)]
     above = min(((factor, angle) for factor, angle in factors if factor > 1.0), default=None)
+    delay = min((phase / angle for phase, angle in phases), default=None)
     return Margins(
         gain_margin=None if above is None else above[0],
         gain_reduction=max((factor for factor, _ in factors if factor < 1.0), default=None),
         gain_frequency_rad_s=None if above is None else above[1] / period_s,
         phase_margin_rad=phase,
         crossover_rad_s=None if crossover is None else crossover / period_s,
-        delay_margin_ticks=min((phase / angle for phase, angle in phases), default=None),
+        delay_margin_s=None if delay is None else delay * period_s,
     )
 
 

@@ -217,14 +217,9 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     return margin_rad is None or (least_rad is not None and margin_rad >= least_rad - _EQUAL_RAD)
 
 
-_EQUAL_S: Final = 1e-9
-"""Rounding of a settling time, which is a whole number of periods [s]."""
-
-_EQUAL_PERCENT: Final = 0.005
-"""Half of the last printed digit of an overshoot [% of the step]."""
-
-_EQUAL_RAD: Final = math.radians(0.05)
-"""Half of the last printed digit of a phase margin [rad]."""
+_EQUAL_S: Final = 1e-9  # rounding of a settling time, which is a whole number of periods [s]
+_EQUAL_PERCENT: Final = 0.005  # half of the last printed digit of an overshoot [% of the step]
+_EQUAL_RAD: Final = math.radians(0.05)  # half of the last printed digit of a phase margin [rad]
 
 _SAME_GAIN: Final = 0.005
 """Largest change of a gain by rounding to three digits, as a share of the gain."""
@@ -265,8 +260,7 @@ _ZIEGLER_NICHOLS: Final = (
 
 _KINDS: Final = ("P", "PI", "PD")
 
-_INTEGRAL: Final = 8.0
-"""SIMC's tau_I = 4 (tau_c + theta) as a multiple of theta, for tau_c = theta."""
+_INTEGRAL: Final = 8.0  # SIMC's tau_I = 4 (tau_c + theta) as a multiple of theta, for tau_c = theta
 
 
 def _compute_simc(design: LoopDesign, kind: str) -> PidGains | str:
@@ -275,14 +269,17 @@ def _compute_simc(design: LoopDesign, kind: str) -> PidGains | str:
     The tuning constant tau_c equals the dead time theta. By the half rule, half of the largest lag
     and all of the other lag count as dead time. Of PD the derivative time tau_D is the lag: the
     larger of two, plus half of the smaller one, whose other half is dead time. The paper recommends
-    a derivative only if the lag exceeds the dead time.
+    a derivative only if the lag exceeds the dead time. The rule knows no filter of the derivative:
+    the loop keeps the one that it has, and is measured with it.
     """
     theta_s, lag_s = _reduce(design, kept=int(kind == "PD"))
     kp = 0.5 / (design.process.gain * theta_s)
     if kind == "PD" and lag_s <= theta_s:
         found = f"{1e3 * lag_s:.4g} ms of lag and {1e3 * theta_s:.4g} ms of dead time with the hold"
         return f"the rule takes a derivative where the lag exceeds the dead time; here are {found}"
-    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s) if kind == "PI" else 0.0, kd=kp * lag_s)
+    if kind == "PD":
+        return PidGains(kp=kp, kd=kp * lag_s, filter_s=design.filter_s)
+    return PidGains(kp=kp, ki=kp / (_INTEGRAL * theta_s) if kind == "PI" else 0.0)
 
 
 def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
@@ -295,8 +292,7 @@ def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
     return theta_s, left + half if kept else 0.0
 
 
-_STEP: Final = 1.25
-"""Factor from one gain to the next while the overshoot is too small."""
+_STEP: Final = 1.25  # factor from one gain to the next while the overshoot is too small
 
 _PARTS: Final = 8
 """Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""

@@ -38,8 +38,7 @@ _NEGLIGIBLE_DEVIATION: Final = 1e-20
 """Distance from the reference that counts as 0 [steps]: far below the last digit of a double near
 1, 2e-16."""
 
-_ROUNDING: Final = 1e-9
-"""Share of a response that is larger than any rounding error of an addition."""
+_ROUNDING: Final = 1e-9  # share of a response that is larger than any rounding error of an addition
 
 BAND: Final = 0.02
 """Settling band as a share of the step."""
@@ -69,9 +68,9 @@ class SampledLoop:
         gain_margin: Factor on Kp at the stability limit; below 1 if the loop is unstable.
         phase_margin_rad: Phase above -pi at an open-loop magnitude of 1 [rad]. None if Kp T > 2,
             because the magnitude is then above 1 at all frequencies.
-        delay_margin_ticks: Additional dead time up to which the loop is stable [samples]: phase
-            margin divided by crossover frequency, rounded down to whole ticks. None if there is no
-            phase margin.
+        delay_margin_s: Additional dead time up to which the loop is stable [s]: phase margin
+            divided by crossover frequency, exact for whole periods. None if there is no phase
+            margin.
     """
 
     kp: float
@@ -85,13 +84,7 @@ class SampledLoop:
     settling_time_s: float | None
     gain_margin: float
     phase_margin_rad: float | None
-    delay_margin_ticks: float | None
-
-    @property
-    def delay_margin_s(self) -> float | None:
-        """The delay margin in seconds."""
-        ticks = self.delay_margin_ticks
-        return None if ticks is None else ticks * self.period_s
+    delay_margin_s: float | None
 
     def to_control(self) -> Any:
         """Return the open loop as a `control.TransferFunction` in z, Kp T / (z^d (z - 1)).
@@ -138,11 +131,11 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
     poles = compute_sampled_poles(kp, period_s=period_s, dead_time_ticks=dead_time_ticks)
     loop_gain = kp * period_s
     gain_margin = _compute_stability_loop_gain(dead_time_ticks) / loop_gain
-    phase_margin_rad, delay_margin_ticks = None, None
+    phase_margin_rad, delay_margin_s = None, None
     if loop_gain <= 2.0:
         crossover = 2.0 * math.asin(0.5 * loop_gain)
         phase_margin_rad = 0.5 * math.pi - (dead_time_ticks + 0.5) * crossover
-        delay_margin_ticks = 0.5 * math.pi / crossover - (dead_time_ticks + 0.5)
+        delay_margin_s = phase_margin_rad / crossover * float(period_s)
     respond = partial(
         compute_sampled_step_response, loop_gain, period_s=1.0, dead_time_ticks=dead_time_ticks
     )
@@ -163,7 +156,7 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
         settling_time_s=None if settling_ticks is None else settling_ticks * float(period_s),
         gain_margin=gain_margin,
         phase_margin_rad=phase_margin_rad,
-        delay_margin_ticks=delay_margin_ticks,
+        delay_margin_s=delay_margin_s,
     )
 
 

@@ -129,8 +129,7 @@ is not yet within 2 % loses less than a fifth of its amplitude each time, and ma
 _SETTLED: Final = 1e-9
 """Remaining motion that counts as settled, as a share of the step: 1e-7 % of overshoot."""
 
-_SETTLED_LIMITED: Final = 1e-5
-"""The same with limits: 1e-3 % of overshoot, in half of the time."""
+_SETTLED_LIMITED: Final = 1e-5  # same with limits: 1e-3 % of overshoot, in half of the time
 
 
 def measure_step_motion(
@@ -292,8 +291,7 @@ TOO_SLOW: Final = (
 CLOSE_PERCENT: Final = 1e-6
 """Tolerance of an overshoot [% of the step]; a smaller overshoot counts as none."""
 
-_CLOSE_PHASE: Final = 1e-9
-"""Tolerance of a phase margin [rad]; rounding leaves 1e-12."""
+_CLOSE_PHASE: Final = 1e-9  # tolerance of a phase margin [rad]; rounding leaves 1e-12
 
 _LARGEST_OVERSHOOT: Final = 1e3
 """Overshoot of a response that diverges [%]: every wanted overshoot is below 100 %."""

@@ -117,7 +117,7 @@ def test_samples_keep_their_poses_where_a_chunk_is_lost(
 
 
 def test_a_lost_summary_costs_no_row(sound: bytes, run: Run, tmp_path: Path) -> None:
-    found = read_partial(tmp_path / "run.mcap", sound[:-40], "no data is lost, only the summary")
+    found = read_partial(tmp_path / "run.mcap", sound[:-40], "no loss is found, only the summary")
     assert_same(found.samples, run.samples)
     assert_same(found.poses, run.poses)
     assert found.parameters == run.parameters
@@ -153,4 +153,4 @@ def test_info_says_what_a_damaged_file_still_holds(sound: bytes, tmp_path: Path)
         whole.topics,
         whole.stop_reason,
     )
-    assert found.notes["partial"] == "no data is lost, only the summary is damaged"
+    assert found.notes["partial"] == "no loss is found, only the summary is damaged"

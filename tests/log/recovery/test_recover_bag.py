@@ -8,7 +8,13 @@ from rosbags.highlevel import AnyReader
 
 from tests.log.ros2.bags import make_command, make_poses, write_mcap, write_metadata, write_sqlite
 from turtlelog.errors import LogError
-from turtlelog.log import read_columns, read_info, read_run, recover_recording
+from turtlelog.log import (
+    PartialRecordingWarning,
+    read_columns,
+    read_info,
+    read_run,
+    recover_recording,
+)
 from turtlelog.log.ros2 import read_bag_info
 from turtlelog.log.ros2.bag_files import parse_bag_metadata
 
@@ -52,6 +58,36 @@ def test_a_sound_bag_in_sqlite_is_recovered_whole(whole: Path, tmp_path: Path) -
             assert found[topic].fields[name].tobytes() == values.tobytes()
     with AnyReader([tmp_path / "out.mcap"]) as reader:
         assert sum(1 for _ in reader.messages()) == ROWS + 1
+
+
+@pytest.mark.parametrize("is_folder", [False, True])
+@pytest.mark.parametrize("is_mcap", [False, True])
+def test_partial_reads_what_is_left_of_a_bag(
+    whole: Path, tmp_path: Path, *, is_mcap: bool, is_folder: bool
+) -> None:
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    file = folder / f"bag.{'mcap' if is_mcap else 'db3'}"
+    write_mcap(file, make_poses(200)) if is_mcap else shutil.copyfile(whole, file)
+    bag = folder if is_folder else file
+    expected, content = read_run(bag), file.read_bytes()
+    file.write_bytes(content[: len(content) - 100 if is_mcap else len(content) // 2])
+    with pytest.raises(LogError):
+        read_run(bag)
+    with pytest.warns(PartialRecordingWarning, match="from a damaged or unfinished file"):
+        run = read_run(bag, allow_partial=True)
+    count = len(run.poses)
+    assert run.name == expected.name
+    assert run.poses.xy_m.tolist() == expected.poses.xy_m[:count].tolist()
+    assert (count == len(expected.poses)) == is_mcap
+    file.write_bytes(content[:20])
+    with pytest.raises(LogError, match="bag"):
+        read_run(bag, allow_partial=True)
+
+
+def test_an_intact_bag_keeps_its_own_error(whole: Path) -> None:
+    with pytest.raises(LogError, match="pose_topic: expected a topic with messages, found /none"):
+        read_run(whole, pose_topic="/none", allow_partial=True)
 
 
 @pytest.mark.parametrize("part", [0.35, 0.6, 0.999])

@@ -147,6 +147,19 @@ def test_a_trace_ends_within_a_robots_width(
     assert (read(tmp_path, say_odometry(), path).path is None) == is_trace
 
 
+@pytest.mark.parametrize(("size_m", "is_trace"), [(0.27, True), (0.28, False)])
+def test_a_lap_is_a_plan_if_the_robot_has_not_driven_it(
+    size_m: float, *, is_trace: bool, tmp_path: Path
+) -> None:
+    # After 1 m. A lap of 1.11 m is longer by a tenth of its length.
+    x_m = 1.0 - size_m
+    lap = say_path((1.0, 0.0), (1.0, size_m), (x_m, size_m), (x_m, 0.0), (1.0, 0.0), at_s=1.0)
+    file = write_robot(tmp_path, say_odometry(), lap)
+    run, asked = read_run(file), read_run(file, path_topic="/plan")
+    assert (run.path is None, asked.path is None) == (is_trace, False)
+    assert ("as a trace does" in asked.notes["path"]) == is_trace
+
+
 def test_paths_that_are_no_reference_say_why(tmp_path: Path) -> None:
     back = say_path((0.0, 0.0), (5.0, 0.0), (1.0, 0.0))
     assert "a turn of 180 deg" in read(tmp_path, say_odometry(), back).notes["path"]

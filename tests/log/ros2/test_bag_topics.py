@@ -102,6 +102,7 @@ def test_one_message_is_no_motion() -> None:
         ("/odom", ["/controller/cmd_vel", "/cmd_vel_nav"], "/controller/cmd_vel"),
         ("/robot1/odom", ["/robot2/cmd_vel", "/robot1/cmd_vel_nav"], "/robot1/cmd_vel_nav"),
         ("/base/odom", ["/cmd_vel", "/base/cmd_vel"], "/base/cmd_vel"),
+        ("/robot1/odom", ["/robot1_base/cmd_vel"], "/robot1_base/cmd_vel"),
         ("/odom", ["/twist", "/wheels/measured"], "/twist"),
     ],
 )
@@ -115,7 +116,13 @@ def test_commands_are_those_that_the_base_listens_to(
     assert expected not in found.others
 
 
-@pytest.mark.parametrize("name", ["/robot2/cmd_vel", "/robot1/current_vel", "/odom_twist"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("/robot2/cmd_vel", "/robot1_1/cmd_vel", "/robot/cmd_vel"),
+        *("/robot1/current_vel", "/odom_twist"),
+    ],
+)
 def test_measured_velocities_and_another_robots_are_no_commands(name: str) -> None:
     topics = list_topics((name, TWIST))
     assert choose_command_topic(topics, None, pose_topic="/robot1/odom") is None

@@ -161,6 +161,8 @@ def test_the_plane_touches_the_ellipsoid_of_wgs84() -> None:
     north_m = project_fixes(np.array([45.0, 45.001]), np.array([7.0, 7.0]), np.zeros(2))[1]
     east_m = project_fixes(np.array([45.0, 45.0]), np.array([7.0, 7.001]), np.zeros(2))[1]
     assert north_m == pytest.approx([0.0, 111.1317, 0.0], abs=2e-3)
+    far_m = project_fixes(np.array([45.0, 45.1]), np.array([7.0, 7.0]), np.full(2, 500.0))[1]
+    assert far_m[2] == 0.0  # on the tangent plane -9.7 m
     assert east_m == pytest.approx([78.8468, 0.0, 0.0], abs=1e-3)
     up_m = project_fixes(np.array([45.0, 45.0]), np.array([7.0, 7.0]), np.array([100.0, 105.0]))[1]
     assert up_m == pytest.approx([0.0, 0.0, 5.0], abs=1e-6)

@@ -16,7 +16,7 @@ from turtlelog.log import read_trajectory
 from turtlelog.log.ros2.set_clocks import CLOCK_SET, SILENCE
 from turtlelog.run import Run
 
-STEP_S, SPEED_M_S, TURN_RAD_S = 0.02, 0.5, 0.4
+STEP_S, SPEED_M_S = 0.02, 0.5
 
 
 def drive(
@@ -30,19 +30,19 @@ def drive(
     command_s: float = 0.1,
     step_s: float = STEP_S,
     noise_m: float = 0.0,
+    begin_s: float = 0.0,
+    radius_m: float = 1.25,
 ) -> list[Said]:
     """Return 10 s on a circle, in order of arrival, by a clock that is set at `at_s`.
 
-    After that the robot drives for `pause_s` without being recorded.
+    After that the robot drives for `pause_s` without being recorded. Commands begin at `begin_s`.
     """
     said, random = list[tuple[float, Said]](), np.random.default_rng(1)
     for row in range(round(10.0 / step_s) + 1):
         time_s = row * step_s
         true_s = time_s + pause_s * (time_s >= at_s)
         shift = (shift_s + pause_s) * (time_s >= at_s)
-        ratio = speed_m_s / SPEED_M_S
-        angle_rad = TURN_RAD_S * true_s * ratio
-        radius_m = SPEED_M_S / TURN_RAD_S
+        angle_rad = speed_m_s * true_s / radius_m
         x_m, y_m = radius_m * math.sin(angle_rad), radius_m * (1.0 - math.cos(angle_rad))
         place = make_vector(x_m + random.normal(0.0, noise_m), y_m + random.normal(0.0, noise_m))
         turn = {"z": math.sin(angle_rad / 2), "w": math.cos(angle_rad / 2)}
@@ -54,7 +54,7 @@ def drive(
         log_ns = START_NS + round(1e9 * (time_s + shift + 0.002))
         said.append((time_s, Said(topic="/pose", type=kind, values=values, time_ns=log_ns)))
     for number in range(round(10.0 / command_s)):
-        time_s = number * command_s + 0.005
+        time_s = begin_s + number * command_s + 0.005
         shift = (shift_s + pause_s) * (time_s >= at_s)
         values = {"linear": make_vector(speed_m_s), "angular": make_vector(z=number / 1e3)}
         log_ns = START_NS + round(1e9 * (time_s + shift))
@@ -130,6 +130,20 @@ def test_rare_messages_stay_on_their_side_of_a_step(tmp_path: Path, at_s: float)
     assert np.diff(run.commands.time_ns) / 1e9 == pytest.approx(5.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("shift_s", [-0.6, -1.0, -2.5])
+@pytest.mark.parametrize("write", [write_mcap, write_sqlite])
+@pytest.mark.parametrize("begin_s", [0.0, 0.2, 0.7, 0.995])
+def test_rare_messages_are_divided_as_they_are_stored(
+    tmp_path: Path, write: Callable[..., Path], shift_s: float, begin_s: float
+) -> None:
+    # Set back by less than the second between two commands, their times go on.
+    messages = drive(shift_s, at_s=5.0, command_s=1.0, begin_s=begin_s)
+    path = tmp_path / ("bag.mcap" if write is write_mcap else "bag.db3")
+    run = read_bag(write(path, messages))
+    assert len(run.commands) == 10
+    assert np.diff(run.commands.time_ns) / 1e9 == pytest.approx(1.0, abs=1e-6)
+
+
 @pytest.mark.parametrize(("pause_s", "is_set"), [(0.03, True), (0.05, False), (3.7, False)])
 def test_a_robot_that_drove_on_in_a_silence_shows_that_time_passed(
     tmp_path: Path, pause_s: float, *, is_set: bool
@@ -163,12 +177,31 @@ def test_noise_larger_than_a_step_hides_whether_the_robot_drives_on(
     assert (CLOCK_SET in read(tmp_path, drive(3.7, noise_m=noise_m)).notes) == is_set
 
 
-def test_commands_in_a_silence_show_that_time_passed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("topic", ["/cmd_vel", "/battery"])
+def test_any_message_in_a_silence_shows_that_time_passed(tmp_path: Path, topic: str) -> None:
     messages = drive(3.7)
     command = next(one for one in messages if one.topic == "/cmd_vel")
-    within = replace(command, time_ns=START_NS + 6 * 10**9)
-    run = read(tmp_path, sorted([*messages, within], key=lambda one: one.time_ns))
-    assert CLOCK_SET not in run.notes
+    within = replace(command, topic=topic, time_ns=START_NS + 6 * 10**9)
+    messages = sorted([*messages, within], key=lambda one: one.time_ns)
+    assert CLOCK_SET not in read(tmp_path, messages).notes
+    found: Any = read_trajectory(tmp_path / "bag.mcap")
+    assert np.ptp(found.time_ns) / 1e9 == pytest.approx(13.7)
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "radius_m", "is_set"),
+    [(0.6, 10.0, True), (0.65, 10.0, False), (0.12, 0.25, True), (0.13, 0.25, False)],
+)
+def test_poses_that_may_come_by_way_show_no_set_clock(
+    tmp_path: Path, speed_m_s: float, radius_m: float, *, is_set: bool
+) -> None:
+    # At 5 Hz a way of 0.12 or 0.13 m, or a turn of 0.096 or 0.104 rad, between two poses.
+    messages = drive(
+        30.0, step_s=0.2, at_s=3.999, command_s=2.0, speed_m_s=speed_m_s, radius_m=radius_m
+    )
+    run = read(tmp_path, messages)
+    assert (CLOCK_SET in run.notes) == is_set
+    assert (run.poses.time_ns[-1] / 1e9 > 39.0) != is_set
 
 
 def test_a_robot_at_rest_does_not_show_whether_time_passed(tmp_path: Path) -> None:

@@ -78,11 +78,9 @@ def explain_for_figure(
     metric: str | None = None,
     report: Callable[[int, int], None] | None = None,
 ) -> Explained:
-    """Explain one run, as `turtlelog explain` does; `report` gets the numbers of simulations.
+    """Explain one run, as `turtlelog explain` does; ShowError, with the reason, if that fails.
 
-    Raises:
-        ShowError: If there is not exactly one run, or the run has no contributions. The message
-            says why.
+    `report` gets the numbers of simulations.
     """
     run, chosen = _choose_explained("attribution", runs, metric)
     identified = explain.identify_run(run)
@@ -297,10 +295,9 @@ _DASHES: Final[tuple[Any, ...]] = ((0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.
 def measure_luck_for_figure(
     runs: Sequence[Run], *, metric: str | None = None, work: explain.Work | None = None
 ) -> explain.Luck:
-    """Measure the effect of chance on one run; the default metric is the choice of `explain`.
+    """Measure the effect of chance on one run; ShowError, with the reason, if that fails.
 
-    Raises:
-        ShowError: If there is not exactly one run, or nothing can be shown. The message says why.
+    The default metric is the choice of `explain`.
     """
     run, chosen = _choose_explained("luck", runs, metric)
     try:

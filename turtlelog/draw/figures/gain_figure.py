@@ -51,11 +51,8 @@ def draw_gains(
 ) -> None:
     """Draw metrics against the gain of each loop, with theory's limits.
 
-    The metrics are ids, patterns, or names of metrics of any loop; by default overshoot, settling
-    time and final position error. Runs without a known gain are left out.
-
-    Raises:
-        ShowError: If no gain is known, or no run has a value.
+    The metrics are as in `strip_figure.measure_for_figure`. Runs without a known gain are left out.
+    ShowError if no gain is known, or no run has a value.
     """
     loops = find_loop_gains(runs)
     if not loops:

@@ -3,14 +3,13 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import BoundaryNorm, ListedColormap, LogNorm, Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
@@ -121,7 +120,7 @@ def _draw_cells(
         axes.pcolormesh(*edges, np.ma.masked_invalid(values), cmap=colors, norm=norm, **looks)
         return _name_verdicts(values) | named
     scale = build_scale(values)
-    shown: dict[str, Any] = {"cmap": scale.colors, "norm": scale.norm, **looks}
+    shown: dict[str, Any] = {"cmap": _COLORS, "norm": scale.norm, **looks}
     _add_bar(axes, axes.pcolormesh(*edges, np.ma.masked_invalid(values), **shown), scale)
     return named
 
@@ -147,18 +146,19 @@ def _draw_points(axes: Axes, view: SweptView, metric: SweptMetric) -> dict[str, 
         return _name_verdicts(classes) | named
     scale = build_scale(values)
     order = np.flatnonzero(known)[np.argsort(values[known], kind="stable")]
-    looks |= {"c": values[order], "cmap": scale.colors, "norm": scale.norm}
+    looks |= {"c": values[order], "cmap": _COLORS, "norm": scale.norm}
     _add_bar(axes, axes.scatter(x[order], y[order], **looks), scale)
     return named
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColorScale:
-    """Colours of the values of one metric."""
+_COLORS: Final = ListedColormap([*map(to_rgb, choose_shades(256))], name="turtlelog")
 
-    norm: Normalize  # mapping from values to 0 to 1
-    colors: Colormap  # colours of 0 to 1
-    extend: str  # pointed ends of the bar: `neither`, `min`, `max` or `both`
+
+class ColorScale(NamedTuple):
+    """Mapping of a metric's values to 0 to 1, and the pointed ends of its bar."""
+
+    norm: Normalize
+    extend: str
 
 
 def _add_bar(axes: Axes, drawn: Any, scale: ColorScale) -> None:
@@ -261,11 +261,7 @@ def build_scale(values: Values) -> ColorScale:
     if low == high:  # one colour, in the middle of a bar that shows the value
         spread = abs(low) * 1e-3 or 1e-3
         low, high = low - spread, high + spread
-    return ColorScale(
-        norm=(LogNorm if is_logarithmic else Normalize)(low, high),
-        colors=ListedColormap([*map(to_rgb, choose_shades(256))], name="turtlelog"),
-        extend=extend,
-    )
+    return ColorScale((LogNorm if is_logarithmic else Normalize)(low, high), extend)
 
 
 def group_reasons(metrics: Sequence[SweptMetric]) -> dict[str, tuple[str, str]]:

@@ -23,8 +23,7 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 
 MOST_WORDED: Final = 4
-"""Largest number of runs with guides and a table of values. With more runs, text gives only the
-extremes, because a table would cover the curves."""
+"""Largest number of runs with guides and values; of more, which cover curves, extremes are told."""
 
 _GUIDE: Final = fix_style(linestyle=(0, (1, 1.6)), linewidth=0.7, zorder=GUIDE_ORDER)
 _PAUSE: Final = fix_style(facecolor="0.90", edgecolor="none", zorder=0.4)

@@ -32,8 +32,7 @@ _MEDIAN: Final = fix_style(mec="white", mew=0.7, ms=5.5, zorder=2.97, label=many
 _MOST_TICKS: Final = 5
 
 _LEAST_TOLERANCE: Final = 0.04
-"""Smallest tolerance with an entry in the legend, as a share of half a close-up. A smaller square
-is below the goal's cross, which takes 3 of 90 points on either side."""
+"""Smallest tolerance in the legend, of half a close-up; smaller ones are below the goal's cross."""
 
 _PLANE: Final = "plane"  # label of axes that show paths
 _FAINT: Final = 0.25  # opacity of the part of a path outside the page's time window

@@ -82,8 +82,7 @@ def draw_rates(
 ) -> None:
     """Draw commands and measured rates of one run, with its model by `identify_robot`.
 
-    Raises:
-        ShowError: If there is not exactly one run, or the run has no commands.
+    ShowError if the run has no commands.
     """
     run = require_one("rates", runs)
     model = identify.identify_robot([run]) if model is None else model
@@ -132,7 +131,7 @@ def _read_axis(axis: identify.AxisModel, model: identify.RobotModel, run: Run) -
     measured = None if traces is None else (traces.time_s - run.start_ns / 1e9, traces.measured)
     if traces is None:
         reported = read_measured(run, axis.axis)
-        curve = read_applied(run, axis.axis) if reported is None else reported.curve
+        curve = read_applied(run, axis.axis) if reported is None else reported[0]
         measured = None if curve is None else (curve.time_s, curve.values)
     return DrawnAxis(
         model=axis,

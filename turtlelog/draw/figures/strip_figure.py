@@ -72,12 +72,6 @@ class MetricValues:
         """Name of the metric without its loop."""
         return self.id.rpartition(".")[2] if self.loop else self.id
 
-    @property
-    def is_logarithmic(self) -> bool:
-        """Whether the values need a logarithmic scale."""
-        known = self.values[np.isfinite(self.values)]
-        return len(known) > 1 and bool(0.0 < _LOGARITHMIC * known.min() < known.max())
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunGroups:
@@ -144,10 +138,7 @@ def draw_strips(
 ) -> None:
     """Draw a panel for each metric: runs of each group as points, with a box if there are many.
 
-    The metrics are as in `measure_for_figure`.
-
-    Raises:
-        ShowError: If there are too many groups, or no run has a value.
+    The metrics are as in `measure_for_figure`. Too many groups are refused.
     """
     groups = group_runs(runs)
     found = measure_for_figure("strips", runs, metrics)
@@ -257,8 +248,7 @@ _LOGARITHMIC: Final = 30.0
 """Ratio from which a scale is logarithmic: on 30 mm, the smallest value is within 1 mm of 0."""
 
 _LEAST_PERCENT: Final = 0.5
-"""Smallest height of a percentage axis [%], a quarter of the settling band. On a smaller axis, the
-last digits of a run without overshoot would look like an overshoot."""
+"""Smallest height of an axis [%]; below, last digits would look like an overshoot."""
 
 _LETTER_WIDTH: Final = 0.65
 """Width of a digit as a share of the font size. DejaVu Sans, the widest font in use, has 0.636."""
@@ -267,14 +257,10 @@ _LETTER_WIDTH: Final = 0.65
 def measure_for_figure(
     figure: str, runs: Sequence[Run], names: Sequence[str] | None
 ) -> list[MetricValues]:
-    """Return metrics for which at least one run has a value.
+    """Return metrics with a value in at least one run; ShowError, with a reason, if there are none.
 
     The names are ids, patterns, or names of metrics of any loop (`overshoot`); by default the usual
     metrics.
-
-    Raises:
-        ShowError: If no run has a value of any metric. The message has the first reason.
-        MeasureError: If a name is not a metric.
     """
     for patterns in [[*map(complete_name, names)]] if names else [USUAL, OF_TRACKING]:
         chosen = [choose_metrics(patterns, run.declaration) for run in runs]
@@ -299,7 +285,6 @@ def complete_name(name: str) -> str:
 
 
 def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues | None:
-    """Return a metric of several runs; None if no run has a value."""
     values = np.array(
         [np.nan if one is None or one.value is None else one.value for one in metrics]
     )
@@ -318,7 +303,7 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
     """Set the scale of an axis for a metric, with room for its values."""
     known = found.values[np.isfinite(found.values)]
     low, high = float(known.min()), float(known.max())
-    if found.is_logarithmic:
+    if 0.0 < _LOGARITHMIC * low < high:
         axes.set_yscale("log")
         axes.set_ylim(low / 1.6, high * 1.9)
         few = high < 100.0 * low

@@ -69,8 +69,6 @@ _UNSTABLE_LENGTH: Final = 40.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _LoopCurve:
-    """One loop to draw."""
-
     run: str  # name of the run; empty if there is only one
     is_many: bool  # whether a colour bar names the runs, because there are many
     layer: int  # index of the loop in its law; loop 0 is on top

@@ -371,10 +371,7 @@ def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Se
 def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path]]:
     """Yield a function that writes files into a folder by name; all appear together at the end.
 
-    If the block fails, no file and no new folder remain.
-
-    Raises:
-        ShowError: If the folder cannot be written.
+    If the block fails, or the folder cannot be written, no file and no new folder remain.
     """
     folder = make_path(folder)
     with ExitStack() as undoing:

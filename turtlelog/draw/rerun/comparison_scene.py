@@ -116,13 +116,10 @@ class _Overlay:
             self.runs, self.prefixes, self.series, self.references, documents, names=self.names
         )
         calm = [number for number in range(len(self.runs)) if number not in self.restless]
-        content = replace(
-            content,
-            scale_title=None if self.scale is None else pictures.title_scale(self.scale),
-            scale_span=""
-            if self.scale is None
-            else f"{self.scale.word} {pictures.tell_span(self.scale)}",
-        )
+        if (scale := self.scale) is not None:
+            span = f"{min(scale.values):g} to {max(scale.values):g}"
+            title = f"{len(scale.values)} runs, coloured by {scale.word}: {span}"
+            content = replace(content, scale_title=title, scale_span=f"{scale.word} {span}")
         if not self.restless:
             return content
         settled = [self.runs[number] for number in calm]

@@ -29,8 +29,7 @@ _SMALLEST_CLOSE_UP_DEG = 0.1
 """Smallest half-height of the close-up [deg]; even errors of 0 need a range."""
 
 _LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.4
-"""Width and height of a legend of four lines as shares of a plot. The window has 1600 x 900 pixels,
-with three plots of 235 pixels one above another."""
+"""Shares of a plot of 235 pixels, of three in a window of 1600 x 900, that four lines take."""
 
 _MOST_IN_PLOT = 4
 """Largest number of names in a legend inside a plot; for more names there is a separate view."""

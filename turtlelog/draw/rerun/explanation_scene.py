@@ -113,8 +113,6 @@ def write_explanation_rrd(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Scene:
-    """A run and its ghosts."""
-
     recorded: Run  # recorded run
     ghosts: tuple[Ghost, ...]  # ghosts, the main ghost last; empty if no ghost is known
     series: tuple[tuple[plots.Series, ...], ...]  # curves of the run and of each simulated ghost

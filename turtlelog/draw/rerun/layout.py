@@ -43,14 +43,10 @@ _EXPLAINED: Final = (
 )
 
 _EXPLAINED_ROWS: Final = (1.0, 1.7)
-_EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
 _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Entity of the range of all linked time axes, in a view that the viewer never shows."""
 
-_LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
-_COLUMN_SHARES: Final = (1.0, 1.8)
-_VIOLATION_ROWS: Final = (1.0, 1.2)
 
 _VIOLATION_TOP: Final = (4.0, 1.0)
 """Widths of signal and legend. Of 1200 pixels, the legend has 240, with 32 letters per line."""
@@ -138,7 +134,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
     ]
     parts += _list_stacks(content, _COLUMNS, {})
     below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
-    return link_views(rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS))
+    return link_views(rrb.Vertical(top, below, row_shares=(1.0, 1.2)))
 
 
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
@@ -159,7 +155,7 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
         rrb.Horizontal(
             rrb.Vertical(*left),
             rrb.Vertical(*right, row_shares=_EXPLAINED_ROWS[: len(right)]),
-            column_shares=_EXPLAINED_COLUMNS,
+            column_shares=(1.0, 1.5),
         )
     )
 
@@ -168,10 +164,10 @@ def _build_blueprint(content: Content, legends: Corners) -> rrb.Blueprint:
     left = _list_planes_of(content)
     tabs = [] if content.is_small else _list_tabs(content)
     left += [rrb.Tabs(*tabs, active_tab=0)] if tabs else []
-    parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
+    parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=(3.0, 2.5, 2.0, 2.0)[: len(left)])]
     for plots in _list_stacks(content, _COLUMNS, legends):
         parts.append(_add_phases(content, _add_states(content, plots)))
-    root = rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)])
+    root = rrb.Horizontal(*parts, column_shares=(1.0, 1.8)[: len(parts)])
     return link_views(root, end_s=content.end_s)
 
 

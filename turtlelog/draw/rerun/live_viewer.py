@@ -147,21 +147,13 @@ class LiveScene:
         self._half_size_m = 0.0
 
     def update(self, run: Run) -> None:
-        """Send the new data of a growing run; nothing while the run is too short to be visible.
-
-        Raises:
-            ConnectionError: If the viewer accepts no more data.
-        """
+        """Send a growing run's new data; ConnectionError if the viewer accepts no more."""
         if len(run.poses) > 1:
             with recording_stream.strict_mode():
                 self._draw(run)
 
     def finish(self, run: Run) -> None:
-        """Send the rest of a finished run, including the data known only at the end.
-
-        Raises:
-            ConnectionError: If the viewer accepts no more data.
-        """
+        """Send a finished run with what is known only then; ConnectionError as in `update`."""
         scene = build_run_scene(run, size=self._size)
         with recording_stream.strict_mode():
             self._stream.begin_round(len(run.poses), is_last=True)
@@ -421,8 +413,7 @@ def _keep_scene(stream: GrowingStream, size: tuple[int, int] | None = None) -> I
 
 
 _READY_S: Final = 30.0
-"""Time for the page to load the viewer, compressed 17 MB, at 5 Mbit/s [s]. The data for a page that
-takes longer are kept and shown later."""
+"""Time for the page to load the viewer, 17 MB at 5 Mbit/s [s]; later data are kept and shown."""
 
 
 def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
@@ -430,9 +421,6 @@ def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
 
     The page gets the recording in one message. Rerun itself would send one message per part; a
     browser without a graphics card often shows nothing after hundreds of messages.
-
-    Raises:
-        ShowError: If the environment disables Rerun.
     """
     with TemporaryDirectory(prefix="turtlelog-") as folder:
         file = Path(folder, "run.rrd")

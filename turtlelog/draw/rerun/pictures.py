@@ -105,16 +105,6 @@ def draw_scale(
     log_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
 
 
-def title_scale(scale: GainScale) -> str:
-    """Return the title of the colour bar."""
-    return f"{len(scale.values)} runs, coloured by {scale.word}: {tell_span(scale)}"
-
-
-def tell_span(scale: GainScale) -> str:
-    """Return the least and the greatest value of the bar."""
-    return f"{min(scale.values):g} to {max(scale.values):g}"
-
-
 def choose_names(count: int) -> tuple[int, ...]:
     """Return the indices of the named runs among many, as room allows, including the last run.
 
@@ -162,10 +152,7 @@ _AXIS_FOOT: Final = 30.0  # height of the axis of the starts
 
 _PLAIN: Final = StepScale(factor=1.0, unit="", decimals=0)
 _END_RADIUS: Final = 1.6  # [points]
-_LINE_RADIUS: Final = 0.9
 _THIN_RADIUS: Final = 0.5
-_DOT_RADIUS: Final = 1.6
-_RECORDED_RADIUS: Final = 4.0
 
 _Words = tuple[float, float, str, palette.Color]
 """Middle of a text, the text, and its colour."""
@@ -311,7 +298,7 @@ def draw_luck_picture(stream: rr.RecordingStream, shown: LuckPicture) -> None:
     if shown.recorded is not None:
         ((x, y),) = place(np.array([shown.recorded])).tolist()
         entity = f"{entities.LUCK}/recorded"
-        log_points(stream, entity, [(x, y)], [palette.MAIN], _RECORDED_RADIUS)
+        log_points(stream, entity, [(x, y)], [palette.MAIN], radius=4.0)
         # The text is on the side of the curve with more room.
         y += _LINE if shown.recorded[1] > sum(shown.limits) / 2.0 else -_LINE
         words.append((x, y, shown.recorded_name, palette.MAIN))
@@ -358,11 +345,11 @@ def _draw_line(
     parts = [points[first : last + 1] for first, last in line.pieces]
     strips = [part for part in parts if len(part) > 1]
     if strips:
-        log_strips(stream, entity, strips, [line.color], _LINE_RADIUS)
+        log_strips(stream, entity, strips, [line.color], radius=0.9)
     dots = [part for part in parts if line.kind == "run" or len(part) == 1]
     if dots:
         places = np.concatenate(dots)
-        log_points(stream, f"{entity}/starts", places, [line.color], _DOT_RADIUS)
+        log_points(stream, f"{entity}/starts", places, [line.color], radius=1.6)
 
 
 def _draw_axes(

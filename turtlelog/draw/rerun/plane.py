@@ -39,13 +39,7 @@ SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55,
 _ABOVE: Final = 0.6  # offset of text in lines, because the viewer writes text below its point
 
 _END_RADIUS: Final = 4.0  # [points]
-_ENDS_RADIUS: Final = 2.0
-_OUTLINE_RADIUS: Final = 0.75
-_MEDIAN_RADIUS: Final = 4.5
 _ABOVE_ENDS: Final = 31.0  # points have 30
-_RING_RADIUS: Final = 0.5
-_WORST_RADIUS: Final = 1.0
-_TRACKED_RADIUS: Final = 2.5
 TRACE_RADIUS: Final = 1.5
 _BELOW_TRACES: Final = 15.0  # lines have 20
 _RING: Final[palette.Color] = (80, 80, 80)
@@ -93,7 +87,7 @@ def draw_world(
     if paths:
         strips = [plane_scene.outline_path(path) for path in paths]
         look, colors = {"draw_order": _BELOW_TRACES}, [palette.TRACKED] * len(paths)
-        log_strips(stream, entities.TRACKED_PATH, strips, colors, _TRACKED_RADIUS, **look)
+        log_strips(stream, entities.TRACKED_PATH, strips, colors, radius=2.5, **look)
     starts, goals = plane_scene.list_starts(runs), plane_scene.list_goals(runs)
     log_points(stream, entities.START, starts, [palette.START], _MARKER_RADIUS)
     if len(goals):
@@ -131,7 +125,7 @@ def draw_close_up(
     hues = [colors[one.runs[0]] if len(one.runs) == 1 else palette.START for one in lines]
     _write_labels(stream, entities.MISSES, up_m, lines, hues)
     _write_labels(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
-    log_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], _RING_RADIUS)
+    log_strips(stream, entities.RINGS, close_up.list_rings(), [_RING], radius=0.5)
 
 
 def draw_ends(
@@ -139,7 +133,7 @@ def draw_ends(
 ) -> None:
     """Draw the ends of many runs; for each gain, the median and an outline of 90 % of the ends."""
     ends_m = [run.poses.xy_m[-1] for run in runs]
-    log_points(stream, entities.ENDS, ends_m, colors, _ENDS_RADIUS)
+    log_points(stream, entities.ENDS, ends_m, colors, radius=2.0)
     groups = many_runs.find_gain_ends(runs)
     if not groups:
         return
@@ -148,16 +142,16 @@ def draw_ends(
     looks: dict[str, Any] = {"show_labels": False, "draw_order": _ABOVE_ENDS}
     looks["labels"] = [f"{name}{many_runs.OUTLINE_LABEL}" for name in names]
     outlines = [group.around_xy_m for group in groups]
-    log_strips(stream, entities.OUTLINES, outlines, hues, _OUTLINE_RADIUS, **looks)
+    log_strips(stream, entities.OUTLINES, outlines, hues, radius=0.75, **looks)
     looks["labels"] = [f"{name}{many_runs.MEDIAN_LABEL}" for name in names]
     medians = [group.median_xy_m for group in groups]
-    log_points(stream, entities.MEDIANS, medians, hues, _MEDIAN_RADIUS, **looks)
+    log_points(stream, entities.MEDIANS, medians, hues, radius=4.5, **looks)
 
 
 def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: palette.Color) -> None:
     """Draw the largest deviation from the path of all runs, in the colour of its run."""
     way = [worst.path_xy_m, worst.xy_m]
-    log_strips(stream, entities.WORST, [way], [color], _WORST_RADIUS)
+    log_strips(stream, entities.WORST, [way], [color], radius=1.0)
     up_m = _ABOVE * LETTERING.line * worst.half_m
     label = close_ups.label_worst_place(worst, LETTERING)
     _write_labels(stream, entities.WORST_NAME, up_m, [label], [color])
@@ -320,11 +314,8 @@ def widen_plane(bounds: Bounds, seen: Surroundings, shift_m: Values) -> Bounds:
 
 
 _SPEED_LEVELS: Final = 16
-_SPEED_RADIUS: Final = 1.75
-_SENSED_RADIUS: Final = 1.25
 _SENSED_ORDER: Final = 18.0  # lines have 20
 _ON_TRACES: Final = 22.0
-_EVENT_RADIUS: Final = 4.0
 
 _LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
 """Kinds of events that random effects cause every few samples, only listed."""
@@ -340,7 +331,7 @@ class SpeedTrace:
 
     def draw(self, run_stream: RunStream) -> None:
         """Draw the whole path."""
-        log_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, _SPEED_RADIUS)
+        log_strips(run_stream, entities.SPEED_PATH, self.strips, self.colors, radius=1.75)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
@@ -387,7 +378,7 @@ def draw_sensed(run_stream: RunStream, run: Run) -> None:
         (entities.DROPPED_PLACES, lost_m, palette.DROPPED_OUT, _ON_TRACES),
     ):
         places_m = places_m[np.isfinite(places_m[:, 0])]
-        log_points(run_stream, entity, places_m, [color], _SENSED_RADIUS, draw_order=order)
+        log_points(run_stream, entity, places_m, [color], radius=1.25, draw_order=order)
 
 
 def list_placed(run: Run) -> list[Event]:
@@ -404,7 +395,7 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
     colors = [palette.WALL_HIT if kind == "wall_hit" else palette.EVENT for kind in kinds]
     look: dict[str, Any] = {"labels": [kind.replace("_", " ") for kind in kinds]}
     look["show_labels"] = False
-    log_points(run_stream, entities.EVENT_PLACES, places_m, colors, _EVENT_RADIUS, **look)
+    log_points(run_stream, entities.EVENT_PLACES, places_m, colors, radius=4.0, **look)
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:

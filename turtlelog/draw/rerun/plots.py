@@ -21,7 +21,6 @@ from turtlelog.run import Run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.theory import compute_sampled_step_response
 
-_REFERENCE_WIDTH: Final = 1.0
 LINE_WIDTH: Final = 1.5
 _THIN_WIDTH: Final = 1.25
 
@@ -174,7 +173,7 @@ def draw_references(
         style = rr.SeriesLines(
             names=[reference.name or level.label for level in reference.levels],
             colors=palette.pack_colors([reference.color] * count),
-            widths=[_REFERENCE_WIDTH] * count,
+            widths=[1.0] * count,
         )
         stream.log(entity, style, static=True)
         columns = rr.Scalars.columns(
@@ -258,9 +257,7 @@ _MINOR: Final = frozenset({"rise_time", "time_to_goal"})
 """Metrics that neighbouring metrics bound: a rise ends before the curve settles."""
 
 _MARK_SIZE: Final = 4.0  # [points]
-_VERTICAL_WIDTH: Final = 1.0
 _DECADES: Final = 10.0 ** -np.arange(8.0)
-_RESPONSE_WIDTH: Final = 1.0
 _MOST_SAMPLES: Final = 1_000_000
 _MOST_DEAD_SAMPLES: Final = 1000
 
@@ -345,7 +342,7 @@ def draw_lines(
     style = rr.SeriesLines(
         names=[label],
         colors=palette.pack_colors([color]),
-        widths=[_VERTICAL_WIDTH],
+        widths=[1.0],
         aggregation_policy="Off",
     )
     run_stream.log(entity, style)
@@ -469,7 +466,7 @@ def _compute_sampled(
         colors=(palette.IDEAL,),
         time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
         values=values[:, np.newaxis],
-        width=_RESPONSE_WIDTH,
+        width=1.0,
         is_main=False,
         is_measured=False,
     )

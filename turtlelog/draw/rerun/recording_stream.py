@@ -42,11 +42,7 @@ _BEFORE_STRICT: Final[list[bool]] = []  # earlier settings, one for each active 
 def open_recording(
     path: str | Path, *, name: str, layout: rrb.Blueprint
 ) -> Iterator[rr.RecordingStream]:
-    """Yield a stream to a file that gets its final name when it is complete.
-
-    Raises:
-        ShowError: If the file cannot be written.
-    """
+    """Yield a stream to a file with its name when complete; ShowError if it cannot be written."""
     path = make_path(path)
     with replace_when_complete(path, raising=ShowError) as part_path, strict_mode():
         # The properties that Rerun would send contain the wall-clock time.
@@ -334,13 +330,7 @@ def build_index(times: Mapping[str, Times]) -> list[rr.TimeColumn]:
 
 
 class RunStream:
-    """Stream of the drawn data of one run.
-
-    Attributes:
-        stream: The recording.
-        prefix: Entity prefix of the run; empty for a single run.
-        timelines: Timelines of the run.
-    """
+    """Stream of the drawn data of one run; its entity prefix is empty if it is the only run."""
 
     def __init__(self, stream: rr.RecordingStream, prefix: str, timelines: Timelines) -> None:
         self.stream, self.prefix, self.timelines = stream, prefix, timelines

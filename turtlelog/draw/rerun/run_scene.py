@@ -209,9 +209,6 @@ def _draw_events(run_stream: RunStream, single: Single, content: Content) -> Non
 
 
 _RADIUS: Final = 6.0  # [points], as are the other sizes
-_CURVE_WIDTH: Final = 2.0
-_OUTSIDE_WIDTH: Final = 4.0
-_LIMIT_WIDTH: Final = 1.5
 _POINT_SIZE: Final = 6.0
 _MARKERS: Final = {"first": "circle", "worst": "diamond", "high": "up", "low": "down"}
 
@@ -223,13 +220,11 @@ _NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not 
 _MARK_AT: Final = 0.03
 """Share of a limit at which its mark is; at the start, the plot's edge would cut it."""
 
-_STRETCH_RADIUS: Final = 2.5
 _ABOVE_TRACES: Final = 26.0  # lines have 20
 
 _STROKES: Final = 700
 """Number of vertical strokes that fill the band: every other pixel of a window of 1400 pixels."""
 
-_STROKE_WIDTH: Final = 3.0
 
 _FILL_ALPHA: Final = 64
 """Opacity of strokes, of 255: with one or two overlaps, curves stay brighter than the band."""
@@ -337,12 +332,12 @@ def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
     """Draw band, limits, curve, the part outside, and the moments, from bottom to top."""
     curve, limits = violated.curve, violated.describe_limits()
     _fill_band(run_stream, violated)
-    _draw(run_stream, "curve", curve, violated.name, width=_CURVE_WIDTH)
+    _draw(run_stream, "curve", curve, violated.name, width=2.0)
     for side, label in limits.items():
         ends = violated.low if side == "low" else violated.high
         assert ends is not None
         limit = replace(curve, values=ends)
-        look: dict[str, Any] = {"colors": (palette.ALLOWED,), "width": _LIMIT_WIDTH}
+        look: dict[str, Any] = {"colors": (palette.ALLOWED,), "width": 1.5}
         _draw(run_stream, f"limit_{side}", limit, label, **look)
         known = np.flatnonzero(np.isfinite(ends))
         if len(known):
@@ -350,7 +345,7 @@ def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
             look = {"colors": (palette.GOAL,), "width": _POINT_SIZE, "marker": _MARKERS[side]}
             _draw(run_stream, f"points/limit_{side}", select_curve_rows(limit, row), label, **look)
     beyond = replace(curve, values=np.where(violated.outside, curve.values, np.nan))
-    look = {"colors": (palette.VIOLATION,), "width": _OUTSIDE_WIDTH}
+    look = {"colors": (palette.VIOLATION,), "width": 4.0}
     _draw(run_stream, "outside", beyond, _NAMES_OUTSIDE[violated.worst_word], **look)
     for part, word, moment in (
         ("first", "first violated", violated.first),
@@ -389,7 +384,7 @@ def _fill_band(run_stream: RunStream, violated: ViolatedSignal) -> None:
     style = rr.SeriesLines(
         names=["allowed"],
         colors=[(*palette.ALLOWED, _FILL_ALPHA)],
-        widths=[_STROKE_WIDTH],
+        widths=[3.0],
         aggregation_policy="Off",
     )
     entity = f"{entities.VIOLATED}/band"
@@ -408,4 +403,4 @@ def _draw_stretch(stream: rr.RecordingStream, run: Run, violated: ViolatedSignal
     strips = [run.poses.xy_m[a : b + 1] for a, b in zip(starts, ends, strict=True) if b > a]
     if strips:
         entity, look = entities.VIOLATED_STRETCH, {"draw_order": _ABOVE_TRACES}
-        plane.log_strips(stream, entity, strips, [palette.VIOLATION], _STRETCH_RADIUS, **look)
+        plane.log_strips(stream, entity, strips, [palette.VIOLATION], radius=2.5, **look)

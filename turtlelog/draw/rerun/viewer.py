@@ -192,13 +192,10 @@ def require_viewer(url: str) -> None:
 
 
 def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
-    """Return a client as soon as the viewer has drawn something.
+    """Return a client as soon as the viewer has drawn something; ConnectionError if it never does.
 
     An answer alone is not sufficient: without a graphics driver, the viewer listens first and ends
     when it begins to draw.
-
-    Raises:
-        ConnectionError: If the viewer ended, or never drew anything.
     """
     from rerun.experimental import ViewerClient
 
@@ -302,10 +299,7 @@ class Camera:
 def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
     """Start a headless viewer for any number of pictures, and end it after the block.
 
-    The arguments are as in `write_snapshot`.
-
-    Raises:
-        ShowError: If the viewer cannot start.
+    The arguments are as in `write_snapshot`. ShowError if the viewer cannot start.
     """
     port = find_free_port()
     width, height = size
@@ -389,9 +383,8 @@ def _set_time(client: "ViewerClient", at_s: float | None, name: str) -> None:
     if name == TIMELINE and name not in ends_ns and len(ends_ns) == 1:
         (name,) = ends_ns  # the own timeline of an identified robot
     if name in ends_ns:
-        start_s, end_s = starts_ns[name] / 1e9, ends_ns[name] / 1e9
-        cursor_s = end_s if at_s is None else at_s
-        _require_inside(cursor_s, name, start_s, end_s)
+        cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
+        _require_inside(cursor_s, name, starts_ns[name] / 1e9, ends_ns[name] / 1e9)
         client.set_time(name, duration=cursor_s, play_state="paused")
     elif at_s is not None or name != TIMELINE:
         known = " or ".join(sorted(ends_ns)) or "one, of which there is none"

@@ -33,11 +33,8 @@ metres."""
 _MOST_STEPS: Final = 4.0
 """Search range of a start around the least-squares start, in steps of rounding."""
 
-_SOLVED: Final = 1e-9
-"""Tolerance of the solver, in steps of rounding."""
-
-_REFITS: Final = 3
-"""Number of rounds until the weights of position and heading converge."""
+_SOLVED: Final = 1e-9  # tolerance of the solver, in steps of rounding
+_REFITS: Final = 3  # number of rounds until the weights of position and heading converge
 
 _SMALLER: Final = 16.0
 """Factor by which the motion is scaled down. After a jump, the driven plant is not at the robot's

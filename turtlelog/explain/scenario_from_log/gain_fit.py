@@ -176,8 +176,7 @@ _CLEAR: Final = 4.0
 """Distance from the limit beyond which hardly any command is clipped, in standard deviations of
 noise."""
 
-_REFITS: Final = 3
-"""Number of rounds until gain and rows converge."""
+_REFITS: Final = 3  # number of rounds until gain and rows converge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -172,6 +172,9 @@ class Identification:
     notes: tuple[str, ...] = ()
     tried: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "findings", MappingProxyType({**self.findings}))
+
     @property
     def tells_law(self) -> bool:
         """Whether the parameters of the law can be identified from its commands."""
@@ -240,7 +243,7 @@ def give_up(
     unknown = {key: miss(reason) for key in keys}
     return Identification(
         name=name,
-        findings=MappingProxyType({**unknown, **findings}),
+        findings={**unknown, **findings},
         resimulation=None,
         scenario=None,
         notes=(*breaks, reason),
@@ -249,8 +252,7 @@ def give_up(
 
 _TABLES: Final = ("limits.", "loop.", "plant.", "sensing.", "shaping.", "disturbance.")
 
-_USUAL: Final = frozenset(flatten_scenario(Scenario()))
-"""Keys of every scenario."""
+_USUAL: Final = frozenset(flatten_scenario(Scenario()))  # keys of every scenario
 
 _NAMES: Final = {
     **{

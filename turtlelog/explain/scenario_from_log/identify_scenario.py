@@ -7,7 +7,6 @@ found: dead times, limits and queues, from poses, commands and the clock.
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -53,8 +52,7 @@ from turtlelog.run import Run, require_run, slice_run
 from turtlelog.scenario import DEFAULT_LAW, flatten_scenario, override_scenario
 from turtlelog.simulate import simulate_run
 
-_MOST_PHASES: Final = 6
-"""Largest number of listed phases: three runs in one file."""
+_MOST_PHASES: Final = 6  # largest number of listed phases: three runs in one file
 
 _BEGINNING_S: Final = 600.0
 """Length of the used beginning of a run that is too long to simulate [s]: forty times one of the
@@ -106,10 +104,11 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
         reason = _find_other_law(run)
         if reason:
             return _identify_other_law(run, reason, trust_law=trust_law)
-        recorded, plant = _identify_recorded(run), find_plant(run).name
+        trace, plant = mark_breaks(trace_run(run, PHASES)), find_plant(run).name
+        recorded = _identify_recorded(trace)
         if recorded is None and plant != TURTLESIM.name:
             return _identify_other_law(run, f"its plant is {plant}: {_AROUND}", trust_law=trust_law)
-        return recorded or _prefer_recorded(run, _identify_samples(run))
+        return recorded or _prefer_recorded(trace, _identify_samples(trace))
 
 
 def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
@@ -124,23 +123,22 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
     unseen = dict.fromkeys(ends, miss("the end of the run is not looked at"))
     return replace(
         found,
-        findings=MappingProxyType({**found.findings, **unseen}),
+        findings={**found.findings, **unseen},
         scenario=None,
         notes=(reason, *found.notes),
     )
 
 
-def _identify_recorded(run: Run) -> Identification | None:
+def _identify_recorded(trace: Trace) -> Identification | None:
     """Return the findings on a run whose scenario contains effects that cannot be identified.
 
     An effect may be invisible, or look like another setting. So the recorded settings are used if
     they reproduce every sample; None if they do not, or contain no such effect.
     """
-    unseen = identification.list_unseen(run)
+    run, unseen = trace.run, identification.list_unseen(trace.run)
     if not (unseen and run.scenario_is_complete):
         return None
-    trace = mark_breaks(trace_run(run, PHASES))
-    recorded = check_recorded_scenario(run, trace, trust_law=False)
+    recorded = check_recorded_scenario(trace, trust_law=False)
     if recorded.scenario is None:
         return None
     rotation, turning = law_identification.identify_rotation(trace)
@@ -156,7 +154,7 @@ def _identify_recorded(run: Run) -> Identification | None:
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
     return Identification(
         name=run.name,
-        findings=MappingProxyType(findings),
+        findings=findings,
         resimulation=recorded.resimulation,
         scenario=recorded.scenario,
         is_recorded=True,
@@ -164,17 +162,17 @@ def _identify_recorded(run: Run) -> Identification | None:
     )
 
 
-def _prefer_recorded(run: Run, found: Identification) -> Identification:
+def _prefer_recorded(trace: Trace, found: Identification) -> Identification:
     """Return the recorded scenario if it reproduces the run and the identified one does not.
 
     If the identified scenario does, it gets the recorded settings that the samples do not show.
     """
     again = found.resimulation
-    if not run.scenario_is_complete:
+    if not trace.run.scenario_is_complete:
         return found
     if again is not None and again.is_exact:
-        return _add_recorded(run, found)
-    recorded = check_recorded_scenario(run, mark_breaks(trace_run(run, PHASES)), trust_law=False)
+        return _add_recorded(trace, found)
+    recorded = check_recorded_scenario(trace, trust_law=False)
     if recorded.scenario is None or recorded.resimulation is None:
         return found
     identified = "no scenario is identified" if again is None else "the identified one does not"
@@ -187,18 +185,19 @@ def _prefer_recorded(run: Run, found: Identification) -> Identification:
     )
 
 
-def _add_recorded(run: Run, found: Identification) -> Identification:
+def _add_recorded(trace: Trace, found: Identification) -> Identification:
     """Return findings with recorded settings of the law that the samples do not show, if exact."""
+    given = trace.run.parameters
     recorded = {
-        key: run.parameters[key]
+        key: given[key]
         for key in LAW_KEYS
-        if key in run.parameters and found.findings[key].certainty is Certainty.UNKNOWN
+        if key in given and found.findings[key].certainty is Certainty.UNKNOWN
     }
     changed = {key: value for key, value in recorded.items() if value != found.findings[key].used}
     if found.scenario is None or not changed:
         return found
     scenario = override_scenario(found.scenario, changed)
-    again = compare_samples(mark_breaks(trace_run(run, PHASES)), simulate_run(scenario))
+    again = compare_samples(trace, simulate_run(scenario))
     if not again.is_exact:
         return found
     findings = {
@@ -207,15 +206,14 @@ def _add_recorded(run: Run, found: Identification) -> Identification:
     }
     return replace(
         found,
-        findings=MappingProxyType({**found.findings, **findings}),
+        findings={**found.findings, **findings},
         scenario=scenario,
         resimulation=again,
     )
 
 
-def _identify_samples(run: Run) -> Identification:
-    trace = mark_breaks(trace_run(run, PHASES))
-    motion = space_out(trace)
+def _identify_samples(trace: Trace) -> Identification:
+    run, motion = trace.run, space_out(trace)
     dead_times = identification.find_dead_times(motion, PHASES)
     findings = identification.describe_dead_times(dead_times, motion, run)
     findings |= loop_settings.describe_goal(trace)
@@ -265,7 +263,7 @@ def _identify_samples(run: Run) -> Identification:
     resimulation = compare_samples(trace, again)
     return Identification(
         name=run.name,
-        findings=MappingProxyType(findings),
+        findings=findings,
         resimulation=resimulation,
         scenario=scenario,
         tried=fits.ranges,
@@ -393,7 +391,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
         reach = "the recorded scenario is not tested, as the code of its law is not trusted"
         recorded = RecordedScenario(reach=reach)
     else:
-        recorded = check_recorded_scenario(run, trace, trust_law=trust_law)
+        recorded = check_recorded_scenario(trace, trust_law=trust_law)
     fits, settings, plant = None, dict[str, Finding](), find_plant(run).name
     around = reason if plant == TURTLESIM.name else f"its plant is {plant}: {_AROUND}"
     if plant == TURTLESIM.name:  # only its motion shows the loop around it
@@ -416,7 +414,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
     }
     return Identification(
         name=run.name,
-        findings=MappingProxyType(findings),
+        findings=findings,
         resimulation=recorded.resimulation,
         scenario=recorded.scenario,
         is_recorded=recorded.scenario is not None,

@@ -1,6 +1,7 @@
 """Parameters of sequential-p: gains, limits, tolerances, and the rule that ended the run."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -172,7 +173,7 @@ def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None)
         # The command shows its error more precisely than the noisy pose.
         commands = np.abs(trace.turn_rate_rad_s[moving])
         least = float(commands[commands > 0.0].min()) / fit.gain.interval[0]
-        return _bound_by_noise(ended, least, fit.gain.noise, "rad", high_noise=0.0)
+        return _bound_by_noise(ended, least, "rad", (fit.gain.noise, 0.0))
     if not np.any(trace.turn_rate_rad_s[moving]):
         return miss("the run has no command that turns", DEFAULT_TOLERANCE)
     high = float(np.abs(error[moving]).min(initial=math.inf))
@@ -189,19 +190,18 @@ def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -
         if fit.obstacle:
             return miss(fit.obstacle, DEFAULT_TOLERANCE)
         driven = float(larger[command != 0.0][-1])
-        return _bound_by_noise(float(larger[-1]) if is_within else 0.0, driven, fit.gain.noise, "m")
+        ended = float(larger[-1]) if is_within else 0.0
+        return _bound_by_noise(ended, driven, "m", (fit.gain.noise, fit.gain.noise))
     high = float(larger[command != 0.0].min())
     if not is_within:
         return _bound_between(0.0, high, "the run ends outside it", "m")
     return _bound_between(float(larger[-1]), high, _LAST_TWO, "m")
 
 
-def _bound_by_noise(
-    low: float, high: float, noise: float, unit: str, *, high_noise: float | None = None
-) -> Finding:
-    """Return bounds from noisy errors, widened by the noise."""
-    low = max(low - _SURE * noise, 0.0)
-    high += _SURE * (noise if high_noise is None else high_noise)
+def _bound_by_noise(low: float, high: float, unit: str, noise: tuple[float, float]) -> Finding:
+    """Return bounds from noisy errors, each widened by its noise."""
+    low = max(low - _SURE * noise[0], 0.0)
+    high += _SURE * noise[1]
     seen = f"noise; from the last errors and commands: {_name_bounds(low, high, unit)}"
     return miss(seen, _choose(low, high), (low, high))
 
@@ -229,8 +229,7 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
 
 
-_LEADING: Final = "1528346790"
-"""First digits of a number, more common digits first."""
+_LEADING: Final = "1528346790"  # first digits of a number, more common digits first
 
 
 def find_round_number(low: float, high: float) -> float:
@@ -268,8 +267,7 @@ _SLACK_NS: Final = 1.5 * TICK_NS
 
 _ENDLESS_SAMPLES: Final = 1_000_000
 
-_ROUND_DIGITS: Final = 2
-"""Largest number of digits of a typed time or number."""
+_ROUND_DIGITS: Final = 2  # largest number of digits of a typed time or number
 
 
 class Ending(NamedTuple):
@@ -382,42 +380,35 @@ def _judge_standstill(trace: Trace) -> _Rule:
     )
 
 
-def _judge_times(trace: Trace) -> list[_Rule]:
+def _judge_times(trace: Trace) -> Iterator[_Rule]:
     time_s = (trace.time_ns - trace.time_ns[0]) / 1e9
     slack = 0.0 if trace.has_exact_clock else _SLACK_NS / 1e9
-    rules = []
     if trace.goal_xy_m is not None:
         driving = time_s[trace.rotating :]
         errors = np.abs(np.subtract(trace.goal_xy_m, trace.read_xy_m[trace.rotating :]))
         close = np.asarray((errors < _USUAL.settled_within_m).all(axis=1))
         held = _count_held(close)
         since = driving - driving[np.arange(len(close)) - np.maximum(held - 1, 0)]
-        rules.append(
-            _Rule(
-                name=SETTLED,
-                key="law.settled_for_s",
-                usual=_USUAL.settled_for_s,
-                now=float(since[-1]),
-                before=float(since[-2]) if len(since) > 1 else 0.0,
-                longest=float(since[:-1].max(initial=0.0)) - slack,
-                slack=slack,
-                evidence=f"both errors below {_USUAL.settled_within_m:g} m for {since[-1]:.2f} s",
-            )
-        )
-    before = float(time_s[-2]) if len(time_s) > trace.rotating + 1 else 0.0
-    rules.append(
-        _Rule(
-            name=TIMEOUT,
-            key="law.timeout_s",
-            usual=_USUAL.timeout_s,
-            now=float(time_s[-1]),
-            before=before,
-            longest=0.0,
+        yield _Rule(
+            name=SETTLED,
+            key="law.settled_for_s",
+            usual=_USUAL.settled_for_s,
+            now=float(since[-1]),
+            before=float(since[-2]) if len(since) > 1 else 0.0,
+            longest=float(since[:-1].max(initial=0.0)) - slack,
             slack=slack,
-            evidence=f"{time_s[-1]:.2f} s after the first sample",
+            evidence=f"both errors below {_USUAL.settled_within_m:g} m for {since[-1]:.2f} s",
         )
+    yield _Rule(
+        name=TIMEOUT,
+        key="law.timeout_s",
+        usual=_USUAL.timeout_s,
+        now=float(time_s[-1]),
+        before=float(time_s[-2]) if len(time_s) > trace.rotating + 1 else 0.0,
+        longest=0.0,
+        slack=slack,
+        evidence=f"{time_s[-1]:.2f} s after the first sample",
     )
-    return rules
 
 
 def _count_held(holds: Any) -> Any:

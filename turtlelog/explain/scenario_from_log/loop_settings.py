@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -54,8 +53,7 @@ _JITTER_TICKS: Final = 0.75
 """Largest difference of a pause from the clock's pause without contradiction: a callback waits for
 less than a tick, and the paper's clocks are wrong by a tenth of a tick."""
 
-_QUICK: Final = 0.5
-"""Share of the usual time between answers below which answers belong to a burst."""
+_QUICK: Final = 0.5  # share of the usual time between answers below which answers belong to a burst
 
 _DEFAULTS: Final = LoopSettings()
 
@@ -241,9 +239,11 @@ START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 _QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
 """Settings that get the default as their single value, because the clock does not show them."""
 
-_LIKE_A_LAG: Final = MappingProxyType(
-    {"loop.start_backlog": 1, "loop.transport_delay_ticks": 0, "law.pause_ticks": 0}
-)
+_LIKE_A_LAG: Final = {
+    "loop.start_backlog": 1,
+    "loop.transport_delay_ticks": 0,
+    "law.pause_ticks": 0,
+}
 """Settings that a time constant of the robot may imitate, with their smallest values."""
 
 

@@ -309,13 +309,13 @@ def require_trust(run: Run, *, trust_law: bool) -> None:
         resolve_scenario(restore_scenario(run), trust_law=trust_law)
 
 
-def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> RecordedScenario:
-    """Simulate the recorded scenario of a run, and compare it with the log sample by sample.
+def check_recorded_scenario(trace: Trace, *, trust_law: bool) -> RecordedScenario:
+    """Simulate the recorded scenario of a log's run, and compare both sample by sample.
 
     Raises:
         ScenarioError: If the law may not or cannot run.
     """
-    scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
+    scenario = resolve_scenario(restore_scenario(trace.run), trust_law=trust_law)
     rows = list_rows(trace)
     try:
         count, _ = count_equal(scenario, rows, to_rounding=True)

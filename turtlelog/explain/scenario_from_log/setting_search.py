@@ -227,7 +227,7 @@ class _Search:
             for key in loop_settings.DEPTHS
             if any(self._count({**one, key: one[key] + 1}, rows) >= len(rows) for one, _ in exact)
         }
-        return Fits(
+        return self._build_fits(
             guesses=tuple(guess for guess, _ in exact),
             scenarios=tuple(
                 self._end(self.build(guess), goes_on=count > len(rows)) for guess, count in exact
@@ -235,8 +235,6 @@ class _Search:
             is_exact=not self.to_rounding,
             is_close=self.to_rounding,
             reproduced=len(rows),
-            tried=self._tried,
-            ranges=self._list_ranges(),
             hidden=frozenset(hidden),
         )
 
@@ -264,14 +262,12 @@ class _Search:
         self._note_values(queues, self._pauses)
         agreeing = self._choose_agreeing(self._drive(queues, self._pauses, rows=None))
         drives = [drive for _, drive in agreeing]
-        return Fits(
+        return self._build_fits(
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
             scenarios=(),
             is_exact=False,
             drive=driven_plant.join_starts(drives) if drives else None,
             reproduced=0,
-            tried=self._tried,
-            ranges=self._list_ranges(),
             is_driven=True,
             is_partial=self._is_partial,
             hidden=self._find_hidden(agreeing),
@@ -352,7 +348,7 @@ class _Search:
             found = [driven_plant.bound_start(one, self._trace) for one in drives]
             bounds = driven_plant.join_bounds(found)
         self.to_rounding = False
-        return Fits(
+        return self._build_fits(
             guesses=tuple(guesses),
             scenarios=scenarios,
             is_exact=False,
@@ -360,8 +356,6 @@ class _Search:
             bounds=bounds,
             is_partial=self._is_partial,
             reproduced=reproduced,
-            tried=self._tried,
-            ranges=self._list_ranges(),
         )
 
     def _note_values(self, guesses: Sequence[Guess], pauses: Sequence[int | None]) -> None:
@@ -370,8 +364,9 @@ class _Search:
         if self._hints.pauses:
             self._values.setdefault(loop_settings.PAUSE_KEY, set()).update(pauses)
 
-    def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
-        return {key: tuple(sorted(values)) for key, values in self._values.items()}
+    def _build_fits(self, **found: Any) -> Fits:
+        ranges = {key: tuple(sorted(values)) for key, values in self._values.items()}
+        return Fits(tried=self._tried, ranges=ranges, **found)
 
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1

@@ -130,11 +130,7 @@ class Trace:
 
 
 def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
-    """Return the samples of a run, one after another, and the lengths of two successive phases.
-
-    Raises:
-        ExplainError: If the run has no samples.
-    """
+    """Return the samples of a run, and the lengths of two phases; ExplainError without samples."""
     samples = run.samples
     if not len(samples):
         raise ExplainError(
@@ -224,17 +220,10 @@ _NOISE_STEPS: Final = 8.0
 _ROUNDING: Final = 1e-5
 """Largest difference that the 32-bit rounding of two poses explains [m, rad]."""
 
-_NEAR_ROWS: Final = 3
-"""Number of steps on either side that give the robot's usual motion."""
-
-_MOVES: Final = 4.0
-"""Size of a motion, in standard deviations, that shows its number of steps."""
-
-_CAUGHT_UP: Final = 0.5
-"""Share of the usual step below which a step follows a late callback."""
-
-_FAR_TICKS: Final = 1000
-"""Ticks inserted for a gap of unknown length: longer than any dead time."""
+_NEAR_ROWS: Final = 3  # number of steps on either side that give the robot's usual motion
+_MOVES: Final = 4.0  # size of a motion, in standard deviations, that shows its number of steps
+_CAUGHT_UP: Final = 0.5  # share of the usual step below which a step follows a late callback
+_FAR_TICKS: Final = 1000  # ticks inserted for a gap of unknown length: longer than any dead time
 
 
 def mark_breaks(trace: Trace) -> Trace:

@@ -85,6 +85,13 @@ class Block:
     unit: str = "byte"
 
 
+def read_heads(block: Block) -> tuple[NDArray[np.uint16], NDArray[np.uint64]]:
+    """Return channel and log time [ns] of the messages in a block, in the order of storage."""
+    starts = np.sort(np.concatenate([np.empty(0, np.int64), *block.offsets.values()]))
+    heads = records.gather_heads(block.data, starts)
+    return heads["channel"], heads["log_time"]
+
+
 def build_indexed_block(
     entry: ChunkEntry,
     stored: bytes,

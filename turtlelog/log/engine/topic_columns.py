@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import LogError
 from turtlelog.log.engine import decode
-from turtlelog.log.engine.blocks import Block, Offsets
+from turtlelog.log.engine.blocks import Block, Offsets, read_heads
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.source import Source
@@ -167,6 +167,19 @@ def iter_columns(
                 batch.setdefault(topic, []).append(found)
         if batch:
             yield build_columns(batch, source.catalogue.types)
+
+
+def iterate_heads(path: str | Path, start_ns: int, end_ns: int) -> Iterator[tuple[str, int]]:
+    """Yield topic and log time [ns] of messages in the order of storage; contents are not decoded.
+
+    The end of the interval of log times is exclusive.
+    """
+    with open_source(path) as source:
+        for channels, log_ns in source.map_blocks(read_heads, None, start_ns, end_ns):
+            known = source.catalogue.channels
+            for channel, time_ns in zip(channels.tolist(), log_ns.tolist(), strict=True):
+                if channel in known and start_ns <= time_ns < end_ns:
+                    yield known[channel].topic, time_ns
 
 
 def _collect_columns(

@@ -278,8 +278,11 @@ LOSS_NOTES: Final = ("partial", "recovered")
 _FROM_DAMAGED: Final = "from a damaged or unfinished file: "
 _NO_MESSAGE: Final = "no message is lost"
 
-_SUMMARY_ALONE: Final = "no data is lost, only the summary is damaged"
-NO_LOSS: Final = (_SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
+SUMMARY_LOST: Final = "the summary is damaged or missing"
+SUMMARY_ALONE: Final = "no loss is found, only the summary is damaged"
+"""A summary and a checksum would show that there is none."""
+
+NO_LOSS: Final = (SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
 """Beginnings of notes on files that lost only their summary. Text after a semicolon is another
 loss."""
 
@@ -287,7 +290,7 @@ loss."""
 def describe_damages(damages: Sequence[Loss]) -> str:
     """Return one line on the losses: their total, and the first place."""
     if not damages:
-        return _SUMMARY_ALONE
+        return SUMMARY_ALONE
     lost = sum(damage.end - damage.start for damage in damages)
     extent = f"{lost} bytes are lost in" if lost else "not whole in"
     places = describe_count(len(damages), "place")

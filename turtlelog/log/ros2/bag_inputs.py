@@ -224,7 +224,9 @@ def add_references(
         changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
         notes |= {GOAL_SET: str(track.locate_time(run, since_ns))} if changes else {}
     if paths:
-        points, notes["path"], given_ns = find_path(paths, plans[0].topic, track, since_ns=since_ns)
+        points, notes["path"], given_ns = find_path(
+            paths, plans[0].topic, track, since_ns=since_ns, is_asked=choice.path_topic is not None
+        )
         notes |= {PATH_SET: str(track.locate_time(run, given_ns))} if points else {}
         others = bag_topics.list_first_names([topic.topic for topic in plans[1:]])
         notes |= {"other_path_topics": others} if others else {}
@@ -352,7 +354,12 @@ def _bring_over(
 
 
 def find_path(
-    messages: Sequence[TopicColumns], topic: str, track: RobotTrack, *, since_ns: int = 0
+    messages: Sequence[TopicColumns],
+    topic: str,
+    track: RobotTrack,
+    *,
+    since_ns: int = 0,
+    is_asked: bool = False,
 ) -> tuple[list[list[float]] | None, str, int]:
     """Return the points of the path that counts [m], in the frame of the poses, a note and a time.
 
@@ -370,13 +377,9 @@ def find_path(
     if not known:
         why = reasons.pop() if reasons else "no message of it has a length"
         return None, f"{topic}: left out: {why}", 0
-    # A trace ends at the robot's position at its time of publication.
-    shares = []
-    for time_ns, xy_m in known[:: -(-len(known) // _MOST_LOOKED_AT)]:
-        row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
-        distance_m = float(np.hypot(*(xy_m[-1] - track.xy_m[row])))
-        shares.append(distance_m / max(_AT_ROBOT_M, _AT_ROBOT_SHARE * _measure(xy_m)))
-    if float(np.median(shares)) <= 1.0:
+    looked_at = known[:: -(-len(known) // _MOST_LOOKED_AT)]
+    is_trace = float(np.median([_is_trace(*one, track) for one in looked_at])) >= 0.5
+    if is_trace and not is_asked:
         return None, f"{topic}: left out: it ends where the robot is, and is its trace", 0
     present = [one for one in known if one[0] <= track.time_ns[-1]] or known
     later = [one for one in present if one[0] >= since_ns] or present
@@ -395,7 +398,22 @@ def find_path(
     said = f"from {topic}" if len(plans) == 1 else f"{which} of {len(plans)} from {topic}"
     if len(points) < len(xy_m):
         said += f", {len(points)} of its {len(xy_m)} points"
+    if is_trace:
+        said += ", though it ends where the robot is, as a trace does"
     return points, said, given_ns
+
+
+def _is_trace(time_ns: int, xy_m: Values, track: RobotTrack) -> bool:
+    """Return whether a path ends at the robot's position at its time of publication.
+
+    The plan of a lap, which also begins there, is longer than the robot's drive up to then.
+    """
+    row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
+    length_m = _measure(xy_m)
+    near_m = max(_AT_ROBOT_M, _AT_ROBOT_SHARE * length_m)
+    begin_m, end_m = np.hypot(*(xy_m[[0, -1]] - track.xy_m[row]).T)
+    is_lap = begin_m <= near_m and length_m > _measure(track.xy_m[: row + 1]) + near_m
+    return bool(end_m <= near_m and not is_lap)
 
 
 def _lead_apart(one: tuple[int, Values], other: tuple[int, Values]) -> bool:

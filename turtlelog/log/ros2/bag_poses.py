@@ -27,7 +27,7 @@ from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wh
 from turtlelog.log.ros2 import bag_topics, bag_transforms
 from turtlelog.log.ros2.bag_rows import Bag
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
-from turtlelog.log.ros2.set_clocks import find_clock_steps, undo_clock_steps
+from turtlelog.log.ros2.set_clocks import undo_clock_steps
 from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
 from turtlelog.run import Trajectory, build_trajectory, turn_headings
 
@@ -286,7 +286,7 @@ def read_bag_trajectory(bag: Bag, choice: ReadChoice, *, names_topic: bool) -> T
         rows, is_spatial = list[tuple[Values, Values]](), True
         files = (of_file.get(source.topic.topic) for of_file in source.found)
         kept = [columns for columns in files if columns is not None and len(columns)]
-        steps = find_clock_steps(kept, [])
+        steps = bag.find_steps(source.found, source.topic.topic).steps
         kept = undo_clock_steps(kept, steps)
         for columns in kept:
             shape = find_pose_shape(columns.fields)

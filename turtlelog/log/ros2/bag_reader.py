@@ -50,6 +50,7 @@ from turtlelog.log.ros2.bag_rows import (
 from turtlelog.log.ros2.bag_topics import (
     NoPosesError,
     Pick,
+    describe_other_poses,
     describe_robots,
     describe_unread_topics,
     select_robot,
@@ -60,7 +61,6 @@ from turtlelog.log.ros2.set_clocks import (
     SILENCE,
     describe_clock_steps,
     describe_silence,
-    find_clock_steps,
 )
 from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import PoseColumns, Run, SampleColumns
@@ -111,7 +111,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
         source = replace(source, found=[])
-        bag = _find_steps(bag, found, source.topic.topic)
+        bag = bag.find_steps(found, source.topic.topic)
         run, track = _build_run(bag.path, bag.undo_steps(found), source, commands, choice)
         run = _note_steps(run, bag)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
@@ -123,13 +123,6 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     asked = None if has_frames else choice.robot
     named = describe_robots(robots, source.topic.topic, asked)
     return _note_rest(run, bag, distinct, named)
-
-
-def _find_steps(bag: Bag, found: Held, topic: str) -> Bag:
-    """Return a bag with the steps of its recorder's clock that the messages of a topic show."""
-    own = [of_file[topic] for of_file in found if topic in of_file]
-    others = [one for of_file in found for name, one in of_file.items() if name != topic]
-    return replace(bag, steps=find_clock_steps(own, others)) if own else bag
 
 
 def _note_steps(run: Run, bag: Bag) -> Run:
@@ -178,6 +171,7 @@ def _name_once(bag: Bag) -> Iterator[None]:
 
 
 _MORE: Final = {
+    "poses": "{}",
     "commands": "{}",
     "robots": "robots {}",
     "path": "path {}",
@@ -346,7 +340,7 @@ def _read_commands_alone(
         if getattr(choice, name) is not None:
             raise LogError(f"{name}: expected poses, found commands alone on {pick.topic.topic}")
     found: Held = [dict(of_file) for of_file in bag.read({pick.topic.topic})]
-    bag = _find_steps(bag, found, pick.topic.topic)
+    bag = bag.find_steps(found, pick.topic.topic)
     rows, dropped = bag_inputs.order_commands(bag.undo_steps(found), pick.topic, choice)
     if rows is None:
         raise LogError(
@@ -371,6 +365,7 @@ def _read_commands_alone(
             "dropped_duplicates": str(rows.duplicates),
             **({"dropped_nan": describe_count(dropped, "command")} if dropped else {}),
             **times.notes,
+            **describe_other_poses(topics),
             **note_pick("command_topic", pick),
         },
     )

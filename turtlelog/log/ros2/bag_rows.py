@@ -7,7 +7,7 @@ by their stamps, mapped to the recorder's clock by the messages with the shortes
 The shortest delay is unknown, so all pose times are late by this delay.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log.engine.topic_columns import TopicColumns, read_some_columns
+from turtlelog.log.engine.topic_columns import TopicColumns, iterate_heads, read_some_columns
 from turtlelog.log.file_access import name_place
 from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.planar_poses import ROWS_AT_ONCE, Fields, Values
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.bag_files import find_bag_files
-from turtlelog.log.ros2.set_clocks import ClockStep, undo_clock_steps
+from turtlelog.log.ros2.set_clocks import ClockStep, find_clock_steps, undo_clock_steps
 from turtlelog.log.ros2.stamps import (
     FIRST_WALL_NS,
     StampClock,
@@ -77,6 +77,16 @@ class Bag:
         )
         found = tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
         return tuple(self.undo_steps(found))
+
+    def find_steps(self, found: Sequence[Mapping[str, TopicColumns]], name: str) -> "Bag":
+        """Return the bag with the steps of its recorder's clock that a topic in `found` shows."""
+        own = [of_file[name] for of_file in found if name in of_file]
+        return replace(self, steps=find_clock_steps(own, self._read_heads)) if own else self
+
+    def _read_heads(self, start_ns: int, end_ns: int) -> Iterator[tuple[str, int]]:
+        """Yield topic and log time [ns] of all messages in an interval, in order of storage."""
+        for file in self.infos:
+            yield from iterate_heads(file, start_ns, end_ns)
 
     def undo_steps(self, found: Sequence[Mapping[str, TopicColumns]]) -> Held:
         """Return messages by topic, for each file, with log times as if no clock was set."""

@@ -1,7 +1,7 @@
 """The surroundings of a robot in a bag: laser scans as points, maps and costmaps by cells."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +24,7 @@ from turtlelog.log.ros2.bag_transforms import (
     name_frame,
     place_points,
 )
-from turtlelog.log.ros2.set_clocks import CLOCK_SET, find_clock_steps
+from turtlelog.log.ros2.set_clocks import CLOCK_SET
 from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
@@ -155,7 +155,7 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
         return None
     with name_file(bag.path, expected="a bag"):
         if CLOCK_SET in run.notes and any(one.topic == poses for one in bag.topics):
-            bag = replace(bag, steps=find_clock_steps(bag.read_topic(poses), []))
+            bag = bag.find_steps(bag.read({poses}), poses)
         return _read(bag, run, start_ns, scan, grids)
 
 

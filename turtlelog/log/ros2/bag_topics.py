@@ -152,6 +152,19 @@ def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
     ]
 
 
+def describe_other_poses(topics: Iterable[TopicInfo]) -> dict[str, str]:
+    """Return a note on topics that may contain poses, for a bag of which none is read."""
+    held = [topic for topic in topics if topic.count]
+    parts = [
+        f"{topic.topic} ({topic.type}) is not read, as its fields have other names"
+        for topic in list_by_fields(held)
+        if _POSE_LIKE.search(take_last(topic.type))
+    ]
+    joints = [topic.topic for topic in held if topic.type == JOINTS]
+    parts = [*parts[:_MOST_UNREAD], *([f"{joints[0]}: {NEEDS_WHEELS}"] if joints else [])]
+    return {"poses": f"poses: {'; '.join(parts)}"} if parts else {}
+
+
 def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     """Return the unread topics of poses, commands, goals or paths with reasons; may be empty.
 
@@ -198,6 +211,7 @@ _RUN_WORDS: Final = frozenset(
 
 _POSE_LIKE: Final = re.compile(r"(?i)pose|odom|locali[sz]ation")
 _NUMBER: Final = re.compile(r"\d+")
+_SUFFIX: Final = re.compile(r"[_-]?\d+")
 
 
 def list_first(
@@ -236,10 +250,10 @@ def is_another_thing(topic: str) -> bool:
 
 
 def is_another_robots(topic: str, pose_topic: str) -> bool:
-    """Return whether a topic's namespace differs from the poses' only by a robot's number."""
+    """Return whether a topic's namespace differs from the poses' only by numbers: tb3 and tb3_1."""
     pairs = zip(topic.split("/")[1:-1], pose_topic.split("/")[1:-1], strict=False)
     return any(
-        own != home and _NUMBER.search(own) and _NUMBER.sub("#", own) == _NUMBER.sub("#", home)
+        own != home and len({_SUFFIX.sub("", one) for one in (own, home)}) == 1
         for own, home in pairs
     )
 

@@ -93,7 +93,7 @@ distribution.
 def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
     """Return the poses from fixes of sensor_msgs/NavSatFix, and notes on them.
 
-    x, y and z are the distances east, north and up from the first fix. While the receiver moves,
+    x, y and z are the distances east, north and above the first fix. While the receiver moves,
     the heading is its course; at rest, the heading is held. Before the first course, the heading
     equals that course.
     """
@@ -151,7 +151,10 @@ def _describe_standing(time_s: Values, place_m: Values) -> str:
 
 
 def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values) -> Values:
-    """Return positions east, north and up of the first position [m], shape (n, 3)."""
+    """Return positions east, north and above the first position [m], shape (n, 3).
+
+    Heights are those above the ellipsoid: the earth curves away from a plane, by 5 cm in 0.8 km.
+    """
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     squared = _FLATTENING * (2.0 - _FLATTENING)
     normal_m = _AXIS_M / np.sqrt(1.0 - squared * np.sin(latitude) ** 2)
@@ -165,14 +168,9 @@ def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values)
     )
     sin, cos = np.sin(latitude[0]), np.cos(latitude[0])
     sin_long, cos_long = np.sin(longitude[0]), np.cos(longitude[0])
-    axes = np.array(
-        [
-            [-sin_long, cos_long, 0.0],
-            [-sin * cos_long, -sin * sin_long, cos],
-            [cos * cos_long, cos * sin_long, sin],
-        ]
-    )
-    return np.asarray((centred_m - centred_m[0]) @ axes.T)
+    axes = np.array([[-sin_long, cos_long, 0.0], [-sin * cos_long, -sin * sin_long, cos]])
+    level_m = (centred_m - centred_m[0]) @ axes.T
+    return np.column_stack([level_m, height_m - height_m[0]])
 
 
 def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:

@@ -6,8 +6,9 @@ goes on as if no time had passed. Messages are stored as they came, so a clock t
 leaves later messages with earlier times.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -43,6 +44,11 @@ _SILENT_STEPS: Final = 10.0
 """Shortest silence in usual steps after which motion shows that no time passed. In less time a
 robot can brake and speed up again."""
 
+_TIMED_M: Final = 0.125
+_TIMED_RAD: Final = 0.1
+"""Largest way and turn between poses that only a source with a rate sends. A localization often
+waits until the robot has moved: that of Nav2 for 0.25 m or 0.2 rad, and some for half of it."""
+
 _STRAIGHT: Final = 0.5
 """Smallest displacement over some poses as a share of the way between them: noise alone leads
 back."""
@@ -71,6 +77,8 @@ class ClockStep:
         shift_ns: What the clock was set by [ns]; negative if it was set back.
         extra_ns: Time to take out of log times after this step [ns]. It is 0 in the longest segment
             between two steps, whose clock counts.
+        stored: Number of messages in `twice_ns` that are stored before a step back, by topic; empty
+            if unknown.
     """
 
     first_ns: int
@@ -78,56 +86,66 @@ class ClockStep:
     after_ns: int
     shift_ns: int
     extra_ns: int
+    stored: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def middle_ns(self) -> float:
+        """Border between log times just before the step and just after it [ns]."""
+        return self.before_ns + self.shift_ns / 2.0
+
+    @property
+    def twice_ns(self) -> tuple[int, int]:
+        """First and last log time that may occur on both sides of a step back [ns]."""
+        return self.before_ns + self.shift_ns, self.after_ns - self.shift_ns
 
 
-def find_clock_steps(
-    files: Sequence[TopicColumns], others: Sequence[TopicColumns]
-) -> tuple[ClockStep, ...]:
+ReadHeads = Callable[[int, int], Iterable[tuple[str, int]]]
+"""Reader of topic and log time [ns] of all messages between two times, in the order of storage."""
+
+
+def find_clock_steps(files: Sequence[TopicColumns], read_heads: ReadHeads) -> tuple[ClockStep, ...]:
     """Return the steps of the recorder's clock that the poses show, in the order of storage.
 
     The clock was set back if messages follow in storage with earlier times, unless the path is
     shorter in order of time, as in two recordings in one file. It was set forward if no message has
     a time in a long silence, and the robot was moving before and after, and did not move meanwhile,
-    or if the stamps of a wall clock go on without a silence.
+    or if the stamps of a wall clock go on without a silence. Poses that may come by way instead of
+    time do not show this.
 
     Args:
         files: The poses, by file. Of commands, only steps back are found.
-        others: Other messages of the bag, which may show that time passed.
+        read_heads: Reader of the bag, whose other messages may show that time passed.
     """
     log_ns = join_arrays([_restore(columns) for columns in files])
     step_ns = np.diff(log_ns)
     if len(log_ns) <= 2 * JUMP_ROWS:
         return ()
-    least_ns, usual_ns = find_least_jump(log_ns), float(np.median(np.abs(step_ns)))
-    back = np.flatnonzero(step_ns < -least_ns)
+    highest, usual_ns = np.maximum.accumulate(log_ns), int(np.median(np.abs(step_ns)))
+    back = np.flatnonzero(step_ns < -find_least_jump(log_ns))
     back = back[(back >= JUMP_ROWS) & (back < len(log_ns) - JUMP_ROWS)]
-    highest = np.maximum.accumulate(log_ns)
     back = back[[log_ns[row + 1 :][:JUMP_ROWS].max() < highest[row] for row in back.tolist()]]
-    silent = np.flatnonzero(step_ns > max(least_ns, _SILENT_STEPS * usual_ns))
-    silent = silent[(silent >= JUMP_ROWS) & (silent < len(log_ns) - 1 - JUMP_ROWS)]
-    late_ns = _measure_delays(files, log_ns)
-    is_steady = [_is_steady(log_ns, row, usual_ns) for row in silent.tolist()]
-    silent = silent[np.array(is_steady, dtype=bool)]
-    is_behind = np.array([_falls_behind(late_ns, log_ns, row) for row in silent.tolist()], bool)
-    behind = silent[is_behind & _has_wall_clock(files)]
-    silent = silent[~is_behind]
-    heard_ns = join_arrays([columns.log_time_ns for columns in others] or [log_ns[:0]])
-    for row in silent.tolist():
-        inside = (heard_ns > highest[row] + usual_ns) & (heard_ns < log_ns[row + 1] - usual_ns)
-        silent = silent[silent != row] if inside.any() else silent
+    silent, behind = _find_silences(files, log_ns, usual_ns)
+    way = _read_way(files) if len(silent) or len(back) else None
+    if way is None or not _is_timed(way):
+        silent = silent[:0]
+    else:
+        silent = silent[[_goes_on(way, row) for row in silent.tolist()]]
     count = len(back) + len(silent) + len(behind)
     if not count or count > len(log_ns) / STRETCH_ROWS:
         return ()
-    way = _read_rim(files)
-    silent = silent[[way is not None and _goes_on(way, row) for row in silent.tolist()]]
+    own_ns = frozenset(log_ns.tolist()) if len(silent) else frozenset()
+    for row in silent.tolist():
+        heads = read_heads(int(highest[row]) + usual_ns, int(log_ns[row + 1]) - usual_ns)
+        if any(time_ns not in own_ns for _, time_ns in heads):
+            silent = silent[silent != row]
     if len(back) and way is not None and not _is_stored_in_order(way, log_ns, back):
         back = back[:0]
     rows = np.sort(np.concatenate([back, silent, behind]))
     firsts = [0, *(rows + 1).tolist()]
     longest = int(np.argmax(np.diff([*firsts, len(log_ns)])))
-    shifts_ns = np.rint(step_ns[rows] - usual_ns).astype(np.int64)
+    shifts_ns = step_ns[rows] - usual_ns
     extra_ns = np.cumsum(shifts_ns) - shifts_ns[:longest].sum()
-    return tuple(
+    steps = (
         ClockStep(
             first_ns=int(log_ns[first : row + 1].min()),
             before_ns=int(log_ns[row]),
@@ -137,6 +155,13 @@ def find_clock_steps(
         )
         for first, row, shift_ns, extra in zip(firsts, rows, shifts_ns, extra_ns, strict=False)
     )
+    ends, topic = [*firsts[2:], len(log_ns)], files[0].topic
+    return tuple(
+        replace(step, stored=_count_stored(topic, step, read_heads))
+        if step.shift_ns < 0 and log_ns[row + 1 : end].max() >= step.first_ns
+        else step
+        for step, row, end in zip(steps, rows.tolist(), ends, strict=False)
+    )
 
 
 def undo_clock_steps(
@@ -144,15 +169,15 @@ def undo_clock_steps(
 ) -> list[TopicColumns]:
     """Return a topic, by file, with log times as if the clock was never set.
 
-    A topic whose own messages do not step back with the clock has a silence there. Its messages
-    count as before the step while their times are between those of the poses before it.
+    A topic whose own messages do not step back with the clock is divided by the order in which the
+    bag stores its messages and the poses.
     """
     if not steps or not files:
         return list(files)
     log_ns = join_arrays([_restore(columns) for columns in files])
     extra_ns, first = np.full_like(log_ns, steps[0].extra_ns - steps[0].shift_ns), 0
     for step in steps:
-        first += _find_first_after(log_ns[first:], step)
+        first = _find_first_after(log_ns, first, step, files[0].topic)
         extra_ns[first:] = step.extra_ns
     found, borders = list[TopicColumns](), np.cumsum([len(columns) for columns in files])[:-1]
     for columns, own_ns in zip(files, np.split(log_ns - extra_ns, borders), strict=True):
@@ -220,8 +245,8 @@ def _list_stored(columns: TopicColumns) -> NDArray[np.int64]:
     return np.arange(len(columns)) if columns.stored is None else np.argsort(columns.stored)
 
 
-def _read_rim(files: Sequence[TopicColumns]) -> Values | None:
-    """Return x, y and heading times the robot's radius [m], in the order of storage, shape (n, 3).
+def _read_way(files: Sequence[TopicColumns]) -> Values | None:
+    """Return x [m], y [m] and heading [rad] in the order of storage, shape (n, 3).
 
     The result is None if the messages are not poses that can be read.
     """
@@ -249,7 +274,25 @@ def _has_wall_clock(files: Sequence[TopicColumns]) -> bool:
     return stamp_ns is not None and int(stamp_ns[0]) >= FIRST_WALL_NS
 
 
-def _is_steady(log_ns: TimesNs, row: int, usual_ns: float) -> bool:
+def _find_silences(
+    files: Sequence[TopicColumns], log_ns: TimesNs, usual_ns: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the rows before long silences, and before those in which stamps of a wall clock go on.
+
+    If other stamps go on, the row is in neither array.
+    """
+    silent = np.flatnonzero(
+        np.diff(log_ns) > max(find_least_jump(log_ns), _SILENT_STEPS * usual_ns)
+    )
+    silent = silent[(silent >= JUMP_ROWS) & (silent < len(log_ns) - 1 - JUMP_ROWS)]
+    late_ns = _measure_delays(files, log_ns)
+    is_steady = [_is_steady(log_ns, row, usual_ns) for row in silent.tolist()]
+    silent = silent[np.array(is_steady, dtype=bool)]
+    is_behind = np.array([_falls_behind(late_ns, log_ns, row) for row in silent.tolist()], bool)
+    return silent[~is_behind], silent[is_behind & _has_wall_clock(files)]
+
+
+def _is_steady(log_ns: TimesNs, row: int, usual_ns: int) -> bool:
     """Return whether messages come at their usual rate after a row, not in a burst.
 
     After a network or a recorder that stalled, messages that waited come at once.
@@ -272,6 +315,13 @@ def _measure_steps(way: Values, first: NDArray[np.int64], second: NDArray[np.int
     moved = way[second] - way[first]
     turned_rad = subtract_headings(way[second, 2], way[first, 2])
     return np.asarray(np.hypot(moved[:, 0], moved[:, 1]) + _RIM_M * np.abs(turned_rad))
+
+
+def _is_timed(way: Values) -> bool:
+    """Return whether some poses follow others closely, so that they do not come by way."""
+    moved, turned_rad = np.diff(way[:, :2], axis=0), subtract_headings(way[1:, 2], way[:-1, 2])
+    is_small = np.hypot(moved[:, 0], moved[:, 1]) < _TIMED_M
+    return int((is_small & (np.abs(turned_rad) < _TIMED_RAD)).sum()) >= JUMP_ROWS
 
 
 def _goes_on(way: Values, row: int) -> bool:
@@ -311,16 +361,34 @@ def _is_stored_in_order(way: Values, log_ns: TimesNs, back: NDArray[np.int64]) -
     return bool(np.nanmedian(seams_m) < np.nanmedian(sorted_m))
 
 
-def _find_first_after(log_ns: TimesNs, step: ClockStep) -> int:
-    """Return the first index after a step, of times in the order of storage."""
-    middle_ns = step.before_ns + step.shift_ns / 2.0
-    if step.shift_ns > 0:
-        is_after = log_ns > middle_ns
-        return int(is_after.argmax()) if is_after.any() else len(log_ns)
-    falls = np.diff(log_ns)
-    is_step = (log_ns[:-1] > middle_ns) & (log_ns[1:] < step.before_ns) & (falls < 0)
-    if is_step.any():
-        return int(np.where(is_step, falls, 0).argmin()) + 1
+def _count_stored(topic: str, step: ClockStep, read_heads: ReadHeads) -> Mapping[str, int]:
+    """Return `ClockStep.stored` of a step back that a topic shows."""
+    counts, last_ns, (start_ns, end_ns) = Counter[str](), -1, step.twice_ns
+    for name, time_ns in read_heads(start_ns, end_ns + 1):
+        if name == topic and (last_ns, time_ns) == (step.before_ns, step.after_ns):
+            return counts
+        last_ns = time_ns if name == topic else last_ns
+        counts[name] += last_ns != step.before_ns or time_ns > step.middle_ns
+    return {}
+
+
+def _find_first_after(log_ns: TimesNs, first: int, step: ClockStep, topic: str) -> int:
+    """Return the first index after a step, of times in the order of storage.
+
+    Earlier steps are before the index `first`.
+    """
+    rest_ns = log_ns[first:]
+    falls = np.diff(rest_ns)
+    is_step = (rest_ns[:-1] > step.middle_ns) & (rest_ns[1:] < step.before_ns) & (falls < 0)
+    if step.shift_ns < 0 and is_step.any():
+        return first + int(np.where(is_step, falls, 0).argmin()) + 1
+    start_ns, end_ns = step.twice_ns
+    twice = np.flatnonzero((log_ns >= start_ns) & (log_ns <= end_ns))
+    if step.stored and len(twice):
+        count = step.stored.get(topic, 0)
+        return int(twice[count] if count < len(twice) else twice[-1] + 1)
     early_ns = step.first_ns + step.shift_ns / 2.0
-    is_after = (log_ns > step.before_ns) | (log_ns < early_ns)
-    return int(is_after.argmax()) if is_after.any() else len(log_ns)
+    is_after = (rest_ns > step.before_ns) | (rest_ns < early_ns)
+    if step.shift_ns > 0:
+        is_after = rest_ns > step.middle_ns
+    return first + int(is_after.argmax()) if is_after.any() else len(log_ns)

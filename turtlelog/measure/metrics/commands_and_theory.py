@@ -21,7 +21,6 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.measure.dead_time import MOST_TICKS
 from turtlelog.measure.metric import (
@@ -36,6 +35,7 @@ from turtlelog.measure.metric import (
 )
 from turtlelog.measure.metric_kinds import RunContext, curve_metric, loop_metric, read_meaning
 from turtlelog.measure.reductions import (
+    Values,
     count_beyond,
     find_largest,
     subtract_neighbours,
@@ -44,8 +44,10 @@ from turtlelog.measure.reductions import (
 from turtlelog.measure.response import CommandStretch, Response
 from turtlelog.measure.step_response import compute_rms
 
-Values = NDArray[np.float64]
 OfCommands = Callable[[CommandStretch], Result]
+
+COMMAND_METRICS: Final[dict[str, OfCommands]] = {}
+"""Functions of the commands of a loop, or of all commands of a run, by the name of the metric."""
 
 
 def _command_metric(
@@ -56,6 +58,7 @@ def _command_metric(
             return compute(response.commands)
 
         loop_metric(name, unit, meaning or read_meaning(compute), **more)(compute_of_loop)
+        COMMAND_METRICS[name] = compute
         return compute
 
     return enter

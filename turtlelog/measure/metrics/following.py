@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, SAME, Axis, HeldCommands, Rates, Values
-from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
+from turtlelog.measure.rates import AXES, SAME, Axis, HeldCommands, Rates
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
 
 EARLIEST_S: Final = -0.5

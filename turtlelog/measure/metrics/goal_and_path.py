@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy import hypot
-from numpy.typing import NDArray
 
 from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.metric import (
@@ -23,11 +22,18 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
-from turtlelog.measure.metric_kinds import RunContext, course_metric, loop_metric, run_metric
-from turtlelog.measure.metrics import commands_and_theory
+from turtlelog.measure.metric_kinds import (
+    LOOP_METRICS,
+    RunContext,
+    course_metric,
+    loop_metric,
+    run_metric,
+)
+from turtlelog.measure.metrics.commands_and_theory import COMMAND_METRICS
 from turtlelog.measure.metrics.loop_metrics import LEFT_SOON, find_needed_hold
 from turtlelog.measure.reductions import (
     PIECES,
+    Values,
     find_largest,
     integrate,
     measure_way,
@@ -46,8 +52,6 @@ from turtlelog.run.loops import ControlLoop
 
 PAPER_WINDOW_S: Final = 15.0
 """Time after the first sample at which the paper's Table 1 reads its errors [s]."""
-
-Values = NDArray[np.float64]
 
 
 _NO_BEARING: Final = add_reason(Status.ABSENT, "the goal bearing is not known")
@@ -326,47 +330,22 @@ def _on_commands(
     return compute_on_commands
 
 
-_COMMAND_METRICS: Final = (
-    (
-        "effort",
-        "{}^2/s",
-        commands_and_theory.measure_effort,
-        "Integral of the square of the published {} over time.",
-    ),
-    (
-        "total_variation",
-        "{}/s",
-        commands_and_theory.measure_total_variation,
-        "Sum of the magnitudes of all changes of the published {}.",
-    ),
-    (
-        "largest_jump",
-        "{}/s",
-        commands_and_theory.measure_largest_jump,
-        "Largest change from one published {} to the next.",
-    ),
-    (
-        "largest_slew_rate",
-        "{}/s^2",
-        commands_and_theory.measure_largest_slew_rate,
-        "Largest change of the published {} per time.",
-    ),
-    (
-        "reversals",
-        "1",
-        commands_and_theory.measure_reversals,
-        "Number of times that the published {} changes its sign.",
-    ),
-)
+_OF_PUBLISHED: Final = {
+    "effort": "Integral of the square of the published {} over time.",
+    "total_variation": "Sum of the magnitudes of all changes of the published {}.",
+    "largest_jump": "Largest change from one published {} to the next.",
+    "largest_slew_rate": "Largest change of the published {} per time.",
+    "reversals": "Number of times that the published {} changes its sign.",
+}
 for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_rate_rad_s", "rad")):
-    for _figure, _of_what, _compute, _meaning in _COMMAND_METRICS:
+    for _figure, _meaning in _OF_PUBLISHED.items():
         run_metric(
             f"run.{_name}_{_figure}",
-            _of_what.format(_unit),
+            LOOP_METRICS[_figure].unit.format(command=_unit),
             _meaning.format(_name.replace("_", " ")),
             grows=True,
             needs_poses=False,
-        )(_on_commands(_column, _compute))
+        )(_on_commands(_column, COMMAND_METRICS[_figure]))
 
 
 def _moves_along(loop: ControlLoop) -> bool:

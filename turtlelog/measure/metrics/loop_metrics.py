@@ -20,14 +20,10 @@ from turtlelog.measure.reductions import (
 )
 from turtlelog.measure.response import Response, Track
 from turtlelog.measure.step_response import (
-    IRREGULAR,
     IRREGULAR_SWINGS,
-    PASSING,
     RESTS,
     SHORTEST_HOLD_S,
-    SLOW,
     TURN_RAD,
-    UNKNOWN,
     compute_rms,
     find_decay_ratio,
     find_level_time,
@@ -57,17 +53,17 @@ LEFT_SOON: Final = add_reason(
 )
 _NOT_TWICE: Final = add_reason(Status.NOT_REACHED, "the response does not overshoot twice")
 _ONE_ANSWER: Final = add_reason(Status.TOO_SHORT, "one pose was answered in this phase")
-_PASSING: Final = add_reason(
-    Status.UNDETERMINED, "the phase ends as the response passes its reference"
+_UNDECIDED: Final = (
+    *(FOUND, FOUND, FOUND),
+    add_reason(Status.UNDETERMINED, "the phase ends as the response passes its reference"),
+    add_reason(Status.NOT_REACHED, "the phase ends before the response is near its reference"),
+    add_reason(
+        Status.UNDETERMINED,
+        "the oscillation is too short, or changes too little, to say whether it dies out",
+    ),
+    add_reason(Status.UNDETERMINED, IRREGULAR_SWINGS),
 )
-_SLOW: Final = add_reason(
-    Status.NOT_REACHED, "the phase ends before the response is near its reference"
-)
-_IRREGULAR: Final = add_reason(Status.UNDETERMINED, IRREGULAR_SWINGS)
-_UNKNOWN: Final = add_reason(
-    Status.UNDETERMINED,
-    "the oscillation is too short, or changes too little, to say whether it dies out",
-)
+"""Reasons of the verdicts of `judge_swings` that leave the stability open."""
 
 
 @curve_metric("duration", "s", "Length of the segment in which the loop acts.", is_awaited=True)
@@ -196,14 +192,8 @@ def _judge_stability(curve: Response) -> Outcome:
         return math.nan, math.nan, _ONE_ANSWER
     rows = find_crossing_rows(error, 0.0, curve.memory)
     verdict = judge_swings(error, rows, curve.clipped, TURN_RAD if curve.is_angle else math.inf)
-    if verdict == PASSING:
-        return math.nan, math.nan, _PASSING
-    if verdict == SLOW:
-        return math.nan, math.nan, _SLOW
-    if verdict == IRREGULAR:
-        return math.nan, math.nan, _IRREGULAR
-    if verdict == UNKNOWN:
-        return math.nan, math.nan, _UNKNOWN
+    if _UNDECIDED[verdict] != FOUND:
+        return math.nan, math.nan, _UNDECIDED[verdict]
     return 1.0 if verdict == RESTS else 0.0, curve.start_s + curve.time_s[-1], FOUND
 
 

@@ -28,12 +28,12 @@ from turtlelog.measure.metric import (
 from turtlelog.measure.metric_kinds import RunContext, course_metric, read_meaning, run_metric
 from turtlelog.measure.reductions import (
     PIECES,
+    Values,
     compute_median,
     find_furthest_row,
     subtract_neighbours,
 )
 
-Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
 OfPeriods = Callable[[Values], float | None]
 _OfPeriods = TypeVar("_OfPeriods", bound=OfPeriods)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, SAME, Axis, Rates, Values
-from turtlelog.measure.reductions import compute_median, subtract_neighbours, sum_products
+from turtlelog.measure.rates import AXES, SAME, Axis, Rates
+from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.references import recall
 from turtlelog.run.angles import unwrap_headings
 
 if TYPE_CHECKING:
-    from turtlelog.measure.pose_noise import WhiteNoise
+    from turtlelog.measure.pose_quality import WhiteNoise
 
 
 @run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
@@ -129,8 +129,6 @@ Beyond it, as for a receiver that scatters by 4 cm at 10 Hz, noise hides rest.""
 
 _NOISES: Final = 3.0
 """Noise of a mean rate that must be below the threshold of rest, in standard deviations."""
-
-_STEPS_AT_ONCE: Final = 65_536
 
 _ENDS: Final = 5.0
 """Distance between two noisy poses that is motion, in standard deviations of their coordinates."""
@@ -248,49 +246,35 @@ def _find_slow_means(
         early = average(begin_s, begin_s + third_s)
         late = average(begin_s + 2.0 * third_s, begin_s + window_s)
         lasted_s, *moved = (after - before for before, after in zip(early, late, strict=True))
-        is_slow = np.hypot(moved[0], moved[1]) <= most_m_s * lasted_s
-        found |= is_slow & (np.abs(moved[2]) <= most_rad_s * lasted_s)
+        found |= _is_slow(moved, lasted_s, most_m_s, most_rad_s)
     return found
 
 
-def _find_slow_steps(time_s: Values, every: Sequence[Values]) -> NDArray[np.bool_]:
+def _find_slow_steps(time_s: Values, columns: Sequence[Values]) -> NDArray[np.bool_]:
     """Return in which steps the robot moves by less than the threshold of rest."""
-    is_at_rest = np.zeros(len(time_s) - 1, dtype=bool)
-    for first in range(0, len(is_at_rest), _STEPS_AT_ONCE):
-        steps = slice(first, min(first + _STEPS_AT_ONCE, len(is_at_rest)))
-        begin, end = time_s[steps.start] - _REST_S, time_s[steps.stop] + _REST_S
-        low, high = np.searchsorted(time_s, (begin, end)).tolist()
-        near = slice(max(low - 1, 0), high + 1)
-        columns = [at[near] for at in every]
-        starts_s, ends_s = time_s[:-1][steps], time_s[1:][steps]
-        is_at_rest[steps] = _find_slow(starts_s, ends_s, time_s, near, columns)
-    # A robot that swings is back at its place after half a second, and did not rest.
-    x_m, y_m, turned_rad = (np.abs(subtract_neighbours(at)) for at in every)
-    longest_s = np.maximum(subtract_neighbours(time_s), _REST_S)
-    is_small = np.hypot(x_m, y_m) <= AT_REST_M_S * longest_s
-    return np.asarray(is_at_rest & is_small & (turned_rad <= AT_REST_RAD_S * longest_s))
-
-
-def _find_slow(
-    starts_s: Values, ends_s: Values, time_s: Values, near: slice, columns: Sequence[Values]
-) -> NDArray[np.bool_]:
-    """Return in which steps from start to end the robot moves by less than the threshold of rest.
-
-    `near` are the rows of the poses within half a second of the steps, plus one row on either side;
-    `columns` are x, y [m] and heading [rad] of these rows.
-    """
+    starts_s, ends_s = time_s[:-1], time_s[1:]
     found = np.zeros(len(starts_s), dtype=bool)
     for first_s, last_s in (
         (np.minimum(starts_s, ends_s - _REST_S), ends_s),
         (starts_s, np.maximum(ends_s, starts_s + _REST_S)),
     ):
         first_s, last_s = np.maximum(first_s, time_s[0]), np.minimum(last_s, time_s[-1])
-        near_s = time_s[near]
-        moved = [np.interp(last_s, near_s, at) - np.interp(first_s, near_s, at) for at in columns]
-        length_s = last_s - first_s
-        is_slow = np.hypot(moved[0], moved[1]) <= AT_REST_M_S * length_s
-        found |= is_slow & (np.abs(moved[2]) <= AT_REST_RAD_S * length_s)
-    return found
+        moved = [np.interp(last_s, time_s, at) - np.interp(first_s, time_s, at) for at in columns]
+        found |= _is_slow(moved, last_s - first_s)
+    # A robot that swings is back at its place after half a second, and did not rest.
+    steps = [subtract_neighbours(at) for at in columns]
+    return found & _is_slow(steps, np.maximum(subtract_neighbours(time_s), _REST_S))
+
+
+def _is_slow(
+    moved: Sequence[Values],
+    lasted_s: Values,
+    most_m_s: float = AT_REST_M_S,
+    most_rad_s: float = AT_REST_RAD_S,
+) -> NDArray[np.bool_]:
+    """Return which motions in x, y [m] and heading [rad] are slower than a threshold."""
+    is_slow = np.hypot(moved[0], moved[1]) <= most_m_s * lasted_s
+    return np.asarray(is_slow & (np.abs(moved[2]) <= most_rad_s * lasted_s))
 
 
 _HIGHEST_HZ: Final = 10.0
