@@ -347,18 +347,6 @@ def _list_travel(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield f"{told[0].upper()}{told[1:]}{own}."
 
 
-_OF_MOTION: Final = {
-    "jumps": "The path length{} counts as driven: {}.",
-    "sideways": "Speeds{} leave out motion to the side: {}.",
-    "unsigned": "Reported speeds{} have no sign: {}.",
-    "changes": "Most positions{} repeat the one before: they change at {}.",
-    "crept": "Rest{}, judged over half a second, includes {} of slow or brief motion.",
-    "gaps": "Rates and rest{} leave out {} without poses; the path length counts a straight line"
-    " there.",
-}
-"""Sentences on the motion, by note."""
-
-
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
     """Return sentences on gaps, and on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
