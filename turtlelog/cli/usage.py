@@ -227,7 +227,8 @@ def _describe_unused(err: Any) -> str:
     if "FILE..." in usage:
         apart = "stand apart" if more else "stands apart"
         which = f"{quote_name(words[0])}{more} {apart}"
-        return f"{_name_command(err)}: {which}: name all files together, and join the values of an option by commas"
+        apart = "name all files together, and join the values of an option by commas"
+        return f"{_name_command(err)}: {which}: {apart}"
     return f"{_name_command(err)} takes no word {quote_name(words[0])}{more}. {usage}"
 
 
