@@ -1,7 +1,9 @@
 import dataclasses
 import re
 import tomllib
+from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
@@ -83,6 +85,28 @@ def test_times_of_a_robot_leave_one_of_its_own_ticks() -> None:
     robot = {"plant.kind": "lagged", "goal.x_m": 7.0, "goal.y_m": 6.0}
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), robot))
     assert 'run.largest_gap <= 0.1"' in format_first_spec(run, reference="run.mcap")
+
+
+@pytest.mark.parametrize("columns", [("cmd_v",), ("cmd_v", "cmd_w"), ("cmd_w",)], ids="+".join)
+def test_what_was_never_commanded_has_no_bound(columns: tuple[str, ...], tmp_path: Path) -> None:
+    rows = [f"{n / 20},{n / 20},0,0{',1' * len(columns)}" for n in range(9)]
+    file = tmp_path / "drive.csv"
+    file.write_text("\n".join([f"t,x,y,yaw,{','.join(columns)}", *rows]))
+    bounds = tomllib.loads(format_first_spec(tl.read_run(file), reference="drive.csv"))["checks"]
+    known = {"cmd_v": "speed", "cmd_w": "turn_rate"}
+    assert [name for name in bounds if "." not in name] == [known[name] for name in columns]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_lengths_of_noise_have_no_bound(noise: float, tmp_path: Path) -> None:
+    scatter = np.random.default_rng(1).normal(0.0, noise, (400, 3))
+    rows = [f"{n / 20},{0.01 * n + x},{y},{yaw}" for n, (x, y, yaw) in enumerate(scatter.tolist())]
+    file = tmp_path / "drive.csv"
+    file.write_text("\n".join(["t,x,y,yaw", *rows]))
+    text = format_first_spec(tl.read_run(file), reference="drive.csv")
+    for name in ("run.path_length", "run.total_turning"):
+        assert (f"# {name} <= ...: not read off" in text) is (noise > 0.0)
+        assert (name in tomllib.loads(text)["checks"]) is (noise == 0.0)
 
 
 def test_a_first_spec_doubts_a_run_that_did_not_end_well() -> None:

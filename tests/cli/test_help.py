@@ -102,7 +102,8 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["run", "a", "b", "c"], 'turtlelog run takes no word "b" and 1 more. Usage: '),
         (
             ["metrics", "a", "--all", "b"],
-            'turtlelog metrics: "b" stands apart: name all files together',
+            'turtlelog metrics: "b" stands apart: name all files together, and join the'
+            " values of an option by commas",
         ),
         (["run", "--kp", "x"], "--kp x: must be a number"),
         (["run", "--kp"], "turtlelog run: --kp needs a number"),

@@ -158,7 +158,7 @@ def test_a_robot_that_swings_does_not_rest_when_it_is_back(
     table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
     answer = call("metrics", table).flat
     assert f"share of the time at rest {rest}" in answer
-    assert "creeping" not in answer
+    assert "judged over half a second" not in answer
 
 
 def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
@@ -437,3 +437,19 @@ def test_metrics_of_a_bag_are_asked_for_in_tests(robot: Path) -> None:
 
 def test_a_bag_has_no_json_that_is_not_json(call: Call, silent: Path) -> None:
     json.loads(call("metrics", silent, "--json").out, parse_constant=lambda _: pytest.fail("NaN"))
+
+
+@pytest.mark.parametrize("rates", [("v",), ("w",), ("v", "w")], ids="+".join)
+def test_a_rate_that_is_not_reported_is_told_as_a_difference(
+    rates: tuple[str, ...], call: Call, tmp_path: Path
+) -> None:
+    table = tmp_path / "poses.csv"
+    rows = [
+        f"{i / 20},{i / 20},0,0{',1' if 'v' in rates else ''}{',0' * ('w' in rates)}"
+        for i in range(40)
+    ]
+    table.write_text("\n".join([f"time,x,y,theta,{','.join(rates)}", *rows]), encoding="utf-8")
+    said = "Measured rates are those that the robot reports"
+    other = {"v": "; the turn rate is", "w": "; the speed is"}.get("".join(rates))
+    said += "." if other is None else f"{other} a difference of poses."
+    assert said in call("metrics", table).flat

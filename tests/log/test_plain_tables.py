@@ -14,6 +14,8 @@ from turtlelog.log import export_csv, export_tum
 from turtlelog.log.any_file import read_file_info, read_run, read_trajectory
 from turtlelog.log.file_access import ReadChoice
 from turtlelog.log.table_files import require_same_poses
+from turtlelog.measure import measure_run
+from turtlelog.measure.signals import find_no_commands
 from turtlelog.run import Clock, build_planar_trajectory
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
@@ -237,6 +239,16 @@ def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
     run = read_run(write(tmp_path, "t,x,y,yaw,cmd_v,speed", *rows))
     assert run.commands.time_ns.tolist() == [0]
     assert run.commands.turn_rate_rad_s.tolist() == [0.0]
+    assert (find_no_commands(run, "speed") is None, find_no_commands(run, "turn_rate") is None) == (
+        True,
+        False,
+    )
+    metrics = measure_run(run)
+    assert (
+        metrics["run.turn_rate_steps"].reason == "the recording holds no commands of the turn rate"
+    )
+    assert metrics["run.turn_rate_effort"].status is metrics["run.turn_rate_tracking_rms"].status
+    assert metrics["run.speed_effort"].value is not None
     assert run.notes["rows_without_command"] == "2 of 3"
     assert run.poses.measured_speed_m_s is None
     assert run.notes["measured_speed"] == "not read: 1 of 3 poses lack it"

@@ -12,6 +12,7 @@ from tests.measure.driven_robots import AT_20_HZ, drive, measure, read, tell
 from turtlelog.measure import Status
 from turtlelog.measure.metrics.travel import compute_spectral_arc_length
 from turtlelog.measure.rates import read_rates, thin_poses
+from turtlelog.measure.signals import sign_speeds
 from turtlelog.run.angles import wrap_angle
 
 
@@ -50,6 +51,47 @@ def test_driving_backwards_is_a_negative_rate_and_a_positive_largest() -> None:
     assert rates.values.min() == pytest.approx(-0.2)
     assert read(run, "run.measured_speed_max") == pytest.approx(0.2)
     assert read(run, "run.speed_lag") == pytest.approx(0.05 + 0.1 * math.log(2.0), abs=0.02)
+
+
+@pytest.mark.parametrize(("back_s", "is_signed"), [(0.8, False), (1.2, True), (10.0, True)])
+@pytest.mark.parametrize("noise_m", [0.0, 0.002])
+def test_speeds_without_a_sign_get_that_of_the_poses(
+    back_s: float, noise_m: float, *, is_signed: bool
+) -> None:
+    """Twenty seconds are driven; where a twentieth leads back, nothing is told from noise."""
+    speed = 0.5 * np.where(back_s > AT_20_HZ, -1.0, 1.0)
+    way = np.cumsum(speed) * 0.05
+    run = make_driven_run(AT_20_HZ, speed=(np.abs(speed), way), reports=True, noise_m=noise_m)
+    rates = read_rates(run, "speed")
+    assert rates is not None
+    assert np.count_nonzero(rates.values < 0.0) == pytest.approx(20 * back_s * is_signed, abs=2)
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.02, 0.5])
+def test_noise_gives_reported_speeds_no_sign(noise_m: float) -> None:
+    speed = (np.full(400, 0.02), 0.02 * AT_20_HZ)
+    assert (
+        sign_speeds(make_driven_run(AT_20_HZ, speed=speed, reports=True, noise_m=noise_m)) is None
+    )
+
+
+@pytest.mark.parametrize(("goal_m", "has_line"), [(0.0, False), (0.19, False), (0.21, True)])
+def test_no_line_leads_to_a_goal_at_the_start_of_laps(goal_m: float, *, has_line: bool) -> None:
+    way = 1.0 - np.cos(0.1 * np.pi * np.append(AT_20_HZ, 20.0))
+    time_s = np.append(AT_20_HZ, 20.0)
+    run = make_driven_run(time_s, speed=(np.zeros(401), way), goal_xy_m=(0.0, goal_m))
+    assert (run.goal_line is not None) is has_line
+    for name in ("run.cross_track_max", "run.cross_track_rms", "final.cross_track"):
+        assert tell(run, name)[0] == ("ok" if has_line else "absent")
+        assert has_line or "where the robot starts" in tell(run, name)[1]
+
+
+@pytest.mark.parametrize(("apart_m", "status"), [(2e-6, "no_motion"), (6e-6, "ok")])
+def test_a_closed_loop_has_no_straightness(apart_m: float, status: str) -> None:
+    way = 1.0 - np.cos(0.1 * np.pi * AT_20_HZ)
+    way[-1] = apart_m
+    run = make_driven_run(AT_20_HZ, speed=(np.zeros(400), way))
+    assert tell(run, "run.straightness")[0] == status
 
 
 def test_turtlesim_reports_what_it_applied_with_the_sign_of_the_motion() -> None:
@@ -140,6 +182,21 @@ def test_what_is_slower_than_a_centimetre_a_second_stands(speed: float, share: f
 def test_what_turns_slower_than_a_degree_a_second_stands(rate: float, share: float) -> None:
     run = make_driven_run(AT_20_HZ, turn=(np.full(400, rate), rate * AT_20_HZ))
     assert read(run, "run.rest_share") == share
+
+
+@pytest.mark.parametrize(("stop_s", "is_known"), [(0.24, True), (0.26, False)])
+def test_rest_between_poses_of_a_robot_that_moved_is_not_guessed(
+    stop_s: float, *, is_known: bool
+) -> None:
+    """Localisation publishes after a quarter of a metre; each fifth leg ends with a stop."""
+    legs_s = np.tile([0.25, 0.25, 0.25, 0.25, 0.25 + stop_s], 20)
+    is_stop = legs_s > 0.25
+    time_s = np.append(0.0, np.cumsum(legs_s))
+    way_m = 0.25 * np.arange(len(time_s), dtype=np.float64)
+    run = make_driven_run(time_s, speed=(np.zeros(len(time_s)), way_m))
+    status, reason = tell(run, "run.rest_time")
+    assert (status == "ok") is is_known
+    assert is_known or reason.endswith(f"up to {stop_s * is_stop.sum():.2g} s of rest")
 
 
 def test_rest_reaches_up_to_its_edges() -> None:

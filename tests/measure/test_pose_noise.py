@@ -12,7 +12,7 @@ from turtlelog.measure.pose_quality import (
     describe_poses,
     find_scatter,
     measure_noise,
-    measure_speed_noise,
+    measure_rate_noise,
 )
 from turtlelog.run.angles import wrap_angle
 
@@ -61,7 +61,34 @@ def test_the_size_of_noise_is_found_while_the_robot_turns() -> None:
     found = measure_noise(noisy.poses)
     assert found.position_m == pytest.approx(0.01, rel=0.25)
     assert found.heading_rad == pytest.approx(0.005, rel=0.25)
-    assert measure_speed_noise(noisy) == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
+    assert measure_rate_noise(noisy)[0] == pytest.approx(0.01 * 2**0.5 / 0.1, rel=0.25)
+
+
+@pytest.mark.parametrize("is_course", [True, False])
+def test_courses_that_scatter_slowly_are_noise_and_headings_may_not_be(*, is_course: bool) -> None:
+    """A satellite receiver at 5 Hz scatters by 2 cm, on a circle of 20 m."""
+    time_s = np.arange(0.0, 120.0, 0.2)
+    xy_m = 20.0 * np.column_stack([np.sin(time_s / 20.0), 1.0 - np.cos(time_s / 20.0)])
+    run = rest_half(time_s)
+    run = scatter(replace(run, poses=replace(run.poses, xy_m=xy_m)), 0.02)
+    x_m, y_m = np.diff(run.poses.xy_m[::3], axis=0).T
+    course_rad = np.interp(time_s, time_s[::3][1:], np.unwrap(np.arctan2(y_m, x_m)))
+    poses = replace(run.poses, heading_rad=wrap_angle(course_rad))
+    run = replace(run, poses=poses, notes={"heading": "the course"} if is_course else {})
+    turning_rad = find_scatter(run).turning_rad
+    assert (turning_rad is not None) is is_course
+    assert turning_rad is None or turning_rad < np.abs(np.diff(course_rad)).sum() / 2.0
+
+
+@pytest.mark.parametrize(
+    ("noise_rad", "spin_rad_s", "told"),
+    [(0.0, 6.0, None), (0.01, 0.0, "0.2 rad/s"), (0.01, 6.0, "0.2 rad/s"), (0.01, 12.0, None)],
+)
+def test_noise_of_turn_rates_is_told(noise_rad: float, spin_rad_s: float, told: str | None) -> None:
+    time_s = np.arange(0.0, 60.0, 0.05)
+    spin = np.where(time_s < 0.5, spin_rad_s, 0.0), spin_rad_s * np.minimum(time_s, 0.5)
+    run = scatter(make_driven_run(time_s, turn=spin), 0.0, noise_rad)
+    assert describe_poses(run, tl.measure_run(run)).get("rate_noise") == told
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.2])
@@ -77,6 +104,27 @@ def test_a_robot_that_drives_to_and_fro_has_no_noise(
     off_m = random.normal(0.0, 1.0, (len(time_s), 2)) * np.array([along_m, aside_m])
     moved = replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m + off_m))
     assert (find_scatter(moved).path_m is not None) is (is_noise or period_s < 0.15)
+
+
+@pytest.mark.parametrize("jump_m", [0.0, 0.4, 2.0])
+def test_a_relocalisation_is_no_noise(jump_m: float) -> None:
+    time_s = np.arange(0.0, 22.0, 0.5)
+    run = make_driven_run(time_s, speed=(np.zeros(44), np.minimum(0.4 * time_s, 6.0)))
+    xy_m = run.poses.xy_m + np.where(time_s < 11.0, 0.0, jump_m)[:, None]
+    run = replace(run, poses=replace(run.poses, xy_m=xy_m))
+    assert measure_noise(run.poses).position_m < 1e-9
+    assert read(run, "run.rest_time") == pytest.approx(7.0, abs=0.5)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01])
+def test_a_marker_ahead_of_the_axle_has_only_its_noise(noise_m: float) -> None:
+    time_s = np.arange(0.0, 40.0, 0.2)
+    heading_rad = np.cumsum(np.where((time_s % 8.0 > 4.0) & (time_s % 8.0 < 5.2), 0.3, 0.0))
+    poses = make_driven_run(time_s).poses
+    xy_m = np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
+    poses = replace(poses, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
+    noise = measure_noise(scatter(replace(rest_half(time_s), poses=poses), noise_m).poses)
+    assert noise.position_m == pytest.approx(noise_m, rel=0.3, abs=1e-9)
 
 
 @pytest.mark.parametrize(("swing_rad", "hz"), [(0.1, 1.5), (0.3, 1.1)])

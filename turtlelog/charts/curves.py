@@ -171,7 +171,7 @@ def list_levels(run: Run, signal: str) -> list[Level]:
 
     The levels are the references of its declared loops, and the goal for `x`, `y` and the
     along-track coordinate. If the loops of a run are unknown, the level is the goal's bearing from
-    the start. A goal's heading is shifted by the full turns that the robot made under its loop.
+    the start. Headings are shifted by the full turns that the robot made.
     """
     if signal in ("x", "y"):
         goal = run.goal_xy_m
@@ -185,15 +185,15 @@ def list_levels(run: Run, signal: str) -> list[Level]:
         if loop.reference == "goal_heading" and heading is not None and stretch:
             row = int(np.searchsorted(heading.time_ns, stretch[-1].end_ns))
             last = float(heading.values[min(row, len(heading.values) - 1)])
-            value += round((last - value) / (2.0 * np.pi)) * 2.0 * np.pi
+            value = _shift_turns(value, last)
         levels.append(Level(label=REFERENCE_WORDS[loop.reference], value=value))
     line = run.goal_line
     if line is not None and signal == "along_track" and line.length_m is not None:
         levels.append(Level(label="goal", value=line.length_m))
-    if line is not None and signal == "heading" and not run.declaration.loops:
-        levels.append(Level(label="goal bearing", value=line.bearing_rad))
     if signal == "heading":
         levels = [replace(level, value=float(np.degrees(level.value))) for level in levels]
+        bearing = None if run.goal_row else _read_goal_bearing(run)
+        levels += [] if bearing is None else [Level(label=bearing.label, value=bearing.values[0])]
     return list(dict.fromkeys(levels))
 
 
@@ -220,6 +220,8 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
     found = [_read_recorded(run, signal), _read_arcs(run) if signal == "along_track" else None]
     if any(loop.reference == "bearing_now" for loop in list_loops(run, signal)):
         found.append(_read_bearings(run))
+    if signal == "heading" and run.goal_row:
+        found.append(_read_goal_bearing(run))
     return [aim for aim in found if aim is not None and np.isfinite(aim.values).any()]
 
 
@@ -324,6 +326,22 @@ def _read_bearings(run: Run) -> Curve | None:
     near = _bring_near(run, bearings, np.arange(len(time_ns)))
     values = np.where(acts, near, np.nan)
     return Curve(start_ns=run.start_ns, time_ns=time_ns, values=values, label=BEARING_NOW)
+
+
+def _read_goal_bearing(run: Run) -> Curve | None:
+    """Return the bearing of the goal from when it was given [deg], if no loop is declared."""
+    line, headings = run.goal_line, find_signal(run, "heading")
+    if line is None or headings is None or run.declaration.loops:
+        return None
+    time_ns = run.poses.time_ns[run.goal_row :]
+    bearing_rad = _shift_turns(line.bearing_rad, float(np.median(headings.values[run.goal_row :])))
+    values = np.full(len(time_ns), np.degrees(bearing_rad))
+    return Curve(start_ns=run.start_ns, time_ns=time_ns, values=values, label="goal bearing")
+
+
+def _shift_turns(heading_rad: float, near_rad: float) -> float:
+    """Return a heading shifted by full turns to be nearest to another one [rad]."""
+    return heading_rad + round((near_rad - heading_rad) / (2.0 * np.pi)) * 2.0 * np.pi
 
 
 def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Values:

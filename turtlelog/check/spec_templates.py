@@ -27,6 +27,7 @@ from turtlelog.measure import (
     list_metrics,
     measure_run,
 )
+from turtlelog.measure.pose_quality import find_scatter
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
 from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
@@ -152,8 +153,14 @@ def _list_of_motion(run: Run) -> Iterator[str]:
     kinds = list_metrics(run.declaration)
     steps_s = np.diff(run.poses.time_ns) / 1e9
     tick_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    scatter = find_scatter(run)
+    lengths = {"run.path_length": scatter.path_m, "run.total_turning": scatter.turning_rad}
+    noisy = {name for name, left in lengths.items() if left is not None}
     for metric in measure_run(run, only=list_essential_metrics(run)).values():
-        if metric.value is not None and metric.id not in _COUNTS:
+        if metric.id in noisy:
+            yield ""
+            yield f"# {metric.id} <= ...: not read off, as much of it is noise of the poses"
+        elif metric.value is not None and metric.id not in _COUNTS:
             yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
     if not len(run.commands):
         return
@@ -163,7 +170,8 @@ def _list_of_motion(run: Run) -> Iterator[str]:
         return
     for name in ("speed", "turn_rate"):
         signal = find_signal(run, name)
-        assert signal is not None
+        if signal is None:
+            continue
         largest, meaning = float(np.abs(signal.values).max()), ": as it was commanded, at any time"
         yield from _list_bound(name, name, largest, signal.kind.unit, meaning)
 

@@ -343,30 +343,32 @@ def merge_times(times: Sequence[Times]) -> Times:
 
 def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Values]:
     """Return the minimum and maximum of the rows from `first` to `after - 1`, for each pair."""
-    lowest, highest = (find_range_maxima(one, first, after - 1) for one in (-values, values))
+    lowest, highest = find_range_maxima(np.stack([-values, values]), first, after - 1)
     return -lowest, highest
 
 
 def find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
-    """Return the maximum of values[first] to values[last] for each pair.
+    """Return the maximum of values[first] to values[last] for each pair, along the last axis.
 
     Ranges that reach the end use suffix maxima. Other ranges use two overlapping maxima of 2^k
     values. Firsts and lasts do not decrease.
     """
-    inner = int(np.searchsorted(lasts, len(values) - 1))
-    found = np.empty(len(firsts))
-    tail = int(firsts[inner]) if inner < len(firsts) else len(values)
-    found[inner:] = np.maximum.accumulate(values[tail:][::-1])[::-1][firsts[inner:] - tail]
+    count = values.shape[-1]
+    inner = int(np.searchsorted(lasts, count - 1))
+    found = np.empty((*values.shape[:-1], len(firsts)))
+    tail = int(firsts[inner]) if inner < len(firsts) else count
+    suffixes = np.maximum.accumulate(values[..., tail:][..., ::-1], axis=-1)[..., ::-1]
+    found[..., inner:] = suffixes[..., firsts[inner:] - tail]
     firsts, lasts = firsts[:inner], lasts[:inner]
     levels = _find_levels(lasts - firsts + 1)
     maxima, level = values, 0
     for target in np.flatnonzero(np.bincount(levels)):
         while level < target:
-            maxima = np.maximum(maxima[: -(1 << level)], maxima[1 << level :])
+            maxima = np.maximum(maxima[..., : -(1 << level)], maxima[..., 1 << level :])
             level += 1
         rows = slice(None) if levels.size == 1 else np.flatnonzero(levels == target)
         ends = lasts[rows] - ((1 << level) - 1)
-        found[:inner][rows] = np.maximum(maxima[firsts[rows]], maxima[ends])
+        found[..., :inner][..., rows] = np.maximum(maxima[..., firsts[rows]], maxima[..., ends])
     return found
 
 

@@ -20,6 +20,7 @@ from .exported_tables import (
 )
 from .file_access import (
     CHOSEN as CHOSEN,
+    CLOCK_SET as CLOCK_SET,
     UNUSED as UNUSED,
     ReadChoice as ReadChoice,
     ReadOptions as ReadOptions,

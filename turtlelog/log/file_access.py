@@ -349,6 +349,9 @@ ROBOT: Final = "robot"
 RESTARTS: Final = "restarts"
 """Name of the note on times that start again, as of two runs one below the other."""
 
+CLOCK_SET: Final = "clock_set"
+"""Name of the note on steps of the recorder's clock."""
+
 UNUSED: Final = "unused"
 """Name of a one-line note on options that a file does not use. The note is never recorded."""
 

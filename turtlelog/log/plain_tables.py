@@ -25,6 +25,7 @@ from turtlelog.log.planar_poses import (
     fits_degrees,
     lift_poses,
     separate_times,
+    sort_rows,
     wrap_far_headings,
 )
 from turtlelog.log.ros2.reported_motion import (
@@ -71,7 +72,8 @@ _SHOWN_NAMES: Final = 12
 _MOST_UNREAD: Final = 160
 """Largest number of letters that list the columns which are not read, at least one each."""
 
-_OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
+_COMMANDS: Final = {"command_speed": "speed_m_s", "command_turn_rate": "turn_rate_rad_s"}
+_OTHERS: Final = ("z", "speed", "turn_rate", *_COMMANDS)
 
 _NORTH_RAD: Final = math.pi / 2.0
 """Heading of a robot to the north, +y [rad]."""
@@ -143,7 +145,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **_read_rotation(cells),
         **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
     }
-    time_ns, values, notes = _order_rows(cells.time_ns, values)
+    time_ns, values, notes = sort_rows(cells.time_ns, values)
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -152,7 +154,8 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     start_ns = int(min([time_ns[has_pose][0], *commands.time_ns[:1]]))
     poses = {name: column[has_pose] for name, column in values.items()}
     whole = {name: column for name, column in poses.items() if not np.isnan(column).any()}
-    absent = [*_NEVER, *(() if len(commands) else ("commands",))]
+    lacks = [f"commands.{column}" for name, column in _COMMANDS.items() if name not in values]
+    absent = [*_NEVER, *(lacks if len(commands) else ("commands",))]
     start = f"{format_seconds(start_ns)} s" if start_ns < 1e18 else format_utc(start_ns)
     pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses["heading"])
@@ -234,31 +237,11 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
 
 
-def _order_rows(
-    time_ns: NDArray[np.int64], values: Mapping[str, Values]
-) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
-    """Return the rows sorted by time without duplicates, and notes on the changes."""
-    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
-    if late:
-        order = np.argsort(time_ns, kind="stable")
-        time_ns = time_ns[order]
-        values = {name: column[order] for name, column in values.items()}
-    twice = np.flatnonzero(time_ns[1:] == time_ns[:-1])
-    for column in values.values():
-        bits = column.view(np.int64)
-        twice = twice[bits[twice] == bits[twice + 1]]
-    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
-    if len(twice):
-        time_ns = np.delete(time_ns, twice + 1)
-        values = {name: np.delete(column, twice + 1) for name, column in values.items()}
-    return time_ns, dict(values), notes
-
-
 def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:
-    """Return a command for each row that contains one; missing columns count as 0."""
+    """Return a command for each row that contains one; missing columns are 0, and absent."""
     zeros = np.zeros(len(time_ns))
-    found = [values.get(name, zeros) for name in ("command_speed", "command_turn_rate")]
-    is_given = not {"command_speed", "command_turn_rate"}.isdisjoint(values)
+    found = [values.get(name, zeros) for name in _COMMANDS]
+    is_given = not _COMMANDS.keys().isdisjoint(values)
     has = np.isfinite(found).all(axis=0) & is_given
     return CommandColumns(
         time_ns=time_ns[has],

@@ -363,7 +363,6 @@ class Missing:
     reason: str
 
 
-NO_COMMANDS: Final = Missing(Status.ABSENT, "the recording holds no commands")
 NO_POSES: Final = Missing(Status.ABSENT, "the recording holds no poses")
 ONE_POSE: Final = Missing(Status.TOO_SHORT, "1 pose")
 

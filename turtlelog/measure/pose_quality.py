@@ -2,7 +2,8 @@
 
 A robot on wheels does not step sideways and back between two poses. The second differences of its
 steps across its heading therefore show the noise of the positions: of white noise they have six
-times its variance. In the quietest part of a run a robot drives evenly or rests.
+times its variance. In the quietest part of a run a robot drives evenly or rests. A point ahead of
+the axle moves sideways as the robot turns; this part of the steps is left out.
 
 A robot on two wheels, or a car, travels along its heading. A marker or sensor that is mounted at an
 angle gives another heading. Speeds along this heading are too small by the cosine of the angle.
@@ -29,6 +30,7 @@ from turtlelog.measure.breaks import (
 from turtlelog.measure.rates import AXES, describe_repetition, find_changing_rows, space_poses
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.references import recall
+from turtlelog.measure.signals import sign_speeds
 from turtlelog.run import PoseColumns, Run, take_rows
 
 if TYPE_CHECKING:
@@ -60,6 +62,8 @@ def measure_noise(poses: PoseColumns) -> WhiteNoise:
     if len(poses) < _BLOCK + 2:
         return WhiteNoise(position_m=0.0, heading_rad=0.0)
     _, aside_m, turned_rad = measure_steps(poses)
+    if turning := float(turned_rad @ turned_rad):
+        aside_m = aside_m - turned_rad * (float(turned_rad @ aside_m) / turning)
     return WhiteNoise(position_m=_estimate(aside_m), heading_rad=_estimate(turned_rad))
 
 
@@ -75,20 +79,23 @@ def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
     return noise
 
 
-def measure_speed_noise(run: Run) -> float:
-    """Return the noise of speeds that are differences of poses [m/s]."""
+def measure_rate_noise(run: Run) -> tuple[float, float]:
+    """Return the noise of speeds [m/s] and turn rates [rad/s] that are differences of poses."""
     if len(run.poses) < 2:
-        return 0.0
+        return 0.0, 0.0
     spaced = space_poses(run)
-    noise = measure_noise(take_rows(run.poses, spaced.rows))
-    return math.sqrt(2.0) * noise.position_m / compute_median(np.diff(spaced.time_s))
+    noise, step_s = find_noise(run, spaced.rows), compute_median(np.diff(spaced.time_s))
+    per_size = math.sqrt(2.0) / step_s
+    return per_size * noise.position_m, per_size * noise.heading_rad
 
 
 def _estimate(steps: Values) -> float:
     """Return the standard deviation of white noise whose differences are steps."""
     bends = np.diff(steps)
     whole = bends[: len(bends) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
-    return float(np.quantile(np.sqrt((whole**2).mean(axis=1) / 6.0), _QUIET))
+    # A jump is in one estimate, and of two estimates the quieter one counts.
+    spreads = np.sqrt((whole**2).mean(axis=1) / 6.0)
+    return float(np.quantile(spreads, _QUIET, method="lower"))
 
 
 _BACK: Final = 0.1
@@ -125,20 +132,21 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(run, "scatter", lambda: _find_scatter(run.poses))
+    return recall(run, "scatter", lambda: _find_scatter(run.poses, is_course=has_courses(run)))
 
 
-def _find_scatter(poses: PoseColumns) -> Scatter:
+def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
     # The length of a step of white noise in the plane is sqrt(pi) times its standard deviation.
     noise_m = np.sqrt(np.pi) * measure_noise(poses).position_m
+    # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
     path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise_m)
     return Scatter(
         path_m=path_m,
         turning_rad=_measure_through_medians(
-            poses.time_ns, heading_rad, is_noisy=path_m is not None
+            poses.time_ns, heading_rad, is_noisy=path_m is not None or is_course
         ),
     )
 
@@ -352,7 +360,7 @@ _COUNTED: Final = 5e-3
 """Share of the time below which gaps do not change the share at rest, in whole per cent."""
 
 _NOISY: Final = 0.03
-"""Share of the largest measured speed from which noise is told: three standard deviations of it are
+"""Share of the largest measured rate from which noise is told: three standard deviations of it are
 a tenth."""
 
 _CREPT_M: Final = 0.02
@@ -361,6 +369,9 @@ _CREPT_M: Final = 0.02
 _LARGE: Final = 0.05
 """Share of a path length from which jumps are told beside it, and of a duration from which gaps
 are. Wheel odometry is as wrong itself."""
+
+
+_DIFFERENCED: Final = "; the {} is a difference of poses"
 
 
 def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
@@ -376,8 +387,14 @@ def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
     if path_m is None:
         return resolution
     sideways = describe_sideways(run)
+    reported = run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s
+    silent = [
+        axis for axis, rate in zip(("speed", "turn rate"), reported, strict=True) if rate is None
+    ]
     return {
         **resolution,
+        **({} if sign_speeds(run) is None else {"unsigned": "the poses give the sign"}),
+        **({"differenced": _DIFFERENCED.format(*silent)} if len(silent) == 1 else {}),
         **describe_travel(run),
         **({"sideways": sideways} if sideways else {}),
         **_describe_times(run),
@@ -420,12 +437,15 @@ def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    fastest_m_s = _get(metrics, "run.measured_speed_max")
-    if fastest_m_s is not None and run.poses.measured_speed_m_s is None:
-        noise_m_s = measure_speed_noise(run)
-        if noise_m_s > _NOISY * fastest_m_s:
-            notes["speed_noise"] = f"{noise_m_s:.1g} m/s"
-    return notes
+    reported = (run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s)
+    sizes = [
+        f"{noise:.1g} {unit}"
+        for (axis, unit), rate, noise in zip(
+            AXES.items(), reported, measure_rate_noise(run), strict=True
+        )
+        if rate is None and noise > _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
+    ]
+    return notes | ({"rate_noise": join_words(sizes)} if sizes else {})
 
 
 def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """Rates of a robot, their outliers, and its commands, one axis at a time.
 
-Rates are reported by the robot. turtlesim reports the applied speed without a sign; the sign comes
+Rates are reported by the robot. turtlesim and some robots report speeds without a sign, which comes
 from the poses. If no rates are reported, they are differences of poses: the forward speed is the
 displacement along the mean heading divided by the time. Differences of poses close in time are
 mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th pose is used if poses are fast.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
-from turtlelog.measure.signals import find_signal
+from turtlelog.measure.signals import find_no_commands, find_signal, sign_speeds
 from turtlelog.plants import find_plant
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import unwrap_headings
@@ -116,6 +116,9 @@ def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates
             return rates
         time_s = (poses.time_ns - run.start_ns) / 1e9
         return replace(rates, time_s=time_s, values=applied, outliers=0)
+    if axis == "speed" and reported.min() >= 0.0:
+        signed = sign_speeds(run)
+        reported = reported if signed is None else signed
     kept = np.delete(np.arange(len(poses)), find_outliers(poses.time_ns, reported))
     time_s, values = (poses.time_ns[kept] - run.start_ns) / 1e9, reported[kept]
     return Rates(
@@ -220,12 +223,12 @@ and 32 bits round a command of 5 by 5e-7."""
 
 
 def read_held_commands(run: Run, axis: Axis, rates: Rates | None) -> HeldCommands | None:
-    """Return the commands of an axis; None if no command was published.
+    """Return the commands of an axis; None if no command of it was recorded.
 
     Without rates, the first command is assumed to act before its time.
     """
     commands = run.commands
-    if not len(commands):
+    if find_no_commands(run, axis):
         return None
     values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
     time_s = (commands.time_ns - run.start_ns) / 1e9

@@ -225,13 +225,18 @@ _BITS: Final = 12
 """Bits of each coordinate of the grid cells in which points are processed together."""
 
 
+_CLOSED: Final = 1e-6
+"""Distance from start to end, as a share of the path, that is rounding: of 32-bit poses, 1e-7."""
+
+
 def compute_straightness(xy_m: Values) -> float | None:
     """Return path length divided by the distance from first to last point; None if that is 0."""
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
-    if distance_m <= 0.0:
+    way_m = measure_way(xy_m[:, 0], xy_m[:, 1], None)
+    if distance_m <= _CLOSED * way_m:
         return None
     # Rounding may make the sum slightly shorter than a straight line's distance.
-    return max(measure_way(xy_m[:, 0], xy_m[:, 1], None) / distance_m, 1.0)
+    return max(way_m / distance_m, 1.0)
 
 
 def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:

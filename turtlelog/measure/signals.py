@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
-from turtlelog.measure.reductions import Values
+from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.reductions import Values, subtract_neighbours
 from turtlelog.measure.references import (
     hold_samples,
     project_on_line,
     read_heading_reference,
+    recall,
     trace_poses,
 )
-from turtlelog.run import Run, require_run
+from turtlelog.run import PoseColumns, Run, require_run
 from turtlelog.run.angles import subtract_headings, unwrap_headings
 from turtlelog.run.columns import Rebuilding, rebuild_value
 from turtlelog.run.loops import STATE_PATTERN, Declaration
@@ -184,6 +186,8 @@ def find_signal(run: Run, name: str) -> Signal | None:
     kind = kinds[name]
     if name in COMMANDED and not len(run.samples):
         kind = COMMANDED[name]
+        if find_no_commands(run, name):
+            return None
     values = kind.read(run)
     if values is None or not len(values):
         return None
@@ -196,8 +200,8 @@ def explain_no_signal(run: Run, name: str) -> str:
     kind = list_signals(run.declaration).get(name)
     if kind is not None and kind.source == "pose" and not len(run.poses):
         return "the recording holds no poses"
-    if name in COMMANDED and not len(run.samples):
-        return "the recording holds no commands"
+    if name in COMMANDED and not len(run.samples) and (missing := find_no_commands(run, name)):
+        return missing.reason
     if name in {"error_x", "error_y", "distance"}:
         return "the goal is not known"
     if name in {"measured_speed", "measured_turn_rate"}:
@@ -205,6 +209,17 @@ def explain_no_signal(run: Run, name: str) -> str:
     if kind is not None and kind.source == "sample" and not len(run.samples):
         return "no samples of a controller were read"
     return ""
+
+
+_COLUMNS: Final = {"speed": "speed_m_s", "turn_rate": "turn_rate_rad_s"}
+
+
+def find_no_commands(run: Run, axis: str) -> Missing | None:
+    """Return the reason why a run has no commands of an axis; None if it has commands."""
+    if len(run.commands) and f"commands.{_COLUMNS[axis]}" not in run.absent:
+        return None
+    of = f" of the {axis.replace('_', ' ')}" if len(run.commands) else ""
+    return Missing(Status.ABSENT, f"the recording holds no commands{of}")
 
 
 @lru_cache(maxsize=64)
@@ -245,6 +260,46 @@ def _read_sensed_heading(run: Run) -> Values | None:
     rows = ~run.poses.dropped_out
     sensed_rad, heading_rad = run.poses.sensed_heading_rad[rows], unwrap_headings(run.poses)[rows]
     return heading_rad + subtract_headings(sensed_rad, heading_rad)
+
+
+_SIGN_S: Final = 0.5
+"""Time over which the poses give the sign of a speed [s]: in it, noise of poses hardly adds."""
+
+_FEWEST_POSES: Final = 10
+
+_BACK: Final = 0.05
+"""Smallest share of the reported way that leads back, and that leads ahead, if speeds have no sign.
+Where all leads back, the heading may be turned."""
+
+_DRIVEN: Final = 0.7
+"""Smallest share of the reported way back that the poses show, and of the shown way that is
+reported: noise shows less, or more."""
+
+
+def sign_speeds(run: Run) -> Values | None:
+    """Return the reported speeds with the sign of the motion, if they have none; else None."""
+    return recall(run, "signed_speeds", lambda: _sign_speeds(run.poses))
+
+
+def _sign_speeds(poses: PoseColumns) -> Values | None:
+    speed_m_s, time_s = poses.measured_speed_m_s, poses.time_ns / 1e9
+    if speed_m_s is None or len(poses) < _FEWEST_POSES or float(speed_m_s.min()) < 0.0:
+        return None
+    means_m_s = (speed_m_s[1:] + speed_m_s[:-1]) / 2.0
+    driven_m = np.append(0.0, np.cumsum(means_m_s * subtract_neighbours(time_s)))
+    x_m, y_m, way_m = (
+        np.interp(time_s + _SIGN_S / 2.0, time_s, at)
+        - np.interp(time_s - _SIGN_S / 2.0, time_s, at)
+        for at in (*poses.xy_m.T, driven_m)
+    )
+    ahead_m = x_m * np.cos(poses.heading_rad) + y_m * np.sin(poses.heading_rad)
+    is_back, whole_m = ahead_m < 0.0, float(way_m.sum())
+    back_m = float(way_m[is_back].sum())
+    if not _BACK * whole_m < back_m < (1.0 - _BACK) * whole_m:
+        return None
+    shown = -float(ahead_m[is_back].sum()) / back_m
+    is_driven = _DRIVEN <= shown <= 1.0 / _DRIVEN
+    return np.where(is_back, -speed_m_s, speed_m_s) if is_driven else None
 
 
 _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyType(

@@ -13,7 +13,6 @@ from .columns import (
 )
 from .run import (
     LAW as LAW,
-    GoalLine as GoalLine,
     Parameter as Parameter,
     Run as Run,
     SoftwareChange as SoftwareChange,
@@ -23,7 +22,7 @@ from .run import (
     list_software_changes as list_software_changes,
     require_run as require_run,
 )
-from .stop_reasons import CUT_SHORT as CUT_SHORT
+from .stop_reasons import CUT_SHORT as CUT_SHORT, GoalLine as GoalLine
 from .tables import (
     TABLES as TABLES,
     PhaseSpan as PhaseSpan,

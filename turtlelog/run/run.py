@@ -23,7 +23,7 @@ from turtlelog.run.columns import (
 )
 from turtlelog.run.loops import Declaration
 from turtlelog.run.paths import Path, restore_path
-from turtlelog.run.stop_reasons import CUT_SHORT, find_goal_end
+from turtlelog.run.stop_reasons import CUT_SHORT, GoalLine, find_goal_end, find_goal_line
 from turtlelog.run.tables import (
     TABLES,
     PhaseSpan,
@@ -45,21 +45,6 @@ PATH_SET: Final = "path_set_ns"
 """Name of the note on when the path to follow was given [ns]; only in bags with paths."""
 
 _MOST_DIGITS: Final = 18  # of a 64-bit number
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GoalLine:
-    """The line from start to goal, which defines along-track and cross-track coordinates.
-
-    Attributes:
-        start_xy_m: Position of the first pose that was read, or else recorded, world frame [m].
-        bearing_rad: Bearing of the goal from the start, counter-clockwise from +x [rad].
-        length_m: Distance from the start to the goal [m]; None if unknown.
-    """
-
-    start_xy_m: tuple[float, float]
-    bearing_rad: float
-    length_m: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
@@ -183,34 +168,13 @@ class Run:
 
     @property
     def goal_line(self) -> GoalLine | None:
-        """The line from the first pose that was read to the goal; None if the line is unknown.
+        """The line from the first pose that was read to the goal; None if there is no line.
 
         If the first sample is lost or the goal is unknown, the first recorded bearing gives the
         direction. Without samples and loops, the line starts where the goal was given, or else at
         the first recorded pose.
         """
-        samples = self.samples
-        is_unknown = not len(samples) and (self.declaration.loops or self.goal_xy_m is None)
-        if is_unknown or not len(self.poses):
-            return None
-        first = self.goal_row if self.is_lawless else 0
-        x_m, y_m = map(float, self.poses.xy_m[[*samples.pose_sequence[:1], first][0]])
-        length_m = bearing_rad = None
-        if self.goal_xy_m is not None:
-            ahead_m, left_m = self.goal_xy_m[0] - x_m, self.goal_xy_m[1] - y_m
-            length_m = float(np.hypot(ahead_m, left_m))
-            bearing_rad = math.atan2(left_m, ahead_m)
-        if (
-            len(samples)
-            and samples.bearing_rad is not None
-            and (samples.sequence[0] != 0 or bearing_rad is None)
-        ):
-            bearing_rad = float(samples.bearing_rad[0])
-        if bearing_rad is None:
-            return None
-        if length_m is None and samples.error_xy_m is not None:
-            length_m = float(np.hypot(*samples.error_xy_m[0]))
-        return GoalLine(start_xy_m=(x_m, y_m), bearing_rad=bearing_rad, length_m=length_m)
+        return find_goal_line(self)
 
     @property
     def path(self) -> Path | None:

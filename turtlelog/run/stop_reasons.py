@@ -1,4 +1,4 @@
-"""Why a run ended, and how it ended at its goal.
+"""Why a run ended, how it ended at its goal, and the line to its goal.
 
 The reasons have words, numbers in a loop, and a meaning for the run. A law of the user's own may
 end a run with any other word.
@@ -8,6 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
 
 from turtlelog.display import format_short
 from turtlelog.run.angles import wrap_angle
@@ -168,6 +170,57 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
         duration_s=run.duration_s,
         turned_rad=turned_rad,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GoalLine:
+    """The line from start to goal, which defines along-track and cross-track coordinates.
+
+    Attributes:
+        start_xy_m: Position of the first pose that was read, or else recorded, world frame [m].
+        bearing_rad: Bearing of the goal from the start, counter-clockwise from +x [rad].
+        length_m: Distance from the start to the goal [m]; None if unknown.
+    """
+
+    start_xy_m: tuple[float, float]
+    bearing_rad: float
+    length_m: float | None
+
+
+_LOOP: Final = 0.1
+"""Distance of the goal as a share of the robot's farthest way from the start up to which the robot
+drives laps, as no line leads to its goal. The direction of the line would be chance."""
+
+
+def find_goal_line(run: "Run") -> GoalLine | None:
+    """Return the line from start to goal of a run, as `Run.goal_line`."""
+    samples = run.samples
+    is_unknown = not len(samples) and (run.declaration.loops or run.goal_xy_m is None)
+    if is_unknown or not len(run.poses):
+        return None
+    first = run.goal_row if run.is_lawless else 0
+    x_m, y_m = map(float, run.poses.xy_m[[*samples.pose_sequence[:1], first][0]])
+    length_m = bearing_rad = None
+    if run.goal_xy_m is not None:
+        ahead_m, left_m = run.goal_xy_m[0] - x_m, run.goal_xy_m[1] - y_m
+        length_m = float(np.hypot(ahead_m, left_m))
+        bearing_rad = math.atan2(left_m, ahead_m)
+        if (
+            run.is_lawless
+            and length_m <= _LOOP * np.hypot(*(run.poses.xy_m[first:] - (x_m, y_m)).T).max()
+        ):
+            return None
+    if (
+        len(samples)
+        and samples.bearing_rad is not None
+        and (samples.sequence[0] != 0 or bearing_rad is None)
+    ):
+        bearing_rad = float(samples.bearing_rad[0])
+    if bearing_rad is None:
+        return None
+    if length_m is None and samples.error_xy_m is not None:
+        length_m = float(np.hypot(*samples.error_xy_m[0]))
+    return GoalLine(start_xy_m=(x_m, y_m), bearing_rad=bearing_rad, length_m=length_m)
 
 
 def _stays(run: "Run", error_m: float, allowed_m: float) -> bool:

@@ -18,7 +18,8 @@ from tests.draw.laws import (
     simulate_pid,
     simulate_tracker,
 )
-from turtlelog.charts.curves import compute_ideals, list_levels, read_applied, read_curve
+from tests.measure.driven import make_driven_run
+from turtlelog.charts.curves import compute_ideals, list_aims, list_levels, read_applied, read_curve
 from turtlelog.draw import list_left_out
 from turtlelog.draw.figures.figure_kinds import list_usual_figures
 from turtlelog.draw.figures.theory_figures import find_gains
@@ -188,6 +189,30 @@ def test_levels_are_of_the_declared_references() -> None:
     assert [level.label for level in list_levels(forget_loops(STRANGE), "heading")] == [
         "goal bearing"
     ]
+
+
+@pytest.mark.parametrize("row", [0, 300])
+@pytest.mark.parametrize("turns_rad", [0.0, np.pi])
+def test_the_goal_bearing_is_drawn_beside_the_heading_from_when_it_was_given(
+    row: int, turns_rad: float
+) -> None:
+    time_s = np.arange(0.0, 60.0, 0.1)
+    heading_rad = 0.1 + np.minimum(time_s / 5.0, 1.0) * 2.0 * turns_rad
+    way = np.cumsum(np.where(time_s > 30.0, 0.1, 0.0))
+    driven = make_driven_run(
+        time_s,
+        speed=(way, way),
+        turn=(way, heading_rad),
+        goal_xy_m=(20.0, 0.0),
+        notes={"goal_set_ns": str(row * 100_000_000)} if row else {},
+    )
+    levels, aims = list_levels(driven, "heading"), list_aims(driven, "heading")
+    bearing_deg = 2.0 * np.degrees(turns_rad)
+    assert [level.value for level in levels] == ([] if row else [pytest.approx(bearing_deg)])
+    assert [aim.label for aim in aims] == (["goal bearing"] if row else [])
+    for aim in aims:
+        assert aim.values == pytest.approx(np.full(600 - row, bearing_deg))
+        assert aim.time_s[0] == pytest.approx(row / 10.0)
 
 
 def test_gains_of_theory_are_those_that_loops_declare() -> None:

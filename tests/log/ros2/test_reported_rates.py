@@ -83,6 +83,16 @@ def test_a_robot_that_drives_straight_does_report_its_turn_rate() -> None:
     assert notes == {}
 
 
+@pytest.mark.parametrize("turned_rad", [0.0, 0.5])
+def test_noise_of_the_heading_is_no_turn(turned_rad: float) -> None:
+    poses = drive(turned_rad=turned_rad, **{SPEED: SPEED_M_S})
+    poses["heading"] = poses["heading"] + np.random.default_rng(1).normal(0.0, 0.05, COUNT)
+
+    columns, _ = judge_rates(TIME_NS, poses)
+
+    assert (TURN_RATE in columns) is (turned_rad == 0.0)
+
+
 def test_twists_along_the_axes_of_the_world_are_turned_into_the_robots() -> None:
     poses = drive(**{TURN_RATE: TURN_RAD_S})
     way_m_s = 4.0 / (TIME_NS[-1] / 1e9)

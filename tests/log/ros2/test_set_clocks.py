@@ -13,7 +13,8 @@ from tests.cli.conftest import Call, call as call
 from tests.log.ros2.bags import START_NS, Said, make_vector, write_mcap, write_sqlite
 from turtlelog import read_bag
 from turtlelog.log import read_trajectory
-from turtlelog.log.ros2.set_clocks import CLOCK_SET, SILENCE
+from turtlelog.log.file_access import CLOCK_SET
+from turtlelog.log.ros2.set_clocks import SILENCE
 from turtlelog.run import Run
 
 STEP_S, SPEED_M_S = 0.02, 0.5
@@ -207,7 +208,7 @@ def test_poses_that_may_come_by_way_show_no_set_clock(
 def test_a_robot_at_rest_does_not_show_whether_time_passed(tmp_path: Path) -> None:
     run = read(tmp_path, drive(259200.0, speed_m_s=0.0))
     assert CLOCK_SET not in run.notes
-    assert run.notes[SILENCE].startswith("no message for 259200 s from 4.0 s: either ")
+    assert run.notes[SILENCE].startswith("no pose or command for 259200 s from 4.0 s: the robot ")
 
 
 @pytest.mark.parametrize(("shift_s", "is_told"), [(9.5, False), (10.5, True)])

@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import CHOSEN, ReadChoice, ReadOptions, name_file
+from turtlelog.log.file_access import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions, name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
@@ -56,7 +56,6 @@ from turtlelog.log.ros2.bag_topics import (
 )
 from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
 from turtlelog.log.ros2.set_clocks import (
-    CLOCK_SET,
     SILENCE,
     describe_clock_steps,
     describe_silence,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import CLOCK_SET, name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Values
 from turtlelog.log.ros2.bag_poses import read_tree
@@ -24,7 +24,6 @@ from turtlelog.log.ros2.bag_transforms import (
     name_frame,
     place_points,
 )
-from turtlelog.log.ros2.set_clocks import CLOCK_SET
 from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle

@@ -310,13 +310,21 @@ def _find_unset(columns: Mapping[str, Values], lateral: Values | None) -> list[s
     return [SPEED] if no_speed and moved else [TURN_RATE] if no_turn and turned else []
 
 
+_BLOCKS: Final = 50
+"""Number of means of poses that show the extent of a path: noise of 0.04 rad in a minute at 10 Hz
+gives a range of 0.06 rad instead of 0.26."""
+
+
 def _measure_range(values: Values) -> float:
-    """Return the largest extent of a path along any axis, without its few longest steps."""
+    """Return the largest extent of a path along any axis, without its noise or longest steps."""
+    firsts = np.arange(0, len(values), -(-len(values) // _BLOCKS))
+    counts = np.diff(firsts, append=len(values))[:, np.newaxis]
+    means = np.add.reduceat(values, firsts) / counts
     steps = np.diff(values, axis=0)
     length = np.hypot.reduce(steps, axis=1)
     steps[length > np.quantile(length, _JUMPS)] = 0.0
     way = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
-    return float(np.ptp(way, axis=0).max())
+    return float(np.minimum(np.ptp(way, axis=0), np.ptp(means, axis=0)).max())
 
 
 def _turn_twists(time_ns: TimesNs, columns: Mapping[str, Values], lateral: Values) -> Values | None:

@@ -29,9 +29,6 @@ from turtlelog.log.ros2.stamps import (
 )
 from turtlelog.run.angles import subtract_headings
 
-CLOCK_SET: Final = "clock_set"
-"""Name of the note on steps of the recorder's clock."""
-
 SILENCE: Final = "silence"
 """Name of the note on a silence that lasts most of a bag."""
 
@@ -193,9 +190,9 @@ def describe_silence(*times: TimesNs) -> str:
     if step_ns[row] <= _MOST_SILENT * (time_ns[-1] - time_ns[0]):
         return ""
     return (
-        f"no message for {_tell_s(step_ns[row] / 1e9)} s from"
-        f" {(time_ns[row] - time_ns[0]) / 1e9:.1f} s: either the recording was interrupted or its"
-        " clock was set, which the log does not show"
+        f"no pose or command for {_tell_s(step_ns[row] / 1e9)} s from"
+        f" {(time_ns[row] - time_ns[0]) / 1e9:.1f} s: the robot sent none, the recording was"
+        " interrupted or its clock was set; poses and commands do not show which"
     )
 
 

@@ -17,10 +17,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.metric import NO_COMMANDS, ONE_POSE, Found, Missing, Result, Status
+from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
 from turtlelog.measure.rates import AXES, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
+from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
 
 EARLIEST_S: Final = -0.5
@@ -57,8 +58,8 @@ def _on_axis(
     axis: Axis, compute: Callable[[Rates, HeldCommands], Result]
 ) -> Callable[[RunContext], Result]:
     def compute_on_axis(context: RunContext) -> Result:
-        if not len(context.run.commands):
-            return NO_COMMANDS
+        if missing := find_no_commands(context.run, axis):
+            return missing
         rates, commands = context.get_rates(axis), context.get_commands(axis)
         if rates is None or commands is None:
             return ONE_POSE
@@ -334,8 +335,8 @@ _NOT_SEEN: Final = Missing(
 
 
 def _find_steps(context: RunContext, axis: Axis) -> list[CommandStep] | Missing:
-    if not len(context.run.commands):
-        return NO_COMMANDS
+    if missing := find_no_commands(context.run, axis):
+        return missing
     commands = context.get_commands(axis)
     if commands is None:
         return ONE_POSE

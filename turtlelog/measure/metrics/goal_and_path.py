@@ -11,7 +11,6 @@ from turtlelog.arithmetic import compiled_as
 from turtlelog.measure.metric import (
     FOUND,
     GOAL_UNKNOWN,
-    NO_COMMANDS,
     NO_GOAL,
     REASONS,
     Found,
@@ -41,6 +40,7 @@ from turtlelog.measure.reductions import (
 )
 from turtlelog.measure.references import compute_straightness
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
+from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import (
     compute_rms,
     find_settling_time,
@@ -55,6 +55,10 @@ PAPER_WINDOW_S: Final = 15.0
 
 
 _NO_BEARING: Final = add_reason(Status.ABSENT, "the goal bearing is not known")
+_AT_GOAL: Final = add_reason(
+    Status.ABSENT,
+    "the goal is where the robot starts, so no line leads to it",
+)
 _NO_HEADING: Final = add_reason(Status.ABSENT, "the goal has no heading")
 _NO_WANTED_HEADING: Final = add_reason(Status.ABSENT, "the goal asks for no heading")
 
@@ -96,7 +100,7 @@ def _measure_last_cross_track(course: RunContext) -> Outcome:
     """Distance of the last pose from the line from start to goal, positive to the left."""
     offset_m = course.last_cross_track_m
     if math.isnan(offset_m):
-        return math.nan, math.nan, _NO_BEARING
+        return math.nan, math.nan, _AT_GOAL if course.is_lawless_with_goal else _NO_BEARING
     return offset_m, course.last_pose_s, FOUND
 
 
@@ -163,7 +167,6 @@ def _find_cut(context: RunContext) -> Missing | None:
 
 
 _LINE_UNKNOWN: Final = add_reason(Status.ABSENT, "the line from start to goal is not known")
-NO_LINE: Final = REASONS[_LINE_UNKNOWN]
 
 
 @course_metric("run.duration", "s", is_awaited=True, needs_poses=False)
@@ -225,16 +228,20 @@ def _compute_straightness(context: RunContext) -> Result:
     return Found(straightness)
 
 
+def _explain_no_line(context: RunContext) -> Missing:
+    return REASONS[_AT_GOAL if context.is_lawless_with_goal else _LINE_UNKNOWN]
+
+
 def _find_largest_cross_track(context: RunContext, rows: slice) -> Result:
     if not len(context.cross_track_m):
-        return NO_LINE
+        return _explain_no_line(context)
     largest_m, row = find_largest(context.cross_track_m[rows])
     return Found(largest_m, float(context.pose_time_s[rows][row]))
 
 
 def _compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
     if not len(context.cross_track_m):
-        return NO_LINE
+        return _explain_no_line(context)
     step_s = subtract_neighbours(context.pose_time_s[rows])
     return Found(float(compute_rms(step_s, context.cross_track_m[rows], None)))
 
@@ -281,7 +288,7 @@ def _measure_largest_cross_track(course: RunContext) -> Outcome:
     """Return the largest magnitude from the first sample (time zero of the run) on."""
     offset_m, first = _get_cross_track(course), _find_path_row(course)
     if len(offset_m) == 0:
-        return math.nan, math.nan, _LINE_UNKNOWN
+        return math.nan, math.nan, _AT_GOAL if course.is_lawless_with_goal else _LINE_UNKNOWN
     largest_m, row = find_largest(offset_m[first:])
     return largest_m, _tell_pose(course, first + row), FOUND
 
@@ -310,13 +317,13 @@ def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
 
 
 def _on_commands(
-    column: str, compute: Callable[[CommandStretch], Result]
+    axis: str, column: str, compute: Callable[[CommandStretch], Result]
 ) -> Callable[[RunContext], Result]:
     """Compute on one column of the published commands, until the end of the run."""
 
     def compute_on_commands(context: RunContext) -> Result:
-        if not len(context.run.commands):
-            return NO_COMMANDS
+        if missing := find_no_commands(context.run, axis):
+            return missing
         commands = CommandStretch(
             time_s=context.command_time_s,
             values=getattr(context.run.commands, column),
@@ -345,7 +352,7 @@ for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_r
             _meaning.format(_name.replace("_", " ")),
             grows=True,
             needs_poses=False,
-        )(_on_commands(_column, COMMAND_METRICS[_figure]))
+        )(_on_commands(_name, _column, COMMAND_METRICS[_figure]))
 
 
 def _moves_along(loop: ControlLoop) -> bool:

@@ -176,12 +176,39 @@ def _judge_rest(context: RunContext) -> Rest | Missing:
             return _HIDDEN
     steps_s = subtract_neighbours(time_s)
     seen_s = float(time_s[-1] - time_s[0]) - float(steps_s[~spaced.is_seen].sum())
+    silent_s = _measure_silence(steps_s, columns, spaced.is_seen & ~is_at_rest)
+    if silent_s > _SILENT * seen_s:
+        reason = f"poses are missing while the robot hardly moves: up to {silent_s:.2g} s of rest"
+        return Missing(Status.UNDETERMINED, reason)
     is_at_rest &= spaced.is_seen
     # From where to where it moves meanwhile, without the noise of each end.
     ends = np.flatnonzero(np.diff(is_at_rest, prepend=False, append=False))
     crept_m = np.hypot(*(xy_m[ends[1::2]] - xy_m[ends[::2]]).T)
     crept_m = crept_m[crept_m > _ENDS * (0.0 if noise is None else noise.position_m)]
     return Rest(time_s=float(steps_s[is_at_rest].sum()), seen_s=seen_s, way_m=float(crept_m.sum()))
+
+
+_SILENT: Final = 0.05
+"""Largest share of the time that may be rest between poses far apart, as for gaps: localisation
+often publishes poses only after the robot has moved by a quarter of a metre."""
+
+
+def _measure_silence(
+    steps_s: Values, columns: Sequence[Values], is_moving: NDArray[np.bool_]
+) -> float:
+    """Return how long a robot may rest in the moving steps that are longer than usual [s].
+
+    At the greatest rates of the other steps, it moves as far in the rest of their time.
+    """
+    from turtlelog.measure.breaks import LATE  # simulations need none of it
+
+    x_m, y_m, turned_rad = (np.abs(subtract_neighbours(at)) for at in columns)
+    is_long = steps_s > max(LATE * compute_median(steps_s), _REST_S)
+    needed_s = np.zeros(len(steps_s))
+    for way in (np.hypot(x_m, y_m), turned_rad):
+        fastest = float((way / steps_s)[is_moving & ~is_long].max(initial=0.0))
+        needed_s = np.maximum(needed_s, way / fastest if fastest else 0.0)
+    return float(np.maximum(steps_s - needed_s, 0.0)[is_moving & is_long].sum())
 
 
 @run_metric("run.rest_time", "s", better=None)
