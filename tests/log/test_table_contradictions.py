@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from turtlelog.errors import LogError
 from turtlelog.log.any_file import read_run, read_trajectory
 from turtlelog.log.planar_poses import find_travel
 from turtlelog.log.table_columns import find_runs
@@ -277,3 +278,13 @@ def test_little_turning_contradicts_no_rate(turned_rad: float, tmp_path: Path) -
     rate = np.full(len(x), 2.0 * turned_rad / 20)
     run = read(tmp_path, "t,x,y,yaw,w", TIME_S, x, y, heading_rad, rate)
     assert ("turning_by_rate" in run.notes) == (turned_rad > 0.5)
+
+
+def test_an_error_in_the_second_of_two_runs_names_its_own_line(tmp_path: Path) -> None:
+    times = [*np.arange(20) / 10.0, *np.arange(40) / 10.0]
+    lines = [f"{time:.1f} {time:.1f} 0 0 0 0 0 {int(row != 25)}" for row, time in enumerate(times)]
+    file = tmp_path / "two.tum"
+    file.write_text("\n".join(lines) + "\n")
+    for read in (read_run, read_trajectory):
+        with pytest.raises(LogError, match="line 26, column qw: expected a rotation of a length"):
+            read(file)

@@ -1,7 +1,4 @@
-"""Files that a user names: small texts, TOML files, and paths that may be URLs.
-
-fsspec, which reads object storage and http, is loaded only for URLs.
-"""
+"""The files and URLs that a user names. fsspec, which reads URLs, is loaded only for these."""
 
 from turtlelog.libraries import attach_names
 

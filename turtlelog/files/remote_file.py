@@ -30,12 +30,10 @@ _HEAD: Final = 2**14
 """Size of the first request [bytes]: enough for the kind and the header of a file."""
 
 _SLOWEST_BYTES_PER_S: Final = 1000.0
-"""Slowest accepted transfer, a line of 9600 baud: below this rate, 1 MB takes more than a quarter
-of an hour."""
+"""Slowest accepted transfer, a line of 9600 baud; 1 MB takes a quarter of an hour."""
 
 PATIENCE_S: float = 30.0
-"""Time for which a slower transfer is accepted [s]; a line that is lost for a moment recovers
-within this time."""
+"""Time for which a slower transfer is accepted [s]; a lost line recovers within it."""
 
 _PIECE: Final = 2**16
 _MARKS: Final = ("ETag", "Last-Modified")
@@ -49,8 +47,7 @@ _WINDOW: Final = 2**23
 """Largest size of one request [bytes]: the memory needed, and the loss when a request fails."""
 
 _GAP: Final = 2**16
-"""Largest gap between two ranges that are fetched together [bytes]: fetching the gap takes no
-longer than another request."""
+"""Largest gap between two ranges that are fetched together [bytes]; a request takes longer."""
 
 
 class RemoteFile:
@@ -382,7 +379,6 @@ class _HttpFile:
 
 
 def _describe_too_long(most: int) -> str:
-    """Return the message about a file that is too large to download."""
     return (
         f"expected at most {format_size(most)}, found a file that is longer;"
         " --max-download SIZE allows more"
@@ -404,7 +400,6 @@ def _read_length(answer: Any) -> int | None:
 
 
 def _read_range(answer: Any) -> tuple[int, int, int]:
-    """Return the start, the end and the file size in Content-Range."""
     text = answer.headers.get("Content-Range", "none")
     found = re.fullmatch(r"bytes (\d{1,18})-(\d{1,18})/(\d{1,18})", text)
     if found is None:
@@ -416,18 +411,15 @@ async def _read_exactly(answer: Any, count: int, length: int | None) -> bytes:
     """Return a body of the expected length. A longer body is refused before it is read."""
     if length is not None and length != count:
         raise _deny(f"an answer of {length} bytes", f"an answer of {count} bytes")
-    data = bytearray()
-    async for piece in _read_pieces(answer):
-        data += piece
-        if len(data) > count:
-            raise _deny("a longer answer", f"an answer of {count} bytes")
+    data = await _read_most(answer, count + 1)
+    if len(data) > count:
+        raise _deny("a longer answer", f"an answer of {count} bytes")
     if len(data) < count:
         raise OSError(f"{len(data)} of {count} bytes")
-    return bytes(data)
+    return data
 
 
 async def _read_most(answer: Any, count: int) -> bytes:
-    """Return the first bytes of a body."""
     data = bytearray()
     async for piece in _read_pieces(answer):
         data += piece

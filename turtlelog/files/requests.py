@@ -190,8 +190,7 @@ def _find_status(err: BaseException) -> int | None:
 _LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
 _REPLACED: Final = ("ReplacedError", "FileExpired")
 MOST_REDIRECTS: Final = 5
-"""Largest number of redirects. File servers need one or two: to https, and from a permanent link to
-a storage."""
+"""Largest number of redirects. File servers need two: to https, and from a link to a storage."""
 
 _CIRCLES: Final = ("TooManyRedirects",)
 _WILD: Final = ("HttpProcessingError",)

@@ -32,8 +32,7 @@ _PATIENCE_S: Final = 1.0
 """Time for which a pipe may have no writer, for example while both programs start [s]."""
 
 _DEEPEST: Final = 32
-"""Largest nesting depth of TOML tables and arrays. Files of turtlelog nest at most 4 deep; Python
-cannot follow a depth of a thousand."""
+"""Largest nesting depth of TOML tables and arrays; files of turtlelog nest at most 4 deep."""
 
 _KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY: Final = re.compile(
@@ -71,8 +70,7 @@ def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
         most: Largest accepted size [bytes].
 
     Raises:
-        OSError: If the file cannot be read, is too large, or is a device; `strerror` gives the
-            reason.
+        OSError: If the file cannot be read, is too large, or is a device (see `strerror`).
         UnicodeDecodeError: If the file is not text.
     """
     data = _read_bytes(make_path(path), most + 1)
@@ -102,9 +100,7 @@ def _read_bytes(path: Path, most: int) -> bytes:
 def iterate_lines(text: str, *, comments: bool = True) -> Iterator[tuple[int, str]]:
     """Yield the non-empty lines with their numbers, from 1, with one line in memory at a time.
 
-    Args:
-        text: Text of any length.
-        comments: Whether lines that begin with # are yielded too.
+    Lines that begin with # are `comments`.
     """
     skipped = _BLANKS if comments else BLANKS_AND_COMMENTS
     start, number = 0, 1
@@ -169,8 +165,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 def parse_known_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text like `parse_toml`, with a cache of known lines.
 
-    The scenarios of one experiment differ in few lines. The cache applies to tables of one level
-    with one plain value per line. Any other text is parsed as a whole.
+    The cache is for tables of one level with one plain value per line, as of similar scenarios.
     """
     tables: dict[str, Any] = {}
     table = tables
@@ -179,13 +174,14 @@ def parse_known_toml(text: str) -> dict[str, Any]:
         if (heading := _TABLE.fullmatch(line)) is not None and heading[1] not in tables:
             table = tables[heading[1]] = {}
         elif line:
-            key, value = _keep_line(line) if len(line) <= _LONGEST_LINE else _NO_PAIR
+            key, value = _parse_line(line) if len(line) <= _LONGEST_LINE else _NO_PAIR
             if key is None or key in table:
                 return parse_toml(text)
             table[key] = value
     return tables if lines else parse_toml(text)
 
 
+@lru_cache(maxsize=_MOST_LINES)
 def _parse_line(line: str) -> tuple[str | None, Any]:
     """Return the key and value of a complete line; `_NO_PAIR` for any other line."""
     try:
@@ -194,16 +190,6 @@ def _parse_line(line: str) -> tuple[str | None, Any]:
         return _NO_PAIR
     is_plain = len(pairs) == 1 and not isinstance(pairs[0][1], dict | list)
     return pairs[0] if is_plain else _NO_PAIR
-
-
-_keep_line = lru_cache(maxsize=_MOST_LINES)(_parse_line)
-
-
-def copy_tables(value: Any) -> Any:
-    """Return a deep copy of the tables and arrays of a TOML text."""
-    if isinstance(value, dict):
-        return {key: copy_tables(inner) for key, inner in value.items()}
-    return [copy_tables(inner) for inner in value] if isinstance(value, list) else value
 
 
 def format_toml(tables: Mapping[str, Any]) -> str:

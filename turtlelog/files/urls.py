@@ -1,6 +1,6 @@
-"""URLs in place of files, such as `s3://bucket/run.mcap`: paths that can fetch their content.
+"""URLs in place of files, such as `s3://bucket/run.mcap`: paths that fetch their content.
 
-Local files never load fsspec. Printed URLs contain no password and no signature.
+Printed URLs contain no password and no signature.
 """
 
 import errno
@@ -98,9 +98,8 @@ class RemotePath(_LocalPath):
 
     Attributes:
         url: The complete URL.
-        max_download: Largest download into a temporary file [bytes]. A download is needed for
-            SQLite files and if the server supports no ranges. Default: the limit of
-            `limit_downloads`, or else 4 GiB.
+        max_download: Largest download into a temporary file [bytes], needed for SQLite files and
+            servers without ranges. Default: the limit of `limit_downloads`, or else 4 GiB.
     """
 
     url: str
@@ -141,10 +140,7 @@ class RemotePath(_LocalPath):
         return partial(RemotePath, max_download=self.max_download), (self.url,)
 
     def split_topic(self) -> tuple["RemotePath", str | None]:
-        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`.
-
-        A query before or after the topic belongs to the URL.
-        """
+        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`."""
         scheme, mark, rest = self.url.partition("://")
         found = _TOPIC.fullmatch(rest)
         if found is None:

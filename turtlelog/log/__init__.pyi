@@ -19,7 +19,13 @@ from .exported_tables import (
     import_tables as import_tables,
 )
 from .file_access import (
+    CHOSEN as CHOSEN,
+    CLOCK_SET as CLOCK_SET,
+    UNUSED as UNUSED,
+    ReadChoice as ReadChoice,
+    ReadOptions as ReadOptions,
     replace_when_complete as replace_when_complete,
+    split_topic as split_topic,
 )
 from .file_info import (
     RecordingInfo as RecordingInfo,
@@ -40,14 +46,6 @@ from .plain_tables import (
 from .planar_poses import (
     JOINTS as JOINTS,
     POSE_TYPES as POSE_TYPES,
-)
-from .read_choice import (
-    CHOSEN as CHOSEN,
-    CLOCK_SET as CLOCK_SET,
-    UNUSED as UNUSED,
-    ReadChoice as ReadChoice,
-    ReadOptions as ReadOptions,
-    split_topic as split_topic,
 )
 from .recording.live_run import RecordingTail as RecordingTail, Sink as Sink, run_live as run_live
 from .recording.reader import read_recording as read_recording

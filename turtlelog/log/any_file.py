@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from turtlelog import log, run as runs
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
+from turtlelog.files.text_files import iterate_lines
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log import recording, ros2
 from turtlelog.log.engine.opening import is_bag_file, strip_suffixes
-from turtlelog.log.file_access import name_file, open_file
-from turtlelog.log.file_info import RecordingInfo, read_info
-from turtlelog.log.read_choice import (
+from turtlelog.log.file_access import (
     CHOSEN,
     RESTARTS,
     ROBOT,
@@ -27,9 +26,12 @@ from turtlelog.log.read_choice import (
     ReadOptions,
     describe_unused,
     match_topic,
+    name_file,
+    open_file,
     parse_goal_option,
     split_topic,
 )
+from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.recording.topics import COMMAND, POSE
 
 if TYPE_CHECKING:
@@ -44,9 +46,8 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
     """Return the run in a recording, a third-party bag or .mcap, a paper's log, or a table.
 
     Args:
-        path: A file or a bag's folder; a folder with a recording by turtlelog is read as that
-            recording. FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of this topic, and the
-            run's name includes the topic.
+        path: A file or a bag's folder, which may contain a recording. FILE:TOPIC, as in
+            `bag:/odom_kf`, reads the poses of this topic, and the run's name includes the topic.
         options: Fields of a `ReadChoice`: topics to read from third-party files, and whether an
             unfinished recording may be read, with a `PartialRecordingWarning`.
 
@@ -58,24 +59,20 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
         return _read(path, choice)
     choice = replace(choice, pose_topic=topic)
     run = _read(path, choice, names_topic=True)
-    # A topic in the name distinguishes two topics of one bag. A recording by turtlelog keeps its
-    # name.
+    # A topic in the name distinguishes two topics of one bag. A recording keeps its name.
     return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
 
 
 def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run":
     has_tables, is_log = _recognise(path)
-    if names_topic and (has_tables or is_log):
-        found = "tables" if has_tables else "a log"
-        raise LogError(
-            f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
-        )
     if has_tables or is_log:
-        is_own = has_tables and not (is_log and choice.columns)
-        run = _aim(path, _import_tables(path, choice, is_own=is_own), choice)
-        return _note_unused(run, _drop_used(choice, run), "table")
-    # A recording by turtlelog contains more than poses and commands: asking for these loses
-    # nothing.
+        if names_topic:
+            found = "tables" if has_tables else "a log"
+            raise LogError(
+                f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
+            )
+        return _aim(path, _import_tables(path, choice, is_own=has_tables), choice)
+    # Asking for the poses and commands of turtlelog's recordings loses none of their contents.
     pairs = (choice.pose_topic, POSE.name), (choice.command_topic, COMMAND.name)
     is_usual = all(name is None or match_topic(name, {usual}) == usual for name, usual in pairs)
     frames = choice.pose_frame, choice.world_frame
@@ -113,19 +110,18 @@ def _read_bag(path: Path, choice: ReadChoice) -> "Run":
 
 def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
     """Return the run in tables by turtlelog, or else in a log of the paper or a plain table."""
-    if is_own:
-        return log.import_tables(path)
-    # With the user's mapping of columns, a file is no log of the paper.
-    if path.suffix.lower() == ".json" or (not choice.columns and log.is_papers(path)):
-        return log.import_log(path)
-    return log.import_plain_table(
-        path, choice.columns, robot=choice.robot, allow_partial=choice.allow_partial
-    )
-
-
-def _drop_used(choice: ReadChoice, run: "Run") -> ReadChoice:
-    """Return a choice without the robot whose columns were read from a table."""
-    return replace(choice, robot=None) if ROBOT in run.notes else choice
+    # With the user's mapping of columns, a file is a plain table.
+    is_mapped = bool(choice.columns) and not path.is_dir()
+    if is_own and not is_mapped:
+        run = log.import_tables(path)
+    elif path.suffix.lower() == ".json" or (not is_mapped and log.is_papers(path)):
+        run = log.import_log(path)
+    else:
+        run = log.import_plain_table(
+            path, choice.columns, robot=choice.robot, allow_partial=choice.allow_partial
+        )
+    choice = replace(choice, robot=None) if ROBOT in run.notes else choice
+    return _note_unused(run, choice, "table")
 
 
 _OWN_ROBOT: Final = POSE.name.split("/")[1]
@@ -167,10 +163,8 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
     """Return the contents of any file that `read_run` reads.
 
     Args:
-        path: Path of the file. Logs are read completely; other files as by `read_info` and
-            `read_bag_info`.
-        choice: Selection as for `read_run`; only the columns of tables and `allow_partial` are
-            used.
+        path: The file. Logs are read completely; others as by `read_info` and `read_bag_info`.
+        choice: Selection as for `read_run`, of which `columns` and `allow_partial` are used.
 
     Raises:
         LogError: If the file cannot be read; one line with the file and the place.
@@ -194,8 +188,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
             return found  # what a bag does not use depends on its topics, which only reading shows
         unused = describe_unused(choice, "recording")
         return replace(found, notes={**found.notes, UNUSED: unused}) if unused else found
-    run = _import_tables(path, choice, is_own=has_tables and not (is_log and choice.columns))
-    unused = describe_unused(_drop_used(choice, run), "table")
+    run = _import_tables(path, choice, is_own=has_tables)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),
@@ -208,9 +201,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
         parameters=run.parameters,
         topics=(),
         absent=run.absent,
-        notes={"rows": rows}
-        | {name: text for name, text in run.notes.items() if name != CHOSEN}
-        | ({UNUSED: unused} if unused else {}),
+        notes={"rows": rows} | {name: text for name, text in run.notes.items() if name != CHOSEN},
     )
 
 
@@ -230,7 +221,6 @@ def _recognise(path: Path) -> tuple[bool, bool]:
 
 
 def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
-    """Return a run with a note on requested options that its file does not use."""
     unused = describe_unused(choice, kind, run.notes.get("command_topic", ""))
     return replace(run, notes={**run.notes, UNUSED: unused}) if unused else run
 
@@ -255,12 +245,8 @@ _FRAME_NS: Final = 1_000_000_000
 kind."""
 
 _MOST_SKEW: Final = 0.01
-"""Largest entry of R^T R - 1 of a matrix that is accepted as a rotation.
+"""Largest entry of R^T R - 1 of a rotation. The six digits of KITTI's files give 1e-5."""
 
-KITTI's files have six digits after the point, which gives 1e-5; another layout of twelve numbers
-gives about 1."""
-
-_QUATERNION: Final = ("qw", "qx", "qy", "qz")
 _LONGEST_TIMES: Final = 64 * 2**20
 """Largest file of times [bytes]: 2 million lines of 32 bytes, more than 50 hours at 10 Hz."""
 
@@ -292,7 +278,7 @@ def read_trajectory(
             of_robot = log.find_table_robots(table.names).get(choice.robot or "", {})
             columns = {**of_robot, **choice.columns}
             chosen = log.assign_columns(table.names, columns, table.units)
-            if {"t", "x", "y", "z", *_QUATERNION} <= {*chosen}:
+            if {"t", "x", "y", "z", "qx", "qy", "qz", "qw"} <= {*chosen}:
                 return _build_from_table(file, log.Cells(table, chosen, choice.robot))
     bag = None
     if file.exists() and (file.is_dir() or is_bag_file(file)):
@@ -374,10 +360,7 @@ def _read_times(path: Path, count: int) -> NDArray[np.int64]:
         data = stream.read(_LONGEST_TIMES + 1)
         if len(data) > _LONGEST_TIMES:
             raise LogError(f"a file of times has at most {_LONGEST_TIMES // 2**20} MiB")
-        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
-        kept = [
-            (number, line) for number, line in lines if line.strip() and line.lstrip()[0] != "#"
-        ]
+        kept = [*iterate_lines(data.decode("utf-8", errors="replace"), comments=False)]
         if len(kept) != count:
             raise LogError(
                 f"expected a time for each of {describe_count(count, 'pose')}, found"

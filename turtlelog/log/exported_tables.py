@@ -72,8 +72,6 @@ _CLASSES: Final[Mapping[str, Any]] = {"poses": PoseColumns, "commands": CommandC
 _ROWS_GROUPED: Final = 2**16
 """Number of rows of a Parquet file encoded at once; each row takes 160 bytes during encoding."""
 
-_Write = Callable[[Run, str, Path], None]
-
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
     """Write the tables of a run as CSV and return the files. Numbers can be read back exactly.
@@ -105,7 +103,7 @@ def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> t
 
 
 def _export(
-    run: Run, path: Path, suffix: str, table: str | None, write: _Write
+    run: Run, path: Path, suffix: str, table: str | None, write: Callable[[Run, str, Path], None]
 ) -> tuple[Path, ...]:
     if table is not None and table not in TABLES:
         raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
@@ -204,10 +202,7 @@ def import_tables(path: str | Path) -> Run:
 
 
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
-    """Raise an error if the written files do not contain the rows of the run.
-
-    The run in a recording or bag was `read` back; tables are read here.
-    """
+    """Raise an error if written files, of which recordings were `read`, lack rows of the run."""
     if read is not None:
         for name in TABLES:
             _require_same(written[0], name, tabulate_run(run, name), tabulate_run(read, name))
@@ -222,7 +217,6 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
 
 
 def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
-    """Return the name of the table in a file, its columns, and facts of the run."""
     with name_file(path, expected="a table of a run"):
         is_parquet = path.suffix.lower() == ".parquet"
         table, facts = _open_parquet(path) if is_parquet else (_read_csv(path), {})
@@ -256,7 +250,7 @@ def _read_csv(path: Path) -> Table:
         rows = filter(None, csv.reader(text))
         head, count = [*chain(*_take_rows(rows, 0, most=1))], 0
         require_few_columns(len(head))
-        known = _list_known(_find_table(head), head)
+        known = _list_known(head)
         # Rows are parsed in parts and stored as arrays: cells as texts take ten times as much
         # memory.
         parts: dict[str, list[NDArray[Any]]] = {name: [] for name in head if name in known}
@@ -322,7 +316,7 @@ def _open_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
         for key, text in (file.schema.metadata or {}).items()
         if key.startswith(b"turtlelog.")
     }
-    known = _list_known(_find_table(file.schema.names), file.schema.names)
+    known = _list_known(file.schema.names)
     file.require_rows()
     file.require_cells(len(known))
     return _ParquetTable(path, file, [name for name in file.schema.names if name in known]), facts
@@ -351,12 +345,11 @@ class _ParquetTable(Mapping[str, NDArray[Any]]):
         return len(self._names)
 
 
-def _list_known(table: str | None, columns: Sequence[str]) -> set[str]:
-    """Return the existing columns of a table that will be read."""
-    if table is None or table not in _CLASSES:
+def _list_known(columns: Sequence[str]) -> set[str]:
+    kind = _CLASSES.get(_find_table(columns) or "")
+    if kind is None:
         return {*columns}
-    names = _CLASSES[table].__dataclass_fields__
-    return {column for name in names for column in PAIRS.get(name, (name,))}
+    return {column for name in kind.__dataclass_fields__ for column in PAIRS.get(name, (name,))}
 
 
 def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path) -> Run:

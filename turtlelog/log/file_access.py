@@ -1,18 +1,17 @@
-"""Access to files: errors of one line, files that appear when complete, signals held meanwhile."""
+"""Access to files: what to read of them, errors of one line, files that appear when complete."""
 
+import math
 import os
-import signal
 import stat
 import sys
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from io import UnsupportedOperation
 from pathlib import Path
-from types import FrameType
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final, Literal, TypedDict
 
+from turtlelog.display import join_words
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 from turtlelog.files.text_files import LFS_POINTER, describe_missing
 from turtlelog.files.urls import RemotePath, make_path
@@ -39,9 +38,8 @@ class UnfinishedError(DamageError):
 def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
     """Convert errors during reading into a one-line LogError with the file's name.
 
-    For damaged files, libraries raise many kinds of errors: struct.error, KeyError, MemoryError,
-    OverflowError, UnicodeDecodeError, RecursionError and their own. Errors that no file content can
-    cause are defects of turtlelog and are not converted.
+    For damaged files, libraries raise many kinds of errors. Errors that no file content can cause
+    are defects of turtlelog and are not converted.
     """
     try:
         yield
@@ -160,11 +158,7 @@ def _name_beside(target: Path) -> Path:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of killed processes from a folder.
-
-    Use this only if no other process writes to the folder, because that process would lose its
-    temporary files.
-    """
+    """Remove temporary files of killed processes from a folder to which no other process writes."""
     for leftover in folder.glob(".turtlelog-" + "[0-9a-f]" * 12 + ".part"):
         with suppress(OSError):  # a folder, or a file that is being renamed
             leftover.unlink()
@@ -193,7 +187,6 @@ def _put_when_complete(path: RemotePath) -> Iterator[Path]:
 
 
 def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:
-    """Copy owner and permissions of another file, if it exists."""
     try:
         found = source.stat()
     except FileNotFoundError:
@@ -257,10 +250,7 @@ else:
     import fcntl
 
     def mark_live(stream: BinaryIO) -> None:
-        """Lock a file while it is open, so that `is_live` detects it, if the system can lock files.
-
-        Readers are not affected; only programs that test the lock see it.
-        """
+        """Lock a file while it is open, if the system can, so that `is_live` detects it."""
         try:
             fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (UnsupportedOperation, OSError):
@@ -278,102 +268,180 @@ else:
         return False
 
 
-Handler = Callable[[int, FrameType | None], object]
+TimeSource = Literal["auto", "log", "stamp"]
+"""Source of pose times: the recorder's clock, stamps mapped to it, or chosen from the bag
+(`auto`)."""
 
 
-def _find_signals(*names: str) -> tuple[signal.Signals, ...]:
-    """Return the signals with these names that exist, because Windows lacks some."""
-    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+class ReadOptions(TypedDict, total=False):
+    """The fields of a `ReadChoice`, as arguments by name."""
+
+    pose_topic: str | None
+    command_topic: str | None
+    path_topic: str | None
+    pose_frame: str | None
+    world_frame: str | None
+    goal: tuple[float, ...] | None
+    time: TimeSource
+    robot: str | None
+    wheel_joints: str | None
+    wheels: tuple[float, ...] | None
+    wheelbase: float | None
+    columns: Mapping[str, str]
+    allow_partial: bool
+    allow_no_poses: bool
 
 
-_KEYBOARD: Final = _find_signals("SIGINT", "SIGQUIT")
-_REQUESTS: Final = _find_signals("SIGTERM", "SIGHUP")
-_STOPS: Final = (*_KEYBOARD, *_REQUESTS)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadChoice:
+    """Topics, frames and times to read from third-party files; options for incomplete files.
 
-
-@dataclass(slots=True)
-class StopRequest:
-    """A request to end the program: the number of the signal; None if none has arrived."""
-
-    signal_number: int | None = None
-
-
-@contextmanager
-def catch_stop() -> Iterator[StopRequest]:
-    """Record SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending; a second signal interrupts.
-
-    The block checks the yielded request at suitable times. If SIGTERM or SIGHUP was ignored before,
-    as under `nohup`, it stays ignored. SIGINT and SIGQUIT are handled in any case, because a shell
-    ignores them for every background job of a script. Outside the main thread, where Python
-    delivers no signals, nothing changes.
+    Attributes:
+        pose_topic: Topic of the poses. Default of all topics: chosen by types and names.
+        command_topic: Topic of the commands.
+        path_topic: Topic of the path to follow.
+        pose_frame: The robot's frame, for poses from transforms.
+        world_frame: Reference frame, for poses from transforms.
+        goal: Goal x, y [m] and optionally heading [rad]. Default: the goal in the file.
+        time: Clock that times the poses.
+        robot: Name of one of several robots, as in the topic `/robot2/odom` or column `robot2_x`.
+        wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
+            `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
+        wheels: Radius of the wheels and track between them [m].
+        wheelbase: Distance between the axles [m], for converting Ackermann commands to turn rates.
+        columns: Columns of a plain table, by quantity (`t`, `x`, `y`, `heading` ...). Each value is
+            the column name, with a unit in brackets if the name has no unit (`yaw [deg]`).
+        allow_partial: Whether to read the intact part of an unfinished or damaged recording.
+        allow_no_poses: Whether to read a bag that contains only commands as a run without poses.
     """
-    request = StopRequest()
 
-    def note(number: int, _frame: FrameType | None) -> None:
-        if request.signal_number is not None:
-            raise KeyboardInterrupt
-        request.signal_number = number
+    pose_topic: str | None = None
+    command_topic: str | None = None
+    path_topic: str | None = None
+    pose_frame: str | None = None
+    world_frame: str | None = None
+    goal: tuple[float, ...] | None = None
+    time: TimeSource = "auto"
+    robot: str | None = None
+    wheel_joints: str | None = None
+    wheels: tuple[float, ...] | None = None
+    wheelbase: float | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    allow_partial: bool = False
+    allow_no_poses: bool = False
 
-    ignored = [number for number in _REQUESTS if signal.getsignal(number) == signal.SIG_IGN]
-    with _handle(note, [number for number in _STOPS if number not in ignored]):
-        yield request
+    def override(self, other: "ReadChoice") -> "ReadChoice":
+        """Return this choice with the settings of another choice added; columns are merged."""
+        asked = {name: getattr(other, name) for name in other.list_given()}
+        return replace(self, **asked | {"columns": {**self.columns, **other.columns}})
+
+    def list_given(self) -> list[str]:
+        """Return the names of the options that differ from their defaults."""
+        return [name for name, usual in _USUAL.items() if getattr(self, name) != usual]
 
 
-@contextmanager
-def hold_stop() -> Iterator[None]:
-    """Delay the signals of `catch_stop` until the block ends."""
-    held: list[int] = []
-    try:
-        with _handle(lambda number, _frame: held.append(number), _STOPS):
-            yield
-    finally:
-        for number in dict.fromkeys(held):
-            signal.raise_signal(number)
+CHOSEN: Final = "chosen"
+"""Name of a one-line note on the chosen topics. The note is shown on request and never recorded."""
+
+ROBOT: Final = "robot"
+"""Name of a note on the robot whose columns were read, of several in a table."""
+
+RESTARTS: Final = "restarts"
+"""Name of the note on times that start again, as of two runs one below the other."""
+
+CLOCK_SET: Final = "clock_set"
+"""Name of the note on steps of the recorder's clock."""
+
+UNUSED: Final = "unused"
+"""Name of a one-line note on options that a file does not use. The note is never recorded."""
+
+FileKind = Literal["table", "recording", "bag"]
+
+_USUAL: Final = {name: getattr(ReadChoice(), name) for name in ReadOptions.__annotations__}
+
+_OF_TABLES: Final = ("columns",)
+_OF_EVERY_FILE: Final = ("goal", "allow_partial", "allow_no_poses")
+_OF_BAGS: Final = tuple(name for name in _USUAL if name not in {*_OF_TABLES, *_OF_EVERY_FILE})
 
 
-@contextmanager
-def exit_on_terminate() -> Iterator[None]:
-    """Make SIGTERM, SIGHUP and SIGQUIT raise an exception in the block, so that files are finished.
+def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
+    """Return one line on the options that a file does not use, and why; empty without such options.
 
-    Ctrl-C raises an exception by default. Existing settings by `nohup` or a handler stay. On
-    Windows, only a console sends SIGTERM; ending a task kills the process.
+    Recordings have one clock and turn rates as commands; `commands` are topic and type in a bag.
     """
-    signals = _find_defaults((*_REQUESTS, *_KEYBOARD))
-    with _handle(lambda number, _frame: sys.exit(128 + number), signals):
-        yield
+    given = choice.list_given()
+    of_recording = (*_OF_TABLES, "time", "wheelbase")
+    never = {"table": _OF_BAGS, "recording": of_recording, "bag": _OF_TABLES}[kind]
+    reasons = {"table": "this is a table", "recording": "this is a turtlelog recording"}
+    parts = []
+    if names := [name for name in given if name in never]:
+        texts = [
+            f"--column {', '.join(choice.columns)}"
+            if name == "columns"
+            else f"--{name.replace('_', '-')}"
+            for name in names
+        ]
+        verb = "is" if len(texts) == 1 else "are"
+        reason = reasons.get(kind, "this is no table")
+        parts.append(f"{join_words(texts)} {verb} not used: {reason}")
+    if kind == "bag" and "wheelbase" in given and "ackermann_msgs" not in commands:
+        found = f"the commands on {commands} are turn rates"
+        parts.append(f"--wheelbase is not used: {found if commands else 'no commands were read'}")
+    return "; ".join(parts)
 
 
-@contextmanager
-def interrupt_on_quit() -> Iterator[None]:
-    """Make SIGQUIT act like Ctrl-C if the default action of SIGQUIT is set."""
-    with _handle(signal.default_int_handler, _find_defaults(_find_signals("SIGQUIT"))):
-        yield
+def split_topic(path: str | Path) -> tuple[Path, str | None]:
+    """Return the file and the topic of its poses in FILE:TOPIC, as in `bag:/odom_kf`.
+
+    An existing file with the whole name has priority. The slash of the topic is optional.
+    """
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        return path.split_topic()
+    text = path.as_posix()
+    head, colon, _ = text.rpartition(":")
+    while colon and not path.exists():
+        topic = text[len(head) + 1 :]
+        if head and topic and Path(head).exists():
+            return Path(head), topic
+        head, colon, _ = head.rpartition(":")
+    return path, None
 
 
-def _find_defaults(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:
-    return [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
+def match_topic(asked: str, names: Collection[str]) -> str:
+    """Return the topic with a name, with or without leading slash; or else the name itself."""
+    other = asked.removeprefix("/") if asked.startswith("/") else f"/{asked}"
+    return other if asked not in names and other in names else asked
 
 
-@contextmanager
-def _handle(handler: Handler, numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Set a handler during the block, only in the main thread, because Python allows no other."""
-    before = {}
-    try:
-        if threading.current_thread() is threading.main_thread():
-            for number in numbers:
-                before[number] = signal.getsignal(number)
-                if before[number] is not None:  # None: set outside Python
-                    signal.signal(number, handler)
-        yield
-    finally:
-        try:
-            _restore(before)
-        except BaseException:  # restored handlers may raise an error before the others are restored
-            _restore(before)
-            raise
+def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
+    """Return position [m] and heading [rad] of a requested goal; None for a missing heading."""
+    if len(goal) not in {2, 3} or not all(map(math.isfinite, goal)):
+        raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
+    x_m, y_m, *heading_rad = map(float, goal)
+    return (x_m, y_m), heading_rad[0] if heading_rad else None
 
 
-def _restore(before: Mapping[signal.Signals, Any]) -> None:
-    for number, previous in before.items():
-        if previous is not None:
-            signal.signal(number, previous)
+def parse_joints(text: str) -> tuple[str, str]:
+    """Return the names of the left and the right wheel."""
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise LogError(f"wheel_joints: expected LEFT,RIGHT, two joints, found {text[:60]}")
+    return names[0], names[1]
+
+
+def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
+    """Return the radius of wheels and the distance between them [m]."""
+    if len(values) != 2 or not all(0.0 < value < math.inf for value in values):
+        raise LogError(
+            f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
+            f" {values!r:.60}"
+        )
+    return float(values[0]), float(values[1])
+
+
+def parse_wheelbase(value: float) -> float:
+    """Return the distance between the axles [m]."""
+    if not 0.0 < value < math.inf:
+        raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
+    return float(value)

@@ -1,7 +1,4 @@
-"""Contents of a file: from its summary if possible, otherwise by counting its messages.
-
-`describe_bag` writes the contents of the files of a bag as its metadata.yaml.
-"""
+"""Contents of a file: from its summary if possible, otherwise by counting its messages."""
 
 import json
 import re
@@ -199,7 +196,6 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
 
 
 def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
-    """Return the info with the metadata of a turtlelog recording."""
     metadata = {found.name: found for found in survey.records if isinstance(found, Metadata)}
     if HEAD not in metadata:
         return replace(info, absent=list_absent(info.topics))
@@ -228,11 +224,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
 
 
 def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
-    """Return the fields of `Run` that third-party files do not have.
-
-    Only turtlelog's metadata contain the scenario and the stop reason. The topics of poses and
-    commands are known only after reading; if no message can be decoded, there are none.
-    """
+    """Return the fields of `Run` that third-party files do not have, as far as topics show it."""
     present = [found for found in topics if found.count]
     held = {found.topic for found in present}
     places = {"samples": CONTROL, "goal_xy_m": GOAL, "goal_heading_rad": GOAL}
@@ -265,12 +257,7 @@ def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
 
 
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
-    """Return the contents of an MCAP file. An unfinished file is read as far as possible.
-
-    Raises:
-        LogError: If the file is not MCAP.
-        DamageError: If the file is finished, but the part that is read is damaged.
-    """
+    """Return the contents of an MCAP file. An unfinished file is read as far as possible."""
     try:
         return _survey_source(stream)
     except DamageError as err:
@@ -304,10 +291,9 @@ def _walk(
     """Add the contents of all readable segments; segments with invalid records are skipped."""
 
     def take(section: Section) -> None:
-        byte, is_chunk = section.start, section.is_chunk
-        stretch = take_walked(section.data, byte, allowance, is_chunk=is_chunk)
-        others = parse_others(stretch, byte)
-        survey.catalogue.add(others, byte)
+        stretch = take_walked(section, allowance)
+        others = parse_others(stretch, section.start)
+        survey.catalogue.add(others, section.start)
         survey.records += [found for found in others if isinstance(found, Metadata | Attachment)]
         for _, heads in stretch.iterate_rows():
             survey.count(heads["channel"], heads["log_time"])
@@ -316,99 +302,61 @@ def _walk(
         pass
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BagTopic:
-    """A topic of a bag: name, message type, hash of the type, number of messages."""
-
-    name: str
-    type: str
-    type_hash: str
-    count: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BagPart:
-    """A file of a bag: name, time of the first message [ns], duration [ns], number of messages."""
-
-    name: str
-    start_ns: int
-    duration_ns: int
-    count: int
-
-
 def describe_bag(files: Sequence[Path], compression: str = "") -> str:
-    """Return the metadata.yaml text of a bag of complete MCAP files, in order of time."""
-    topics: dict[tuple[str, str], BagTopic] = {}
-    parts = []
+    """Return the metadata.yaml of a bag of complete MCAP files, in order of time."""
+    surveys = []
     for file in files:
         with file.open("rb") as stream:
-            survey = survey_file(stream)
-        schemas = survey.catalogue.schemas
-        for number, channel in sorted(survey.catalogue.channels.items()):
-            schema = schemas.get(channel.schema_id)
-            topic = BagTopic(
-                name=channel.topic,
-                type=schema.name if schema else "",
-                type_hash=channel.metadata.get("topic_type_hash", ""),
-                count=survey.counts.get(number, 0),
-            )
-            known = topics.setdefault((topic.name, topic.type), topic)
-            if known is not topic:
-                topics[topic.name, topic.type] = replace(known, count=known.count + topic.count)
-        start_ns, end_ns = survey.span_ns or (0, 0)
-        count = sum(survey.counts.values())
-        parts.append(
-            BagPart(name=file.name, start_ns=start_ns, duration_ns=end_ns - start_ns, count=count)
-        )
-    return format_bag_metadata(parts, [*topics.values()], compression=compression)
+            surveys.append((file.name, survey_file(stream)))
+    return format_bag_metadata(surveys, compression)
 
 
-def format_bag_metadata(
-    files: Sequence[BagPart], topics: Sequence[BagTopic], *, compression: str = ""
-) -> str:
+def format_bag_metadata(files: Sequence[tuple[str, Survey]], compression: str = "") -> str:
     """Return the metadata.yaml of a bag of MCAP files.
 
     Version 8 is the newest with quality of service as text, which Humble and Jazzy both read. An
     empty text, as in the file's channels, lets the player choose. Readers of earlier format
     versions skip the keys that later versions added.
-
-    Args:
-        files: Files in order of time.
-        topics: Topics of all files.
-        compression: `message` if rosbag2 compressed messages one by one.
     """
-    start_ns = min(part.start_ns for part in files)
-    end_ns = max(part.start_ns + part.duration_ns for part in files)
-    count = sum(topic.count for topic in topics)
-    lines = ["version: 8", "storage_identifier: mcap"]
-    lines += [*_format_span(start_ns, end_ns - start_ns, count), "topics_with_message_count:"]
-    for topic in topics:
-        type_hash = topic.type_hash or '""'
+    counts, hashes = Counter[tuple[str, str]](), dict[tuple[str, str], str]()
+    spans_ns, parts = list[tuple[int, int]](), list[str]()
+    for file, survey in files:
+        schemas = survey.catalogue.schemas
+        for number, channel in sorted(survey.catalogue.channels.items()):
+            schema = schemas.get(channel.schema_id)
+            topic = channel.topic, schema.name if schema else ""
+            counts[topic] += survey.counts.get(number, 0)
+            hashes.setdefault(topic, channel.metadata.get("topic_type_hash", ""))
+        spans_ns.append(survey.span_ns or (0, 0))
+        span = _format_span(spans_ns[-1:], survey.counts.total())
+        parts += [f"  - path: {_quote(file)}", *(f"    {line}" for line in span)]
+    lines = ["version: 8", "storage_identifier: mcap", *_format_span(spans_ns, counts.total())]
+    lines.append("topics_with_message_count:")
+    for (name, kind), count in counts.items():
+        type_hash = hashes[name, kind] or '""'
         lines += [
             "  - topic_metadata:",
-            f"      name: {_format_text(topic.name)}",
-            f"      type: {_format_text(topic.type)}",
+            f"      name: {_format_text(name)}",
+            f"      type: {_format_text(kind)}",
             "      serialization_format: cdr",
             '      offered_qos_profiles: ""',
             f"      type_description_hash: {type_hash}",
-            f"    message_count: {topic.count}",
+            f"    message_count: {count}",
         ]
     codec, mode = ("zstd", compression.upper()) if compression else ('""', '""')
     lines += [f"compression_format: {codec}", f"compression_mode: {mode}"]
-    lines += ["relative_file_paths:", *(f"  - {_quote(part.name)}" for part in files), "files:"]
-    for part in files:
-        span = _format_span(part.start_ns, part.duration_ns, part.count)
-        lines += [f"  - path: {_quote(part.name)}", *(f"    {line}" for line in span)]
-    lines += ["custom_data: ~", 'ros_distro: ""']
+    lines += ["relative_file_paths:", *(f"  - {_quote(file)}" for file, _ in files)]
+    lines += ["files:", *parts, "custom_data: ~", 'ros_distro: ""']
     return "\n".join([f"{METADATA_ROOT}:", *(f"  {line}" for line in lines), ""])
 
 
-def _format_span(start_ns: int, duration_ns: int, count: int) -> list[str]:
+def _format_span(spans_ns: Sequence[tuple[int, int]], count: int) -> list[str]:
+    start_ns = min(start for start, _ in spans_ns)
     return [
         "starting_time:",
         f"  nanoseconds_since_epoch: {start_ns}",
         "duration:",
-        f"  nanoseconds: {duration_ns}",
+        f"  nanoseconds: {max(end for _, end in spans_ns) - start_ns}",
         f"message_count: {count}",
     ]
 
@@ -418,5 +366,4 @@ def _format_text(value: str) -> str:
 
 
 def _quote(value: str) -> str:
-    """Return text in quotes, so that YAML reads it as text."""
     return "'" + value.replace("'", "''") + "'"

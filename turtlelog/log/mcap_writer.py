@@ -1,8 +1,7 @@
 """Writing of topics or MCAP records: header, chunks with indexes, summary and checksums.
 
-Every chunk contains the schemas and channels of its messages, so that the chunk can be read alone.
-The mcap library's writer writes schemas and channels once, and takes messages one by one. Therefore
-chunks and summary are assembled here from the library's records.
+Every chunk contains the schemas and channels of its messages, so that it can be read alone. The
+mcap library's writer writes these once, and takes messages one by one.
 """
 
 import os
@@ -12,7 +11,7 @@ from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path, PurePath
 from struct import Struct
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 import zstandard
@@ -49,8 +48,7 @@ from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 LIBRARY: Final = f"turtlelog/{__version__}"
 """Name of the program, written to the header of each file."""
 
-_NOTHING: Final[Mapping[str, Mapping[str, str]]] = {}
-_NO_FILES: Final[Mapping[str, bytes]] = {}
+_NOTHING: Final[Mapping[str, Any]] = {}
 
 _COMPRESSION: Final = "zstd"
 _INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
@@ -70,7 +68,7 @@ def write_columns(
     *,
     definitions: Mapping[str, str] | None = None,
     metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
-    attachments: Mapping[str, bytes] = _NO_FILES,
+    attachments: Mapping[str, bytes] = _NOTHING,
 ) -> None:
     """Write topics as an MCAP file in order of log time. Equal columns give identical files.
 
@@ -78,8 +76,7 @@ def write_columns(
         topics: Topics, as from `read_columns`. Missing fields are 0 or empty. Messages with equal
             times have the order of the topics.
         path: Path of the file, which is replaced when the new file is complete.
-        definitions: The `ros2msg` text of every message type. Default: the types of turtlelog's
-            recordings.
+        definitions: The `ros2msg` text of every message type. Default: turtlelog's types.
         metadata: Metadata records by name.
         attachments: Attached files by name.
 
@@ -145,17 +142,18 @@ class ChunkRows:
     Attributes:
         channels: Channels of the messages, with their schemas, if any.
         records: Message records, one after the other.
-        index: By channel number: log time [ns] and offset in `records` of each message, shape (n,
-            2).
-        start_ns: Least log time [ns].
-        end_ns: Greatest log time [ns].
+        index: By channel number: log time [ns] and offset of each message, shape (n, 2).
     """
 
     channels: Sequence[tuple[Schema | None, Channel]]
     records: bytes | bytearray | memoryview
     index: Mapping[int, NDArray[np.uint64]]
-    start_ns: int
-    end_ns: int
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Least and greatest log time [ns]."""
+        times = [entries[:, 0] for entries in self.index.values()]
+        return min(int(of.min()) for of in times), max(int(of.max()) for of in times)
 
 
 @dataclass(slots=True)
@@ -172,6 +170,7 @@ class _Summary:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _PackedChunk:
     rows: ChunkRows
+    span_ns: tuple[int, int]
     record: bytes  # record of the chunk
     indexes: Sequence[bytes]  # records of the chunk's message indexes
     compressed_size: int
@@ -237,10 +236,7 @@ class McapFile:
         self._append(_pack_chunk(rows))
 
     def add_chunks(self, chunks: Iterable[ChunkRows]) -> None:
-        """Write chunks in order, with the same bytes as from `add_chunk`.
-
-        Threads compress the chunks.
-        """
+        """Write chunks in order, with the same bytes as from `add_chunk`. Threads compress them."""
         chunks = iter(chunks)
         few = list(islice(chunks, 2))
         # zstd and the checksum release the interpreter lock.
@@ -249,7 +245,7 @@ class McapFile:
             self._append(packed)
 
     def _append(self, packed: _PackedChunk) -> None:
-        rows, start = packed.rows, self.end
+        rows, start, (start_ns, end_ns) = packed.rows, self.end, packed.span_ns
         ends = np.cumsum([start + len(packed.record), *map(len, packed.indexes)]).tolist()
         self._write(b"".join((packed.record, *packed.indexes)))
         index = ChunkIndex(
@@ -257,14 +253,14 @@ class McapFile:
             chunk_start_offset=start,
             compression=_COMPRESSION,
             compressed_size=packed.compressed_size,
-            message_end_time=rows.end_ns,
+            message_end_time=end_ns,
             message_index_length=ends[-1] - ends[0],
             message_index_offsets=dict(zip(rows.index, ends, strict=False)),
-            message_start_time=rows.start_ns,
+            message_start_time=start_ns,
             uncompressed_size=packed.uncompressed_size,
         )
         self._summary.chunks.append(join_records([index]))
-        self._summary.spans_ns.append((rows.start_ns, rows.end_ns))
+        self._summary.spans_ns.append(packed.span_ns)
         for schema, channel in rows.channels:
             if schema is not None:
                 self._summary.schemas[schema.id] = schema
@@ -330,16 +326,18 @@ def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
     records = {number: join_records([record]) for number, record in built.items()}
     front = b"".join([records[id(record)] for record in described])
     data = b"".join((front, rows.records))
+    start_ns, end_ns = rows.span_ns
     chunk = Chunk(
         compression=_COMPRESSION,
         data=zstandard.ZstdCompressor().compress(data),
-        message_start_time=rows.start_ns,
-        message_end_time=rows.end_ns,
+        message_start_time=start_ns,
+        message_end_time=end_ns,
         uncompressed_crc=zlib.crc32(data),
         uncompressed_size=len(data),
     )
     return _PackedChunk(
         rows=rows,
+        span_ns=(start_ns, end_ns),
         record=join_records([chunk]),
         indexes=[_format_index(*entries, len(front)) for entries in rows.index.items()],
         compressed_size=len(chunk.data),
@@ -362,17 +360,14 @@ def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> byte
 
 
 def _cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
-    """Yield chunks of all records in order of log time; at equal times, channel by channel.
-
-    The records of each channel are in order of log time. A record larger than a chunk gets its own.
-    """
+    """Yield chunks of all records in order of log time; at equal times, channel by channel."""
     filled = [content for content in channels if len(content.sizes)]
     if not filled:
         return
     times = np.concatenate([content.log_time_ns for content in filled])
     sizes = np.concatenate([content.sizes for content in filled])
     order = np.argsort(times, kind="stable")
-    ends, times = np.cumsum(sizes[order]), times[order]
+    ends = np.cumsum(sizes[order])
     starts = np.empty_like(ends)
     starts[order] = ends - sizes[order]
     borders = np.cumsum([len(content.sizes) for content in filled])[:-1]
@@ -382,15 +377,12 @@ def _cut_chunks(channels: Sequence[ChannelRecords]) -> Iterator[ChunkRows]:
         after = int(np.searchsorted(ends, start + CHUNK_BYTES, side="right"))
         last = max(after - 1, first)
         end = int(ends[last])
-        yield _fill_chunk(placed, start, end, (int(times[first]), int(times[last])))
+        yield _fill_chunk(placed, start, end)
         first, start = last + 1, end
 
 
 def _fill_chunk(
-    placed: Sequence[tuple[ChannelRecords, Numbers]],
-    start: int,
-    end: int,
-    times_ns: tuple[int, int],
+    placed: Sequence[tuple[ChannelRecords, Numbers]], start: int, end: int
 ) -> ChunkRows:
     """Return the records from `start` to `end` in the stream of channels with these starts."""
     buffer = bytearray(end - start)
@@ -404,9 +396,7 @@ def _fill_chunk(
         entries = np.column_stack([content.log_time_ns[first:after], places])
         index[content.channel.id] = entries.astype(np.uint64)
         channels.append((content.schema, content.channel))
-    return ChunkRows(
-        channels=channels, records=buffer, index=index, start_ns=times_ns[0], end_ns=times_ns[1]
-    )
+    return ChunkRows(channels=channels, records=buffer, index=index)
 
 
 def _scatter(
@@ -431,10 +421,6 @@ def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> C
     """Return the messages of a topic as records in order of log time.
 
     The columns may have any order of time. Missing fields are 0 or empty.
-
-    Raises:
-        LogError: If a column is not a field of the type, has another length, or does not fit its
-            field.
     """
     kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout

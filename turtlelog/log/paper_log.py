@@ -117,10 +117,7 @@ def _build_columns(
 def _build_run(
     columns: _Columns, states: _Whole, *, sort: bool, parameters: Mapping[str, float], **facts: Any
 ) -> Run:
-    """Return the run in a log; its name, source, absent fields and notes are `facts`.
-
-    The log contains no stop reason, so a complete run gets `finished`.
-    """
+    """Return the run in a log; its name, source, absent fields and notes are `facts`."""
     notes, absent = {**facts.pop("notes", {}), "pose_times": _POSE_TIMES}, facts.pop("absent")
     if sort:
         columns, states, counts = _sort_rows(columns, states)
@@ -181,7 +178,6 @@ def _find_goal(parameters: Mapping[str, float], columns: _Columns) -> tuple[floa
 
 
 def _sort_rows(columns: _Columns, states: _Whole) -> tuple[_Columns, _Whole, dict[str, str]]:
-    """Drop duplicate rows, sort the others by time, and count both changes."""
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))
     time = columns["time"][firsts]

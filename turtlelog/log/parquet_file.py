@@ -1,11 +1,11 @@
 """Reading of Parquet files as Arrow tables, checked before reading, without threads.
 
-By default pyarrow reads a Python stream in threads of its own. Such a thread may continue after the
-answer, and then ends the process with SIGABRT when Python exits.
+In a thread of its own, pyarrow may go on after the answer, and then ends the process with SIGABRT
+when Python exits.
 
-The footer and the headers of pages are counted before Arrow allocates memory. They are structs in
-Thrift's compact protocol. A footer of 900 kB can name 300,000 columns, which take 210 MB in Arrow.
-A page of 100 bytes can unpack to gigabytes, whatever the footer claims.
+The footer and the headers of pages, structs in Thrift's compact protocol, are counted before Arrow
+allocates memory. A footer of 900 kB can name 300,000 columns, which take 210 MB in Arrow. A page of
+100 bytes can unpack to gigabytes, whatever the footer claims.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,10 +45,8 @@ _FOOTER_PARTS: Final = (2**16, 1 / 128)
 takes 740 bytes in Arrow, and at least 100 in a file by other programs."""
 
 _REMOTE_FOOTER_BYTES: Final = 2**23
-"""Largest footer behind a URL, where the server may claim any file size [bytes].
-
-Reading, copying and decoding the footer takes up to 80 MB.
-"""
+"""Largest footer behind a URL [bytes]: a server may claim any file size, and reading takes 80
+MB."""
 _REMOTE_FOOTER_PARTS: Final = 2**17
 """Largest number of structs in a footer behind a URL; they take up to 100 MB in Arrow."""
 
@@ -109,8 +107,7 @@ class ParquetFile:
         """Read the footer.
 
         Raises:
-            LogError: If the file is not Parquet, or exceeds limits. The message does not contain
-                the file's name.
+            LogError: If the file is not Parquet, or exceeds limits; without the file's name.
             LibraryError: If pyarrow is not installed.
         """
         self._path = make_path(path)
@@ -121,14 +118,10 @@ class ParquetFile:
             # The size that a server claims does not raise any limit.
             self._believed = min(self._size, SMALL_FILE - 1) if is_remote else self._size
             self._advice = _DOWNLOAD if is_remote else ""
-            most_bytes = grow_bound(_FOOTER_BYTES, self._size)
-            most_parts = grow_bound(_FOOTER_PARTS, self._size)
-            footer = _read_footer(
-                stream,
-                min(most_bytes, _REMOTE_FOOTER_BYTES) if is_remote else most_bytes,
-                min(most_parts, _REMOTE_FOOTER_PARTS) if is_remote else most_parts,
-                self._advice,
-            )
+            most = grow_bound(_FOOTER_BYTES, self._size), grow_bound(_FOOTER_PARTS, self._size)
+            if is_remote:
+                most = min(most[0], _REMOTE_FOOTER_BYTES), min(most[1], _REMOTE_FOOTER_PARTS)
+            footer = _read_footer(stream, *most, self._advice)
             depth = _measure_depth([element.get(5, 0) for element in footer.get(2, [])])
             if depth > _DEEPEST:
                 raise LogError(
@@ -139,9 +132,8 @@ class ParquetFile:
             try:
                 self.metadata = parquet.read_metadata(stream)
             except (OSError, ValueError) as err:  # Arrow raises its own subclasses of these
-                raise _damage(
-                    "a footer that is damaged; copy the file again from its source"
-                ) from err
+                advice = "copy the file again from its source"
+                raise _damage(f"a footer that is damaged; {advice}") from err
         self.schema = self.metadata.schema.to_arrow_schema()
         groups = footer.get(4, [])
         self._chunks = [[*map(_read_chunk, group.get(1, []))] for group in groups]
@@ -158,8 +150,7 @@ class ParquetFile:
         Names have dots for columns within structs. Default: all columns.
 
         Raises:
-            LogError: If the columns need too much memory. The message does not contain the file's
-                name.
+            LogError: If the columns need too much memory; without the file's name.
         """
         starts = None if names is None else tuple(f"{name}." for name in names)
         places = [
@@ -184,8 +175,7 @@ class ParquetFile:
         A long table behind a URL is fetched completely before its number of rows is trusted.
 
         Raises:
-            LogError: If there are too many rows. The message contains the number of rows, the limit
-                and advice, but not the file's name.
+            LogError: If there are too many rows; without the file's name.
         """
         most = count_most_rows(self._size)
         if self.row_count > most:
@@ -237,10 +227,8 @@ _PAGE_HEAD: Final = 2**12
 _LONGEST_PAGE_HEAD: Final = 2**20
 
 _Wanted = Mapping[int, Any]
-"""Wanted fields of a struct by number.
-
-The value is None for a whole number, a mapping for a struct, and a list of one mapping for a list
-of structs."""
+"""Wanted fields of a struct by number: None for a whole number, a mapping for a struct, and a list
+of one mapping for a list of structs."""
 
 _FOOTER: Final[_Wanted] = {
     2: [{5: None}],  # the schema: children
@@ -269,10 +257,7 @@ def _damage(found: str) -> DamageError:
 def _read_footer(
     stream: BinaryIO, most_bytes: int, most_parts: int, advice: str
 ) -> Mapping[int, Any]:
-    """Return the wanted fields of a footer with limited bytes, and columns, groups and others.
-
-    `advice` ends the line about a footer of too many bytes.
-    """
+    """Return the wanted fields of a footer within limits; `advice` ends an error about them."""
     size = stream.seek(0, 2)
     stream.seek(max(size - _ENDING, 0))
     ending = stream.read(_ENDING)

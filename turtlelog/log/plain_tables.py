@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import CHOSEN, RESTARTS, ROBOT, name_file
 from turtlelog.log.planar_poses import (
     HEADINGS,
     Values,
@@ -25,9 +25,9 @@ from turtlelog.log.planar_poses import (
     fits_degrees,
     lift_poses,
     separate_times,
+    sort_rows,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
 from turtlelog.log.ros2.reported_motion import (
     PATH_NOTE,
     RATE_NOTE,
@@ -145,7 +145,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **_read_rotation(cells),
         **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
     }
-    time_ns, values, notes = _order_rows(cells.time_ns, values)
+    time_ns, values, notes = sort_rows(cells.time_ns, values)
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -198,7 +198,6 @@ def _list_contradictions(
     *,
     is_flat: bool,
 ) -> dict[str, str]:
-    """Return notes on times, units, headings and rates that the poses contradict."""
     used = [poses["x"], poses["y"], poses["heading"]]
     used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
     if max(float(np.abs(column).max()) for column in used) > _LARGEST:
@@ -238,26 +237,6 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
 
 
-def _order_rows(
-    time_ns: NDArray[np.int64], values: Mapping[str, Values]
-) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
-    """Return the rows sorted by time without duplicates, and notes on the changes."""
-    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
-    if late:
-        order = np.argsort(time_ns, kind="stable")
-        time_ns = time_ns[order]
-        values = {name: column[order] for name, column in values.items()}
-    twice = np.flatnonzero(time_ns[1:] == time_ns[:-1])
-    for column in values.values():
-        bits = column.view(np.int64)
-        twice = twice[bits[twice] == bits[twice + 1]]
-    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
-    if len(twice):
-        time_ns = np.delete(time_ns, twice + 1)
-        values = {name: np.delete(column, twice + 1) for name, column in values.items()}
-    return time_ns, dict(values), notes
-
-
 def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:
     """Return a command for each row that contains one; missing columns are 0, and absent."""
     zeros = np.zeros(len(time_ns))
@@ -275,7 +254,6 @@ def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) ->
 def _describe_gaps(
     values: Mapping[str, Values], has_pose: NDArray[np.bool_], commands: CommandColumns
 ) -> dict[str, str]:
-    """Return notes on rows with missing values."""
     notes, rows = {}, len(has_pose)
     if missing := rows - int(has_pose.sum()):
         notes["rows_without_pose"] = f"{missing} of {rows}"
@@ -289,8 +267,7 @@ def _describe_gaps(
 
 
 _LONGEST_STEP_S: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown [s]: nobody
-records a drive every quarter of an hour."""
+"""Largest usual step between rows that is read as seconds if the unit is unknown [s]."""
 
 _WRAPS_DEG: Final = (330.0, 361.0)
 """Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
@@ -369,10 +346,7 @@ class Cells:
         self._lines = [self._lines[row] for row in rows]
 
     def _find_runs(self, time_ns: NDArray[np.int64]) -> list[slice]:
-        """Return the rows of each run, judged by rows with a position.
-
-        In joined tables, rows of commands alone may be below those of poses.
-        """
+        """Return the rows of each run, judged by positions: commands may stand below poses."""
         if "x" not in self.chosen or not (np.diff(time_ns) < 0).any():
             return [slice(0, len(time_ns))]
         placed = np.flatnonzero(np.isfinite(self._parse(self.chosen["x"])))
@@ -381,7 +355,6 @@ class Cells:
         return [*map(slice, edges[:-1], edges[1:])]
 
     def _describe_restart(self, runs: Sequence[slice]) -> str:
-        """Return a sentence on a table with several runs, of which one is read."""
         lines, word, rows = self._lines, self.table.word, self._rows
         left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
         return (
@@ -445,7 +418,6 @@ class Cells:
         return numbers
 
     def _assume_unit(self, choice: Choice, numbers: Values) -> str:
-        """Return the assumed unit of a column without a given unit."""
         usual = next(iter(choice.units))
         if QUANTITIES[choice.field] == "number":
             return usual

@@ -1,7 +1,4 @@
-"""Poses in the plane: from messages of any type and from quaternions, with what the plane loses.
-
-Headings are judged by the direction of travel.
-"""
+"""Poses in the plane, from messages and quaternions; headings judged by the direction of travel."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -110,11 +107,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
 
 
 def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
-    """Return the fields of a pose in an unknown type, by their names; None without such fields.
-
-    Known fields are position and orientation, translation and rotation (quaternions), and x, y with
-    theta, heading or yaw. The name of an angle in degrees ends in `_deg`.
-    """
+    """Return the fields of a pose in an unknown type, by their names (`_deg`: in degrees)."""
     places = [name[:-1] for name in fields if name == "x" or name.endswith(".x")]
     for place in (place for place in places if f"{place}y" in fields):
         home = place.removesuffix("position.").removesuffix("translation.")
@@ -137,10 +130,7 @@ def read_twist(fields: Fields, prefix: str) -> dict[str, Values]:
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
-    """Return heading and tilt of quaternions of any length [rad]; NaN for length 0.
-
-    The heading is that of the robot's forward axis seen from above, for any tilt.
-    """
+    """Return heading and tilt of quaternions of any length [rad]; NaN for length 0."""
     parts = [fields[f"{orientation}{name}"] for name in "xyzw"]
     name = orientation.removesuffix(".")
     yaw_rad, tilt_rad = np.empty(len(parts[0])), np.empty(len(parts[0]))
@@ -185,9 +175,7 @@ _SEEN: Final = "most metrics are seen from above"
 def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     """Return a sentence on a robot that leaves the plane; None if it stays in the plane.
 
-    Args:
-        z_m: Heights [m], shape (n,); None if unknown. Values that are not finite are ignored.
-        tilt_rad: Angles between the robot's vertical axis and the world's [rad], shape (n,).
+    Heights [m] and tilts [rad] that are not finite are ignored.
     """
     heights, tilts = _keep_finite(z_m), _keep_finite(tilt_rad)
     found = []
@@ -246,8 +234,7 @@ def lift_poses(z_m: Values | None, tilt_rad: Values | None) -> dict[str, Values]
 def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
     """Return the heading of the forward axis projected onto the plane, for any tilt [rad].
 
-    The result is NaN if the axis points up or down (`_LEAST_LEVEL`). The quaternions may have any
-    length except 0, each part has the shape (n,).
+    It is NaN if the axis points up or down (`_LEAST_LEVEL`). No quaternion has length 0.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
         left, ahead = 2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2
@@ -256,10 +243,7 @@ def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
 
 
 def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:
-    """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi].
-
-    The quaternions are as in `compute_heading`.
-    """
+    """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi]."""
     return 2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
 
 
@@ -275,6 +259,26 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     rows = np.arange(len(time_ns))
     moved = np.maximum.accumulate(time_ns - rows) + rows
     return moved, int((moved != time_ns).sum())
+
+
+def sort_rows(
+    time_ns: NDArray[np.int64], values: Mapping[str, Values]
+) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
+    """Return the rows sorted by time without duplicates, and notes on the changes."""
+    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        time_ns = time_ns[order]
+        values = {name: column[order] for name, column in values.items()}
+    twice = np.flatnonzero(time_ns[1:] == time_ns[:-1])
+    for column in values.values():
+        bits = column.view(np.int64)
+        twice = twice[bits[twice] == bits[twice + 1]]
+    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
+    if len(twice):
+        time_ns = np.delete(time_ns, twice + 1)
+        values = {name: np.delete(column, twice + 1) for name, column in values.items()}
+    return time_ns, dict(values), notes
 
 
 def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
@@ -296,8 +300,7 @@ _PIECES: Final = 100
 """Number of pieces of a path whose directions are compared with headings."""
 
 _STRAIGHT: Final = 0.5
-"""Smallest distance between the ends of a piece, as a share of its length: less is noise of a robot
-at rest."""
+"""Smallest distance between the ends of a piece, as a share of its length, of a moving robot."""
 
 _STEADY: Final = 0.5
 """Smallest mean cosine of twice the change of direction between pieces; it is 0 for noise."""
@@ -321,10 +324,7 @@ class Travel:
 
 
 def find_travel(xy_m: Values) -> Travel | None:
-    """Return the directions of travel; None if the robot hardly moves, or scatters.
-
-    The finite positions have the shape (n, 2).
-    """
+    """Return the directions of travel; None if the robot hardly moves, or scatters."""
     with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
         along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
     if not np.isfinite(along_m[-1] * _PIECES):
@@ -348,10 +348,7 @@ def find_travel(xy_m: Values) -> Travel | None:
 
 
 def _measure_misfit(travel: Travel, heading_rad: Values) -> float:
-    """Return the mean angle between headings and the line of travel [rad], in [0, pi/2].
-
-    A robot may drive backward along its heading. Headings of random directions give pi/4.
-    """
+    """Return the mean angle of headings to the line of travel [rad]; random ones give pi/4."""
     sums = np.concatenate([[0.0], np.cumsum(np.exp(1j * heading_rad))])
     mean_rad = np.angle(sums[travel.lasts + 1] - sums[travel.firsts])
     off_rad = np.abs(np.angle(np.exp(2j * (mean_rad - travel.course_rad)))) / 2.0
@@ -362,12 +359,11 @@ _WELL_RAD: Final = 0.2
 """Largest misfit of headings that fit the travel [rad]: noise, and a robot that slips sideways."""
 
 _TURNED_DEG: Final = 30.0
-"""Smallest range of headings that shows degrees [deg]. A robot that drives sideways may turn by so
-many radians, but not along its path."""
+"""Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
 
 _TURNED_RAD: Final = 0.5
-"""Smallest range of directions that shows how headings count [rad]. On a straight path, any offset
-of the headings may be how the robot drives."""
+"""Smallest range of directions that shows how headings count [rad]; one direction fits any
+offset."""
 
 _BADLY_RAD: Final = 0.5
 """Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""
@@ -389,11 +385,7 @@ def fits_degrees(xy_m: Values, headings: Values) -> bool:
 def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assumed: bool) -> str:
     """Return a sentence on headings that contradict the direction of travel; else nothing.
 
-    Args:
-        xy_m: Finite positions [m], shape (n, 2).
-        heading_rad: Headings as read [rad], shape (n,).
-        column: Name of the column of the headings; empty if rotations are quaternions.
-        is_assumed: Whether radians are assumed.
+    The name of their column is empty if rotations are quaternions; radians may be assumed.
     """
     travel = find_travel(xy_m) if len(xy_m) > 1 else None
     if travel is None or (misfit_rad := _measure_misfit(travel, heading_rad)) <= _BADLY_RAD:

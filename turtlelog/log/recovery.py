@@ -71,8 +71,7 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     metadata record `turtlelog_recovery` lists the losses.
 
     Args:
-        source: The file, or the folder of a bag. A bag that was never closed has no
-            `metadata.yaml`.
+        source: The file, or the folder of a bag, perhaps without `metadata.yaml`.
         target: The MCAP file to write. If the source is a folder, a name that does not end in .mcap
             is a new folder for a bag of all files.
 
@@ -87,7 +86,6 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
 
 
 def _recover_bag(source: Path, target: Path) -> RecoveryReport:
-    """Recover every file of a bag, and describe the result as a bag."""
     files = list_present_files(source)
     reports: list[tuple[Path, RecoveryReport]] = []
     lost: list[Loss] = []
@@ -173,7 +171,6 @@ def _copy(source: Path, found: Damaged, output: BinaryIO, summary: FileSummary |
 
 
 def _find_file(source: Path) -> Path:
-    """Return the file to read; for a folder, its only file."""
     files = list_present_files(source) if source.is_dir() else (source,)
     if len(files) != 1:
         names = ", ".join(file.name for file in files)
@@ -325,8 +322,8 @@ _BEFORE: Final = _LEAST - 1
 def _group_rows(source: SqliteSource, size: int) -> Iterator[Section | Loss]:
     """Yield the readable rows of a damaged bag in sections of some thousand rows, and the losses.
 
-    A table is a tree of pages in order of row numbers, so with a page its rows are lost. The rows
-    after it are found by searching the smallest row number that SQLite can read again.
+    With a page of a table its rows are lost. The rows after it are found by searching the smallest
+    row number that SQLite can read again.
     """
     rows = SqliteRows()
 

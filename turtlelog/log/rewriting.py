@@ -21,10 +21,7 @@ _CHANNEL: Final = 9  # offset of the channel number in a message record, u16
 _MOST_FAULTS: Final = 100  # errors reported for one segment
 _SMALL_CHUNK: Final = 2**16  # bytes of records
 _MOST_NOTES: Final = 2000
-"""Largest number of metadata records and attachments.
-
-Together with their index entries, a file of any size may have twice as many.
-"""
+"""Largest number of metadata records and attachments, of which a file may have twice as many."""
 
 Numbers = NDArray[np.int64]
 
@@ -70,8 +67,7 @@ class Numbering:
         if key not in self._known_schemas:
             self._allowance.spend_description(schema)
             number = self._taken_schemas.choose(schema.id)
-            is_same = number == schema.id
-            self._known_schemas[key] = schema if is_same else replace(schema, id=number)
+            self._known_schemas[key] = replace(schema, id=number)
         self.first_schemas.setdefault(schema.id, schema)
         self.schemas[schema.id] = self._known_schemas[key]
 
@@ -100,9 +96,7 @@ class Numbering:
         if key not in self._known_channels:
             self._allowance.spend_description(channel)
             number = self._taken_channels.choose(channel.id)
-            is_same = (number, schema_id) == (channel.id, channel.schema_id)
-            numbered = channel if is_same else replace(channel, id=number, schema_id=schema_id)
-            self._known_channels[key] = schema, numbered
+            self._known_channels[key] = schema, replace(channel, id=number, schema_id=schema_id)
         return self._known_channels[key]
 
 
@@ -153,10 +147,7 @@ class Rewriter:
         self._small_size = 0  # bytes of the small chunks' records
 
     def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
-        """Write the records at an offset of the source, and return their errors.
-
-        A later description of an id is valid from there on.
-        """
+        """Write the records at an offset of the source, and return their errors."""
         faults = [] if stretch.fault is None else [stretch.fault]
         first = 0
 
@@ -211,7 +202,6 @@ class Rewriter:
         known[body[:2]] = digest
 
     def _take_record(self, opcode: int, body: bytes) -> None:
-        """Write a header, metadata or an attachment."""
         if opcode == Opcode.HEADER:
             self._begin(_parse_exact_record(Header, body))
             return
@@ -266,7 +256,6 @@ class Rewriter:
             self._write_small()
 
     def _write_small(self) -> None:
-        """Write the collected small chunks."""
         if self._small:
             self._file.add_chunk(merge_chunks(self._small))
         self._small, self._small_size = [], 0
@@ -306,8 +295,6 @@ class Rewriter:
             channels=list(pairs.values()),
             records=records,
             index=index,
-            start_ns=int(times.min()),
-            end_ns=int(times.max()),
         )
 
     def _count(self, chunk: ChunkRows, *, is_checked: bool) -> None:
@@ -316,8 +303,8 @@ class Rewriter:
             self.recovered[channel.topic] += count
             if not is_checked:
                 self.unchecked[channel.topic] += count
-        start_ns, end_ns = self.span_ns or (chunk.start_ns, chunk.end_ns)
-        self.span_ns = min(start_ns, chunk.start_ns), max(end_ns, chunk.end_ns)
+        spans_ns = [chunk.span_ns, self.span_ns or chunk.span_ns]
+        self.span_ns = min(start for start, _ in spans_ns), max(end for _, end in spans_ns)
 
 
 def _join(data: bytes, starts: Numbers, ends: Numbers) -> bytearray | memoryview:
@@ -366,6 +353,4 @@ def merge_chunks(chunks: Sequence[ChunkRows]) -> ChunkRows:
         channels=[*channels.values()],
         records=b"".join(chunk.records for chunk in chunks),
         index={number: np.concatenate(entries) for number, entries in index.items()},
-        start_ns=min(chunk.start_ns for chunk in chunks),
-        end_ns=max(chunk.end_ns for chunk in chunks),
     )

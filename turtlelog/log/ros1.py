@@ -1,10 +1,10 @@
 """ROS 1: a bag as an MCAP file with the same messages, and its messages as CDR.
 
 In a bag (wiki.ros.org/Bags/Format/2.0), records have a header and data, each after its length, and
-messages are in chunks, plain or compressed. The bag is read once, within limits in proportion to
-its size, and messages are copied unchanged. Those of the requested topics are converted on reading:
-ROS 1 (wiki.ros.org/msg) writes little-endian numbers one after another, and the length before a
-text or a sequence. CDR aligns each number to its own size and counts the zero after a text.
+messages are in chunks, plain or compressed. They are copied unchanged, and those of the requested
+topics are converted on reading: ROS 1 (wiki.ros.org/msg) writes little-endian numbers one after
+another, and the length before a text or a sequence. CDR aligns each number to its own size and
+counts the zero after a text.
 """
 
 import bz2
@@ -48,25 +48,17 @@ _LONGEST_HEADER: Final = 2**20
 """Longest header of a record [bytes]: a few names, or a definition with all its types."""
 
 _MESSAGES: Final = (2**18, 1 / 20)
-"""Largest number of messages in any bag, plus messages per byte.
-
-Each message takes 5 us; those of a bag of 10 MB take about 4 s. A message has 45 bytes before
-compression.
-"""
+"""Largest number of messages in any bag, plus messages per byte; those of 10 MB take about 4 s."""
 
 _BZ2_BYTES: Final = (48 * 2**20, 8.0)
 """Largest number of bytes that bz2 may unpack, plus bytes per byte of the bag.
 
-Unpacking 30 MB takes 1 s; a bag of 10 MB takes about 4 s. Messages of robots pack to a fifth or a
-tenth.
-"""
+A bag of 10 MB takes about 4 s. Messages of robots pack to a fifth or a tenth."""
 
 _LARGEST_CHUNK: Final = (2**25, 1.0)
 """Largest size of a chunk in any bag [bytes], plus bytes per byte of the bag.
 
-A message of this size is in memory four times. The recorder closes a chunk at 768 kB, so a larger
-chunk contains one large message.
-"""
+A larger one than 768 kB has one large message, which is in memory four times."""
 
 _MOST_CONNECTIONS: Final = 2**16 - 1
 _IN_RECORD: Final = "expected whole records in a chunk, found the end within one"
@@ -95,7 +87,6 @@ class _Copy:
         """Write the chunk."""
         if not self.index:
             return
-        times = [time_ns for entries in self.index.values() for time_ns, _ in entries]
         known = {channel.id: (schema, channel) for schema, channel in self.channels.values()}
         self.file.add_chunk(
             ChunkRows(
@@ -105,8 +96,6 @@ class _Copy:
                     number: np.array(entries, dtype=np.uint64).reshape(-1, 2)
                     for number, entries in self.index.items()
                 },
-                start_ns=min(times),
-                end_ns=max(times),
             )
         )
         self.records, self.index = bytearray(), {}
@@ -118,8 +107,7 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
     `stored_size` is the size of the bag before unpacking [bytes], which sets the limits.
 
     Raises:
-        LogError: If the file is not a bag of version 2.0, is damaged, truncated or unfinished, or
-            exceeds the limits for its size.
+        LogError: If the file is no complete bag of version 2.0, or exceeds the limits for its size.
     """
     if stream.read(len(_START)) != _START:
         raise LogError("expected a bag of ROS 1 in version 2.0, found another version")

@@ -106,10 +106,7 @@ _ROBOTS: Final = frozenset(
 """Names of columns that may contain the robot of each row."""
 
 _LONGEST_NAME: Final = 512
-"""Longest name that is searched for a quantity [letters].
-
-The topic before the quantity may take 255 letters. The time to find a unit grows with the square of
-the length."""
+"""Longest name that is searched for a quantity [letters]; the topic in it may take 255."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,10 +134,7 @@ class Choice:
 def assign_columns(
     names: Sequence[str], asked: Mapping[str, str], units: Mapping[str, str]
 ) -> dict[str, Choice]:
-    """Return the columns with known quantities, by quantity.
-
-    The user's columns by quantity (`asked`) have a name, with or without a unit in brackets.
-    """
+    """Return the columns with known quantities, by quantity; `asked` has the user's names."""
     chosen: dict[str, Choice] = {}
     for field, text in asked.items():
         if field not in QUANTITIES:
@@ -227,7 +221,6 @@ def offer_robots(robots: Sequence[str]) -> str:
 
 
 def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
-    """Return the column named by the user, with the user's unit or the unit in its name."""
     # `psi [deg]` is a name, or `psi` in deg.
     readings: list[tuple[str, str | None]] = [(text.strip(), None)]
     bracketed = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
@@ -255,7 +248,6 @@ def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
 
 
 def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
-    """Return the column whose name matches a quantity best."""
     ranked: dict[int, list[Choice]] = {}
     for place, name in enumerate(names):
         if place in taken or len(name) > _LONGEST_NAME:
@@ -345,11 +337,7 @@ def _simplify(text: str) -> str:
 
 
 def read_length_unit(axis: str, name: str) -> float:
-    """Return the metres of a unit of length in the name of a column; 1 without a unit.
-
-    Raises:
-        LogError: If brackets contain no known unit.
-    """
+    """Return the metres of a unit of length in the name of a column; 1 without a unit."""
     unit = _split_name(axis, name)[1]
     bracketed = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
     if unit is None and bracketed is not None:
@@ -383,17 +371,13 @@ _LONGEST_STEP_S: Final = 5.0
 every few seconds. In milliseconds, this is 200 Hz."""
 
 _FASTEST_M_S: Final = 100.0
-"""Largest usual speed that is not doubted if metres are assumed [m/s]: that of a racing car. In
-millimetres, this is 0.1 m/s."""
+"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
 
 
 def describe_units(
     time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str]
 ) -> str:
-    """Return a sentence on doubtful units; empty without doubt.
-
-    The times increase; `columns` has the names of columns in assumed s and m, by quantity.
-    """
+    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt."""
     step_s = np.diff(time_ns) / 1e9
     if not len(step_s):
         return ""
@@ -438,10 +422,7 @@ def read_time(cell: Any, power: int) -> int | None:
 
 
 def read_date(cell: str) -> int | None:
-    """Return an ISO 8601 time as nanoseconds since 1970; None for other texts.
-
-    The default time zone is UTC.
-    """
+    """Return an ISO 8601 time, by default of UTC, as nanoseconds since 1970; None for others."""
     match = DATE.match(cell)
     if match is None:
         return None
@@ -454,12 +435,10 @@ def read_date(cell: str) -> int | None:
 
 
 _FAR_BACK: Final = 0.5
-"""Largest share of a run's time at which the next run starts. A late row goes back by a few steps,
-and a new run to the start."""
+"""Largest share of a run's time at which the next run starts; a late row goes back by few steps."""
 
 _FEWEST_ROWS: Final = 10
-"""Smallest number of rows of a run, and of rows within the times of the run above. Rows of several
-threads are late by fewer rows."""
+"""Smallest number of rows of a run, and of rows within the times of the run above."""
 
 
 def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:

@@ -30,10 +30,7 @@ _TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 KITTI_COLUMNS: Final = (
     *("r11", "r12", "r13", "tx", "r21", "r22", "r23", "ty", "r31", "r32", "r33", "tz"),
 )
-"""Columns of a KITTI trajectory, which has neither header nor times.
-
-The columns contain the first three rows, one after another, of the matrix from the robot's frame to
-the world frame."""
+"""Columns of a KITTI trajectory, without header and times: three rows of the robot's matrix."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
 
@@ -48,8 +45,8 @@ _BLANK: Final = " "
 """Delimiter that means any number of spaces and tabs."""
 
 LONGEST_HEAD: Final = 64 * 1024
-"""Longest first line with column names, or longest comments above it [bytes]: 250 states with names
-of 60 letters, and the other columns, fit."""
+"""Longest first line with column names, or comments above it [bytes]: 250 states of 60 letters
+fit."""
 
 MOST_COLUMNS: Final = 10_000
 """Largest number of columns: turtlelog's tables have 30, tables of robot models hundreds. Names are
@@ -196,10 +193,7 @@ class _TextColumns:
         head: int,
         is_cut: bool,
     ) -> None:
-        """Use a text whose lines have as many cells as its header; the file has `size` bytes.
-
-        The first `head` rows contain no values. The last row may be incomplete (`is_cut`).
-        """
+        """Use a text of `size` bytes with `head` rows above the values; the last row may be cut."""
         self._text, self._delimiter, self._header = text, delimiter, [*header]
         self._size, self._head, self._is_cut = size, head, is_cut
         self.lines: Sequence[int] = ()
@@ -233,16 +227,12 @@ class _TextColumns:
         for line, row in islice(rows, self._head, None):
             if len(row) != len(self._header):
                 self._note_cut(line, row, is_last=next(rows, None) is None)
-            elif row[0].strip() == self._header[0] and self._is_header(row):
-                repeated += 1
+            elif row[0].strip() == self._header[0] and [*map(str.strip, row)] == self._header:
+                repeated += 1  # as in files that were joined
             else:
                 yield line, row
         if repeated:
             self.notes["repeated_headers"] = f"{describe_count(repeated, 'row')} left out"
-
-    def _is_header(self, row: Sequence[str]) -> bool:
-        """Return whether a row repeats the header, as in files that were joined."""
-        return [cell.strip() for cell in row] == self._header
 
     def _note_cut(self, line: int, row: Sequence[str], *, is_last: bool) -> None:
         """Note that the last row is left out; raise an error if rows may not be cut."""
@@ -354,11 +344,7 @@ def decode_text(data: bytes) -> str:
 
 
 def read_header(path: Path) -> tuple[str, ...]:
-    """Return the column names without reading rows; for text files the cells of the first line.
-
-    Raises:
-        ValueError: If a file with the suffix of Parquet is not a Parquet file.
-    """
+    """Return the column names without reading rows; for text files the cells of the first line."""
     if path.suffix.lower() != ".parquet":
         with open_file(path) as stream:
             head = stream.readline(LONGEST_HEAD).decode("utf-8-sig", errors="replace")
@@ -408,10 +394,7 @@ def _format_tum(run: Run) -> Iterator[str]:
 
 
 def require_same_poses(path: Path, run: Run) -> None:
-    """Raise an error if the written trajectory does not contain the poses of the run.
-
-    The headings of the file are computed from its quaternions.
-    """
+    """Raise an error if the written trajectory does not contain the poses of the run."""
     poses, first = run.poses, 0
     for time_ns, xy_m, heading_rad in _iterate_trajectory(path):
         rows = slice(first, first + len(time_ns))

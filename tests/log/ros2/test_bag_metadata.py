@@ -5,11 +5,14 @@ from typing import Any
 
 import pytest
 from hypothesis import given, settings, strategies as st
+from mcap.records import Channel, Schema
 from ruamel.yaml import YAML
 
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log.file_info import BagPart, BagTopic, format_bag_metadata
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.file_info import Survey, format_bag_metadata
 from turtlelog.log.ros2.bag_files import parse_bag_metadata
 
 NAMES = st.text(
@@ -23,9 +26,13 @@ def load(text: str) -> Any:
 
 
 def format_one(file: str) -> str:
-    topic = BagTopic(name="/a", type="std_msgs/msg/String", type_hash="RIHS01_0", count=3)
-    part = BagPart(name=file, start_ns=5, duration_ns=7, count=3)
-    return format_bag_metadata([part], [topic])
+    survey = Survey(catalogue=Catalogue(Allowance(0)), is_finished=True, span_ns=(5, 12))
+    survey.counts[1] = 3
+    metadata = {"topic_type_hash": "RIHS01_0"}
+    schema = Schema(id=1, name="std_msgs/msg/String", encoding="ros2msg", data=b"")
+    channel = Channel(id=1, topic="/a", message_encoding="cdr", schema_id=1, metadata=metadata)
+    survey.catalogue.add([schema, channel], 0)
+    return format_bag_metadata([(file, survey)])
 
 
 @settings(deadline=None)  # the library takes as long as it takes

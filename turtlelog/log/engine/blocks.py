@@ -9,7 +9,6 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Any, BinaryIO, Final, TypeVar
 
@@ -71,8 +70,7 @@ class Block:
         data: Bytes of the records.
         byte: Offset in the file of the first record, or of the chunk that contains it.
         offsets: Start of each message by channel, shape (n,), increasing.
-        rest: Other records in order: schemas and channels; outside chunks also headers, metadata
-            and attachments.
+        rest: Other records in order: schemas and channels; outside chunks also headers and notes.
         before: Number of messages by topic in earlier chunks that are read; None without counting.
         unit: Unit of `byte`, if it is not bytes.
     """
@@ -98,10 +96,7 @@ def build_indexed_block(
     described: Mapping[bytes, Any],
     largest: int = limits.LARGEST_CHUNK,
 ) -> Block:
-    """Return a chunk as a block, given the bytes of the chunk and its indexes.
-
-    Schemas and channels in `described`, by their bytes, are not parsed again.
-    """
+    """Return a chunk with its indexes as a block; records in `described` are not parsed again."""
     byte = entry.start
     opcode, length = RECORD.unpack_from(stored) if len(stored) > RECORD.size else (0, 0)
     if opcode != Opcode.CHUNK or RECORD.size + length != entry.length:
@@ -158,13 +153,12 @@ def _open_chunk(entry: ChunkEntry, body: memoryview, largest: int) -> bytes:
 
 def build_walked_block(catalogue: Catalogue, section: Section) -> Block:
     """Return records as a block by reading their headers, and add them to the catalogue."""
-    byte = section.start
-    stretch = take_walked(section.data, byte, catalogue.allowance, is_chunk=section.is_chunk)
+    stretch = take_walked(section, catalogue.allowance)
     numbers = [heads["channel"] for _, heads in stretch.iterate_rows()]
     offsets = group_starts(np.concatenate(numbers), stretch.starts) if numbers else {}
-    rest = parse_others(stretch, byte)
-    catalogue.add(rest, byte)
-    return Block(data=section.data, byte=byte, offsets=offsets, rest=rest)
+    rest = parse_others(stretch, section.start)
+    catalogue.add(rest, section.start)
+    return Block(data=section.data, byte=section.start, offsets=offsets, rest=rest)
 
 
 def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offsets]:
@@ -178,21 +172,10 @@ def group_starts(channels: NDArray[Any], starts: NDArray[Any]) -> dict[int, Offs
     }
 
 
-def walk_blocks(
-    stream: BinaryIO, catalogue: Catalogue, *, damages: list[Loss] | None = None
-) -> Iterator[Block]:
-    """Yield a complete file as blocks, in file order, and fill the catalogue."""
-    yield from walk_through(stream, partial(build_walked_block, catalogue), damages=damages)
-
-
 def walk_through(
     stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Loss] | None = None
 ) -> Iterator[T]:
-    """Yield the result of `work` for every section of a file, in file order.
-
-    Raises:
-        DamageError: If something is damaged and no list for damages is given.
-    """
+    """Yield the result of `work` for every section of a file, in file order."""
     records.check_start(stream)
     allowance = limits.Allowance(limits.measure_stored(stream))
     for section in walk_sections(stream):
@@ -217,21 +200,19 @@ def walk_through(
         yield found
 
 
-def take_walked(
-    data: bytes, byte: int, allowance: limits.Allowance, *, is_chunk: bool
-) -> records.RecordStretch:
+def take_walked(section: Section, allowance: limits.Allowance) -> records.RecordStretch:
     """Return the offsets of records that must all be valid."""
     left = allowance.count_left(limits.RECORDS)
-    stretch = records.take_apart(data, is_chunk=is_chunk, most_records=left)
+    stretch = records.take_apart(section.data, is_chunk=section.is_chunk, most_records=left)
     try:
         allowance.spend(limits.RECORDS, stretch.records)
         notes = sum(opcode in _NOTES for _, opcode, _ in stretch.others)
         allowance.spend(limits.NOTES, notes)
         allowance.spend(limits.DESCRIPTIONS, len(stretch.others) - notes)
     except LogError as err:
-        raise LimitError(f"byte {byte}: {err}") from err
+        raise LimitError(f"byte {section.start}: {err}") from err
     if stretch.fault is not None:
-        raise DamageError(f"byte {byte}: {stretch.fault}")
+        raise DamageError(f"byte {section.start}: {stretch.fault}")
     return stretch
 
 
@@ -277,10 +258,9 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
 
 
 def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place]:
-    """Return the offsets of a chunk's other records; messages must fill the rest without overlap.
+    """Return the places of a chunk's other records; messages must fill the rest without overlap.
 
-    The records form a chain from 0: each message ends at the start of an indexed message or of
-    another record. If the lengths add up, no message is outside the chain.
+    From 0 on, each record ends where another starts; if the lengths add up, none is left out.
     """
     starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
     counts = [len(found) for found in offsets.values()]

@@ -1,8 +1,4 @@
-"""CDR messages that differ in size: decoded by fields or one by one, and encoded.
-
-A typical recording has one goal and three events. For so few messages, about a hundred numpy calls
-take longer than reading them one by one.
-"""
+"""CDR messages that differ in size: decoded by fields or, if few, one by one, and encoded."""
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,9 +28,8 @@ Order = Literal["<", ">"]
 PADDING: Final = 4
 """Some middlewares pad a message to a multiple of this size [bytes]."""
 
-# ROS 2 with Fast DDS estimates the size of a message before it writes it. The estimate pads for the
-# numbers of an empty sequence, and the surplus bytes are sent too. After a sequence's length, only
-# numbers of this size need padding; the surplus may grow by this size [bytes].
+# Fast DDS estimates the size of a message before it writes it, pads for the numbers of an empty
+# sequence, and sends the surplus. Only numbers of this size [bytes] need padding there.
 _LARGEST_NUMBER: Final = 8
 
 
@@ -50,10 +45,9 @@ def decode_messages(
     Raises:
         LogError: If a message is longer or shorter than its type, or a text is not UTF-8.
     """
-    if order == "<" and len(starts) <= FEW_MESSAGES:
-        few = decode_few(fields, data, starts, ends)
-        if few is not None:
-            return few
+    is_few = order == "<" and len(starts) <= FEW_MESSAGES
+    if is_few and (few := decode_few(fields, data, starts, ends)) is not None:
+        return few
     cursor = _Cursor(data, starts, ends, order)
     columns: dict[str, Column] = {}
     cursor.take_fields(fields, "", columns)
@@ -66,8 +60,7 @@ def decode_messages(
 
 
 _MOST_STEPS: Final = 50_000
-"""Largest number of values of one list that are read value by value from all messages; a list of
-arrays takes 2 s."""
+"""Largest number of values of one list that are read value by value; a list of arrays takes 2 s."""
 
 _MOST_KNOWN: Final = 256
 """Number of texts of a field that are stored only once. States and frames have few names."""
@@ -179,10 +172,7 @@ class _Cursor:
         return arrays
 
     def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
-        """Read the k-th value of every message that has so many values, for k = 0, 1, ...
-
-        If only a few messages have more values, their values are read message by message.
-        """
+        """Read the k-th value of every message with so many values, of few messages all values."""
         lists = np.empty(len(lengths), dtype=object)
         lists[:] = [[] for _ in range(len(lengths))]
         is_tried = False
@@ -238,7 +228,6 @@ CODES: Final = (
 
 _PACKERS: Final = {kind: struct.Struct(f"<{code}") for kind, code in CODES.items()}
 
-
 _Number = tuple[str, int, Callable[[bytes, int], tuple[object, ...]] | None]
 """Name, size [bytes] and reader of a number. For a text: no reader, and the size of its length."""
 
@@ -248,11 +237,7 @@ _LENGTH: Final = 4  # bytes of the length before a text
 def decode_few(
     fields: tuple[Field, ...], data: bytes, starts: Offsets, ends: Offsets
 ) -> dict[str, Column] | None:
-    """Return the fields of little-endian messages, by dotted name.
-
-    The result is None if the type has arrays or sequences, or if a message is invalid. Then
-    `decode_messages` gives the reason.
-    """
+    """Return the fields of little-endian messages; None if `decode_messages` is needed."""
     lengths = np.ones_like(starts)
     found = take_few_lists(fields, data, starts, starts, ends, lengths)
     if found is None or ends.max(initial=0) > len(data):
@@ -260,11 +245,10 @@ def decode_few(
     if (ends - np.array(found[1], np.int64) >= PADDING).any():
         return None
     rows: list[Any] = [row for (row,) in found[0]]
-    columns: dict[str, Column] = {}
-    for name, kind, _ in _list_numbers(fields, ""):
-        dtype = object if kind == TEXT else np.dtype(kind)
-        columns[name] = np.array([row[name] for row in rows], dtype)
-    return columns
+    return {
+        name: np.array([row[name] for row in rows], object if kind == TEXT else kind)
+        for name, kind, _ in _list_numbers(fields, "")
+    }
 
 
 def take_few_lists(
@@ -275,10 +259,10 @@ def take_few_lists(
     ends: Offsets,
     lengths: Offsets,
 ) -> tuple[list[list[object]], list[int]] | None:
-    """Return the texts or messages nested in little-endian messages, and their ends.
+    """Return the texts or messages nested in little-endian messages, and their ends, or None.
 
-    The result is None in the same cases as for `decode_few`. Each message has its start, from which
-    alignment is counted, the offset and number of its nested values, and its end, shape (n,).
+    Each message has its start, from which alignment is counted, the offset and number of its nested
+    values, and its end, shape (n,).
     """
     try:
         parts = [("", TEXT, _LENGTH)] if isinstance(kind, str) else _list_numbers(kind, "")
@@ -441,9 +425,6 @@ def encode_message(
     """Return the record of one message; `stamp` is its sequence, log and publish time [ns].
 
     Values have dotted names, like a row of `TopicColumns`. Missing values are 0 or empty.
-
-    Raises:
-        struct.error, TypeError, ValueError: If a value does not have the kind of its field.
     """
     body = bytearray()
     _append_fields(body, fields, values, "")

@@ -50,8 +50,7 @@ class TopicPlan:
         reason: Why the messages cannot be decoded; empty if they can be decoded.
         fields: Fields of the type.
         layout: Layout of the type; None if its messages differ in size.
-        sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
-            no sequence.
+        sequence: Dotted name of a sequence of texts or messages in the type; None without one.
         json: Fields of each message in JSON or protobuf; None for CDR.
         decode: Function that decodes a protobuf message into an object; None for JSON.
         is_ros1: Whether messages are in the ROS 1 format and are converted to CDR first.
@@ -124,8 +123,7 @@ class Catalogue:
         """Add schemas and channels; other records are ignored.
 
         Raises:
-            DamageError: If a record differs from another record with the same id; `byte` is the
-                place of the new records.
+            DamageError: If a record at `byte` differs from another record with the same id.
         """
         for record in map(_name_type, records):
             if not isinstance(record, Schema | Channel):
@@ -145,11 +143,7 @@ class Catalogue:
                 self._plans.pop(record.topic, None)
 
     def check(self, records: Collection[Any], byte: int) -> None:
-        """Compare schemas and channels with the known ones, without changing anything.
-
-        Raises:
-            DamageError: If a record differs.
-        """
+        """Compare schemas and channels with the known ones, without changing anything."""
         for record in map(_name_type, records):
             known = self._find_known(record)
             if known is not None and known is not record and known != record:
@@ -395,11 +389,7 @@ _NESTED: Final = re.compile(r"^(\w+/\w+)", re.MULTILINE | re.ASCII)
 
 @cache
 def find_definition(type_name: str) -> str | None:
-    """Return the `ros2msg` text of a common type and its nested types; None for other types.
-
-    Args:
-        type_name: `package/msg/Type` or `package/Type`.
-    """
+    """Return the `ros2msg` text of a common type and its nested types; None for other types."""
     name = shorten_type(type_name)
     if name not in _TEXTS:
         return None

@@ -82,13 +82,10 @@ class Selection:
         topics: Names of the topics to read. None: every topic that can be decoded.
         start_ns: Earliest log time [ns], inclusive.
         end_ns: End of the log time [ns], exclusive.
-        is_lenient: Whether named topics may be missing or undecodable. All chunks are then read and
-            checked.
-        is_flat: Whether only numbers and texts are allowed as fields. Sequences of texts or
-            messages take some hundred times their bytes in memory.
+        is_lenient: Whether topics may be missing or undecodable; all chunks are then checked.
+        is_flat: Whether only numbers and texts are allowed as fields; lists take much memory.
         is_counted: Whether the memory of rows is limited in proportion to the file's size.
-        kept: Columns to keep, by topic, including the log time. Topics that are not listed keep all
-            columns.
+        kept: Columns to keep, by topic, including the log time. Default of a topic: all.
     """
 
     topics: frozenset[str] | None = None
@@ -140,11 +137,7 @@ class Selection:
 
 
 def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
-    """Return the messages at these offsets as columns: fields, times and sequence number.
-
-    Raises:
-        LogError: If a message does not have the topic's type.
-    """
+    """Return the messages at these offsets as columns: fields, times and sequence number."""
     if plan.json is not None:
         return _read_objects(plan.json, plan.decode, block, starts)
     if plan.layout is None:
@@ -155,10 +148,7 @@ def decode_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
 
 
 def _unpack_messages(block: Block, starts: Offsets, allowance: Allowance) -> tuple[Block, Offsets]:
-    """Decompress messages that rosbag2 compressed one by one; return others unchanged.
-
-    The first byte shows whether a message is compressed: it is 0 for plain CDR, and not 0 for zstd.
-    """
+    """Decompress messages that rosbag2 compressed one by one (plain CDR begins with 0)."""
     if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
         return block, starts
     largest, spend = allowance.largest_chunk, partial(allowance.spend, UNPACKED)
@@ -229,10 +219,7 @@ class FixedColumns:
                 self._columns[name] = np.empty(shapes[name], kind)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
-        """Copy messages into the rows from `first` on; return whether there was enough room.
-
-        Several threads may fill different rows at the same time.
-        """
+        """Copy messages into the rows from `first` on; return whether there was room."""
         end = first + len(starts)
         if end > self._count:
             return False
@@ -395,7 +382,6 @@ _LISTS: Final = 2
 
 
 def _measure_rows(plan: TopicPlan, data: bytes, starts: Offsets) -> int:
-    """Return the approximate memory of messages as columns [bytes]."""
     size = len(starts) * plan.row_size
     if plan.layout is None:
         share = 1 if plan.sequence is None else _LISTS

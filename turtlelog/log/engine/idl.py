@@ -60,12 +60,7 @@ class _Kind:
 
 
 def convert_idl(name: str, text: str) -> str:
-    """Return the `ros2msg` text of a type and of the types that it uses.
-
-    Args:
-        name: `package/msg/Type`, or a scoped name (`package::msg::Type`).
-        text: IDL text; or several texts, each after a line of equals signs and a line with `IDL:`.
-    """
+    """Return the `ros2msg` text of a type (`package/msg/Type` or scoped) and of those it uses."""
     if len(text) > LONGEST_TEXT:
         raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(text)}")
     types = _Types(name)
@@ -92,7 +87,6 @@ class _Types:
 
     @property
     def _next(self) -> str:
-        """The next token; empty at the end."""
         return self._tokens[self._place] if self._place < len(self._tokens) else ""
 
     def _take(self, expected: str = "") -> str:
@@ -103,7 +97,6 @@ class _Types:
         return found
 
     def _skip(self, sign: str) -> bool:
-        """Skip a token if it is the next token."""
         if self._next != sign:
             return False
         self._place += 1

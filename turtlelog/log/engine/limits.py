@@ -63,8 +63,7 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = {
     CHANNEL_BYTES: (80 * 2**20, 1),
     # Fields of different types, about 1 kB each in memory; 200 types of 50 fields are many.
     FIELDS: (50_000, 1 / 1000),
-    # Includes the entries of the summary for them; recordings have few, and each attachment
-    # costs 200 us in every pass.
+    # With their entries in the summary. Each attachment costs 200 us in every pass.
     NOTES: (2**12, 1 / 1000),
     # Each damage is noted with its reason.
     DAMAGES: (10_000, 1 / 1000),
@@ -188,8 +187,7 @@ def unpack_chunk(
         packed: Compressed bytes.
         size: Claimed size [bytes].
         largest: Largest size of any unpacked chunk [bytes].
-        spend: Function that is called with the number of unpacked bytes, also for damaged streams.
-            The function may raise an error.
+        spend: Function that is called with the number of unpacked bytes, and may raise an error.
 
     Raises:
         LogError: If the stream is damaged, or unpacks to far more than claimed or to more than
@@ -291,10 +289,6 @@ class FileWindow:
         return self._data[:count]
 
     def spend(self, count: int) -> bool:
-        """Return whether bytes may be read to try a checksum, although no length agrees.
-
-        The total is limited to the file's size, because otherwise overlapping records could be read
-        many times.
-        """
+        """Return whether bytes may be read to try a checksum, in all as many as the file has."""
         self._spare -= count
         return self._spare >= 0

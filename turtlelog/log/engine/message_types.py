@@ -130,10 +130,8 @@ class MessageType:
         fields: Fields of the type, nested fields within their messages.
         layout: Layout of the type; None if its messages differ in size.
         size: Total size of the fields, counted in numbers, texts and sequences.
-        sequence: Dotted name of a sequence of texts or messages in the type; None if the type has
-            no sequence.
-        row_size: Memory of a message as a row of columns [bytes]; long texts and sequences need
-            more.
+        sequence: Dotted name of a sequence of texts or messages in the type; None without one.
+        row_size: Memory of a message as a row [bytes]; long texts and sequences need more.
     """
 
     fields: tuple[Field, ...]
@@ -156,11 +154,7 @@ _KEEPING: Final = Lock()
 
 
 def read_type(name: str, definition: str) -> MessageType:
-    """Return a message type. Common types are parsed only once per process.
-
-    Raises:
-        LogError: If the text is not `ros2msg`, or a nested type is missing or contains itself.
-    """
+    """Return a message type. Common types are parsed only once per process."""
     known = _KEPT.get((name, definition))
     if known is not None:
         return known
@@ -197,10 +191,7 @@ def _measure(fields: tuple[Field, ...]) -> int:
 
 
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
-    """Return the fields of the message type `name`, including nested types, and their total size.
-
-    Definitions of nested types follow in the text, each after a line of equals signs.
-    """
+    """Return the fields of the message type `name` with nested types, and their total size."""
     first, *others = _SEPARATOR.split(text.removesuffix("\n") + "\n")
     definitions = dict(_BUILTIN)
     for part in others:
@@ -257,7 +248,6 @@ class _Resolver:
 
 
 def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
-    """Yield the lines that define a field, without constants and comments."""
     for line in text.splitlines():
         stripped = line.strip()
         if not stripped or stripped.startswith("#"):
@@ -351,10 +341,7 @@ class AlikeLayout:
         self._place(fields, "")
 
     def fill(self, rows: int, columns: Mapping[str, Column]) -> NDArray[np.uint8]:
-        """Return the bytes of messages, shape (rows, size).
-
-        Numbers by field name are little-endian and of the field's type. Missing fields are 0.
-        """
+        """Return messages, shape (rows, size); numbers are little-endian, missing fields 0."""
         found = np.zeros((rows, self.size), dtype=np.uint8)
         for data, place in self.constants:
             found[:, place : place + len(data)] = np.frombuffer(data, dtype=np.uint8)
@@ -422,8 +409,7 @@ class AlikeLayout:
 def lay_out_alike(fields: tuple[Field, ...], columns: Mapping[str, Column]) -> AlikeLayout | None:
     """Return the layout of messages; None if the messages differ in more than numbers.
 
-    Columns have dotted field names. Those of items of a sequence of messages have an index, as in
-    `transforms.0.child_frame_id`.
+    Columns have dotted field names, with an index for items as in `transforms.0.child_frame_id`.
     """
     try:
         return AlikeLayout(fields, columns)

@@ -1,8 +1,8 @@
 """Messages as objects: JSON by the JSON schema in the file, and protobuf in the same form.
 
-A FileDescriptorSet defines a protobuf type and is a protobuf message itself. The necessary parts of
-both (protobuf.dev/programming-guides/encoding, descriptor.proto) are read within limits and without
-a library. A stamp has the names of Foxglove's JSON: `sec` and `nsec`.
+A FileDescriptorSet defines a protobuf type and is a protobuf message itself. Both
+(protobuf.dev/programming-guides/encoding, descriptor.proto) are read without a library. A stamp has
+the names of Foxglove's JSON: `sec` and `nsec`.
 """
 
 import json
@@ -45,8 +45,7 @@ class JsonField:
 
     Attributes:
         path: Names of the enclosing objects, then the name of the value.
-        kind: Kind in the schema; `any` for arrays, objects without properties, and values with
-            several allowed kinds.
+        kind: Kind in the schema; `any` for arrays, free objects and several allowed kinds.
     """
 
     path: tuple[str, ...]
@@ -270,10 +269,7 @@ _STAMP_NAMES: Final = {"seconds": "sec", "nanos": "nsec"}
 
 
 class ProtobufField(NamedTuple):
-    """One field of a type: its name, the number of its type in descriptor.proto.
-
-    Fields of a stamp are named as in JSON; `of` is the type of a nested message.
-    """
+    """One field of a type: name as in JSON, type in descriptor.proto, type of a nested message."""
 
     name: str
     kind: int

@@ -43,8 +43,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
     A file that is compressed as a whole is unpacked into a temporary folder.
 
     Raises:
-        LogError: If the file cannot be read; one line with the file, also for errors while the file
-            is open.
+        LogError: If the file cannot be read, or for errors while it is open; one line with it.
     """
     path = make_path(path)
     expected = "a bag in SQLite" if ".db3" in path.suffixes else "an MCAP file"
@@ -131,10 +130,7 @@ def open_place(found: Damaged) -> Iterator[BinaryIO]:
 
 @contextmanager
 def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple[BinaryIO, Path]]:
-    """Open a file, unpacked if it is compressed as a whole; yield the stream and its path.
-
-    Errors of the compression go into `faults`, if given, and are then not raised.
-    """
+    """Open a file, unpacked; yield stream and path. `faults` takes errors of the compression."""
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
         head = _read_head(stream)
@@ -222,7 +218,6 @@ def _read_head(stream: BinaryIO) -> bytes:
 
 
 def _unpack_file(stream: BinaryIO, place: Path) -> None:
-    """Unpack a file. The size that the file claims is not trusted."""
     size = stream.seek(0, 2)
     stream.seek(0)
     allowance = Allowance(size)

@@ -51,8 +51,7 @@ _RARE: Final[dict[int, Any]] = {
 }
 
 MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
-"""Magic bytes at the start and end of a file. The constant is defined here, because mcap.writer
-takes 20 ms to load."""
+"""Magic bytes at the start and end of a file; importing them from mcap.writer takes 20 ms."""
 
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, and length of the body [bytes]."""
@@ -91,8 +90,7 @@ LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
 class Place(NamedTuple):
     """A record in a buffer or file: its opcode, the start of its body, and its length [bytes].
 
-    This is a named tuple, because a file may have some hundred thousand records: a frozen dataclass
-    takes three times as long.
+    A file may have some hundred thousand: frozen dataclasses take three times as long.
     """
 
     opcode: int
@@ -121,11 +119,7 @@ class _ExactStream(ReadDataStream):
 
 
 def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) -> Iterator[Place]:
-    """Yield the records between two places of a buffer, `byte` bytes into the file.
-
-    Raises:
-        DamageError: If a record extends beyond `end`.
-    """
+    """Yield the records between two places of a buffer, `byte` bytes into the file."""
     while start < end:
         if start + RECORD.size > end:
             raise DamageError(f"byte {byte}: expected a record, found {end - start} bytes more")
@@ -236,7 +230,6 @@ def _read_entries(table: bytes, most: int) -> dict[str, str]:
 
 
 def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
-    """Return length-prefixed bytes, and the offset after them."""
     start = end = place + 4
     if end <= len(body):
         end += _LENGTH.unpack_from(body, place)[0]
@@ -358,10 +351,7 @@ class RecordStretch:
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
-    """Return the offsets of the messages in the bytes of records. No checksum is needed.
-
-    A chunk has only messages, schemas and channels. Records beyond `most_records` are ignored.
-    """
+    """Return the offsets of the messages in the bytes of records; no checksum is needed."""
     starts, others = array("I"), list[tuple[int, int, int]]()
     known, size, place, left = OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
     fault, walk = None, MessageWalk(data)
@@ -416,8 +406,7 @@ def _describe_fault(opcode: int, left: int, length: int) -> str:
 def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) -> NDArray[Any]:
     """Return `size` bytes from each place in `data`, as an array of V-size rows.
 
-    In a strided view, a row starts at every byte. Indexing this view with the places takes a sixth
-    of the time of copying field by field.
+    A row of a strided view starts at every byte: indexing it takes a sixth of copying by field.
     """
     if not len(starts):
         return np.empty(0, f"V{size}")
@@ -474,10 +463,7 @@ def _find_turn(steps: list[int]) -> int:
 
 
 def skip_followed(data: bytes) -> int:
-    """Return the start of the last message in the unbroken series from the first byte on.
-
-    The last message may be truncated. The result is 0 without any message.
-    """
+    """Return the start of the last message, perhaps cut, in the series from byte 0; 0 if none."""
     place, last, walk = 0, 0, MessageWalk(data)
     end, unpack, message = len(data) - RECORD.size, RECORD.unpack_from, int(Opcode.MESSAGE)
     while place <= end:

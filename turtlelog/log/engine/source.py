@@ -1,7 +1,4 @@
-"""An MCAP file: its ends and summary, and its chunks by the index or record by record.
-
-The mcap library checks chunks and the data section, but not the summary.
-"""
+"""An MCAP file: its ends and summary, and its chunks by the index or record by record."""
 
 import io
 import os
@@ -10,6 +7,7 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
@@ -23,8 +21,9 @@ from turtlelog.log.engine.blocks import (
     Block,
     ChunkEntry,
     build_indexed_block,
+    build_walked_block,
     count_indexed,
-    walk_blocks,
+    walk_through,
 )
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.decode import EVER
@@ -95,8 +94,7 @@ class Source:
     """An open MCAP file with checked ends and summary.
 
     Attributes:
-        catalogue: Channels and schemas. Without an index, the catalogue is filled while blocks are
-            read.
+        catalogue: Channels and schemas; without an index, of the blocks that were read.
         is_indexed: Whether the summary indexes the complete file.
         statistics: Statistics record; None if the file has none.
         summary_start: Offset of the summary [bytes]; of the footer if the summary is empty.
@@ -183,10 +181,7 @@ class Source:
             self.catalogue.check(block.rest, block.byte)
             return work(replace(block, before=before))
 
-        expect_reads(
-            self._stream,
-            ((entry.start, entry.start + entry.length + entry.index_length) for entry in wanted),
-        )
+        expect_reads(self._stream, ((entry.start, entry.end) for entry in wanted))
         jobs = self._read_chunks(wanted)
         # Starting threads takes longer than reading one chunk.
         if len(wanted) <= 1:
@@ -197,7 +192,7 @@ class Source:
     def _walk_blocks(self) -> Iterator[Block]:
         counts: Counter[str] = Counter()
         known = self.catalogue.channels
-        for block in walk_blocks(self._stream, self.catalogue):
+        for block in walk_through(self._stream, partial(build_walked_block, self.catalogue)):
             yield replace(block, before=dict(counts))
             for channel, starts in block.offsets.items():
                 if channel in known:
@@ -261,10 +256,7 @@ def check_sum(stream: BinaryIO, start: int, end: int, expected: int, expecting: 
 
 
 def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
-    """Return the offsets of footer and summary, and the summary's checksum; 0 without a checksum.
-
-    An empty summary starts at the footer.
-    """
+    """Return the offsets of footer and summary, and the summary's checksum (0: none)."""
     size = stream.seek(0, io.SEEK_END)
     place = size - _FOOTER.size - len(MCAP0_MAGIC)
     stream.seek(max(place, 0))
@@ -337,8 +329,7 @@ def _find_lone_records(
 ) -> tuple[Place, ...] | None:
     """Return the records between the chunks; None if the index is incomplete.
 
-    The index is complete under two conditions. There is no message and no further chunk between its
-    chunks. Every chunk has message indexes with known channels and schemas.
+    A complete index has all chunks and messages, and only known channels and schemas.
     """
     schemas = {0, *(schema.id for schema in summary.schemas)}  # 0: a channel without a schema
     known = {channel.id for channel in summary.channels if channel.schema_id in schemas}

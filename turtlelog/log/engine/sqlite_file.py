@@ -1,12 +1,11 @@
 """Opening of SQLite files without writing next to them, after counting their pages.
 
 A row claims its length and the pages of the part that does not fit into its own page. In a valid
-file each page belongs to one tree, and rows have no more bytes than the file. In other files rows
-may share pages: if thousands of rows refer to the same megabyte, SQLite would copy it thousands of
-times.
+file each page belongs to one tree. In other files thousands of rows may refer to the same megabyte,
+which SQLite would copy for each.
 
-The format is described at https://www.sqlite.org/fileformat2.html. Numbers are read as SQLite reads
-them, so that every row is counted: offsets in a page wrap around, lengths have 32 bits.
+Numbers are read as SQLite reads them (https://www.sqlite.org/fileformat2.html), so that every row
+is counted: offsets in a page wrap around, lengths have 32 bits.
 """
 
 import os
@@ -50,8 +49,7 @@ def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[tuple[sqlite3.
     are checked before SQLite reads the first table. A damaged file is read as far as possible.
 
     Raises:
-        LogError: If the file cannot be read, also for errors of SQLite while the file is open; the
-            message is one clause.
+        LogError: If the file cannot be read, now or while it is open; the message is one clause.
     """
     import shutil  # MCAP files do not need these
     import sqlite3
@@ -170,8 +168,7 @@ _MOST_DEFINED: Final = 2**16
 
 _MOST_TABLES: Final = 2**10
 _DAMAGED_SHARE: Final = 64
-"""Total size of rows that a recovery accepts, as a multiple of the file's size; a damaged row may
-claim any length."""
+"""Total size of rows in a recovery, as a multiple of the file's; a row may claim any length."""
 
 _INTEGERS: Final = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 """Size of a whole number in a row, by its kind [bytes]; NULL, 0 and 1 take no space."""
@@ -183,8 +180,7 @@ _REAL: Final = 8  # bytes
 def check_pages(path: Path, page_size: int, *, is_damaged: bool) -> None:
     """Check that the rows of a SQLite file claim no more bytes than the file has.
 
-    In a damaged file, invalid pages and rows that claim too much are skipped, but the definitions
-    of tables must be valid. No file beside it may change it.
+    Of a damaged file, invalid pages and rows are skipped, but not invalid definitions of tables.
     """
     with path.open("rb") as stream:
         usable = page_size - stream.read(_FILE_HEAD)[_RESERVED]
@@ -277,7 +273,6 @@ class _Pages:
         return [root for root in roots if root]
 
     def _read_payload(self, cell: bytes, length: int) -> bytes:
-        """Return the available bytes of a row."""
         _, at = _read_varint(cell, 0)
         _, at = _read_varint(cell, at)
         local = length
@@ -309,7 +304,6 @@ class _Pages:
                 )
 
     def _walk(self, root: int) -> Iterator[_Batch]:
-        """Yield the pages of a tree, level by level."""
         level = np.array([root], np.int64)
         for _ in range(_DEEPEST):
             below = [np.empty(0, np.int64)]

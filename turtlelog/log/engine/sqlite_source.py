@@ -1,7 +1,6 @@
 """Reading of requested messages from a SQLite bag, block by block as from an MCAP file.
 
-The blobs of a batch are joined, with space for the header of an MCAP message record before each
-blob. All headers are written at once. After that, decoding is the same as for MCAP files.
+The blobs of a batch are joined, each after the header of an MCAP message record.
 
 A recording cannot run code: only tables are read, never views, and no function of the schema is
 called. Reading a file whose pages form a loop stops after a limited number of steps.
@@ -67,11 +66,7 @@ _SHORTENED: Final = (
 
 
 class SqliteRows:
-    """Rows of `topic_id`, `timestamp` and `data`, column by column.
-
-    Only few rows are taken at a time. SQLite and Python then reuse memory that stays in the
-    processor's cache, so a million rows take half as long.
-    """
+    """Rows of `topic_id`, `timestamp` and `data` by column; few at a time stay in the cache."""
 
     def __init__(self) -> None:
         self.ids, self.times, self.lengths = (array("q") for _ in range(3))
@@ -79,11 +74,7 @@ class SqliteRows:
         self._parts: list[bytearray] = []
 
     def take(self, rows: list[Row]) -> int:
-        """Add rows; return the total size of their blobs [bytes].
-
-        Raises:
-            TypeError: If a value has the wrong type.
-        """
+        """Add rows; return the total size of their blobs [bytes]."""
         ids, times, blobs = zip(*rows, strict=True)
         self.ids.extend(ids)
         self.times.extend(times)
@@ -254,16 +245,12 @@ class SqliteSource:
 def open_sqlite(
     path: Path, stored_size: int, *, is_damaged: bool = False
 ) -> Iterator[SqliteSource]:
-    """Open a SQLite bag, as `open_connection` opens its file.
-
-    The size of the file, packed if it was compressed [bytes], sets the limits.
-    """
+    """Open a SQLite bag; the size of the file before unpacking [bytes] sets the limits."""
     with open_connection(path, is_damaged=is_damaged) as (connection, size):
         yield SqliteSource(connection, size, stored_size)
 
 
 def _name_kind(value: object) -> str:
-    """Return SQLite's name of a value's type."""
     names = {bytes: "blob", float: "real", int: "integer", str: "text"}
     return names.get(type(value), "null")
 
@@ -305,7 +292,6 @@ class _BagTable(NamedTuple):
 
 
 def _list_tables(execute: _Execute) -> dict[str, _BagTable]:
-    """Return the tables of a bag by name."""
     kinds = {}
     for kind, name, sql in execute("SELECT type, name, sql FROM sqlite_master"):
         if kind in {"table", "view"}:
@@ -386,7 +372,6 @@ def _read_channels(
 def _read_definitions(
     execute: _Execute, tables: Mapping[str, _BagTable], allowance: Allowance
 ) -> dict[str, tuple[str, str]]:
-    """Return encoding and text of the types that the file defines."""
     definitions: dict[str, tuple[str, str]] = {}
     rows = _select(execute, tables, "message_definitions", _DEFINITION_COLUMNS)
     for number, row in enumerate(rows, start=1):

@@ -49,8 +49,7 @@ class TopicColumns(Tabular):
             sequences of texts as lists, and sequences of messages as lists of dictionaries by
             dotted name. For JSON messages, an array is a list, and missing values are NaN, an empty
             text or None.
-        stored: Key of the order in which messages are stored, shape (n,); None if that is the order
-            of log time.
+        stored: Key of the order of storage, shape (n,); None if that is the order of log time.
     """
 
     topic: str
@@ -127,8 +126,7 @@ def read_some_columns(
     """Return some topics as `read_columns` does, with memory limited by the file's size.
 
     Raises:
-        LogError: As for `read_columns`, and if a type has such a sequence or there are too many
-            messages.
+        LogError: As for `read_columns`, or if a type has a sequence, or there are too many rows.
     """
     with open_source(path) as source:
         selection = decode.Selection(topics=frozenset(topics), is_flat=is_flat, is_counted=True)
@@ -200,19 +198,15 @@ def collect_parts(
     look: Callable[[decode.Piece], object] = lambda _: None,
 ) -> dict[str, list[decode.Rows]]:
     """Return the rows of topics with messages, in parts; `look` is called with each piece."""
-    expected = count_rows(source, selection)
-    wholes = _set_aside(source, selection, expected)
-    stores: dict[str, _RowStore] = {}
+    wholes = _set_aside(source, selection, count_rows(source, selection))
+    parts: dict[str, list[decode.Rows]] = {}
     for piece in iterate_pieces(source, selection, wholes=wholes):
         look(piece)
         for topic, found in piece.rows.items():
-            if topic not in stores:
-                promised = expected.get(topic, 0) if source.is_indexed else 0
-                stores[topic] = _RowStore(0 if topic in wholes else promised)
-            stores[topic].take(found)
-    parts = {topic: [columns.finish()] for topic, columns in wholes.items() if columns.has_rows}
-    for topic, store in stores.items():
-        parts[topic] = [*parts.get(topic, []), *store.parts]
+            parts.setdefault(topic, []).append(found)
+    for topic, columns in wholes.items():
+        if columns.has_rows:
+            parts[topic] = [columns.finish(), *parts.get(topic, [])]
     return parts
 
 
@@ -240,13 +234,14 @@ def build_columns(
 ) -> Mapping[str, TopicColumns]:
     """Return rows of topics as columns, in order of topic names and of log time.
 
-    Rows with equal times keep their order. `types` are the message types.
+    Rows with equal times keep their order. `types` are the message types. The parts are emptied: a
+    column's parts are freed before those of the next are joined.
     """
     topics = {}
     for topic, found in sorted(parts.items()):
         rows = found[0]
         if len(found) > 1:
-            rows = {name: np.concatenate([part[name] for part in found]) for name in rows}
+            rows = {name: np.concatenate([part.pop(name) for part in found]) for name in [*rows]}
         times, stored = rows[decode.LOG_TIME], None
         if len(times) > 1 and (times[1:] < times[:-1]).any():
             stored = np.argsort(times, kind="stable")
@@ -266,51 +261,12 @@ def build_columns(
 def _select_topics(
     topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
 ) -> decode.Selection:
-    """Return a selection; None selects all."""
     names = [topics] if isinstance(topics, str) else topics
     return decode.Selection(
         topics=None if names is None else frozenset(names),
         start_ns=0 if start_ns is None else start_ns,
         end_ns=decode.EVER if end_ns is None else end_ns,
     )
-
-
-class _RowStore:
-    """Rows of one topic, part by part. If their number is known, each row is copied once."""
-
-    def __init__(self, expected: int) -> None:
-        self._expected, self._used = expected, 0
-        self._whole: decode.Rows = {}
-        self._others: list[decode.Rows] = []
-
-    def take(self, part: decode.Rows) -> None:
-        """Append rows."""
-        end = self._used + len(part[decode.LOG_TIME])
-        # In JSON, one block may have floats where another has whole numbers.
-        is_new = any(
-            name in self._whole and self._whole[name].dtype != values.dtype
-            for name, values in part.items()
-        )
-        if self._others or is_new or end > self._expected:
-            self._others.append(part)
-            return
-        if not self._whole and end == self._expected:
-            self._whole, self._used = part, end
-            return
-        if not self._whole:
-            self._whole = {
-                name: np.empty((self._expected, *values.shape[1:]), values.dtype)
-                for name, values in part.items()
-            }
-        for name, values in part.items():
-            self._whole[name][self._used : end] = values
-        self._used = end
-
-    @property
-    def parts(self) -> list[decode.Rows]:
-        """All rows, as a single part if the expected number was right."""
-        whole = [decode.pick_rows(self._whole, slice(self._used))] if self._used else []
-        return [*whole, *self._others]
 
 
 def iterate_pieces(
@@ -322,10 +278,6 @@ def iterate_pieces(
     """Yield the requested messages in file order, at most `most_rows` per topic in a piece.
 
     Messages of topics in `wholes` are stored there instead of in pieces, as long as there is room.
-
-    Raises:
-        LogError: If a requested topic is missing or cannot be decoded.
-        DamageError: If the file is damaged, or counts differ from the statistics.
     """
     catalogue, channels = source.catalogue, None
     if source.is_indexed:
@@ -355,10 +307,7 @@ def iterate_pieces(
 
 
 def count_rows(source: Source | SqliteSource, selection: decode.Selection) -> Mapping[str, int]:
-    """Return the number of rows of each topic from the statistics; empty without statistics.
-
-    If there are message indexes, their size limits the numbers.
-    """
+    """Return the rows of each topic by the statistics, limited by the message indexes, if any."""
     if source.statistics is None or not selection.is_ever:
         return {}
     room = source.index_length // 16 if source.is_indexed else decode.EVER

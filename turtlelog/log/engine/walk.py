@@ -1,8 +1,4 @@
-"""Reading of a file record by record from its start, even if damaged.
-
-Finished files are read by their indexes. This module is for files without an index, and for
-unfinished or damaged files.
-"""
+"""Reading of a file without an index, or a damaged one, record by record from its start."""
 
 import struct
 import zlib
@@ -32,11 +28,9 @@ _AFTER_DATA: Final = _SUMMARY_ONLY | {Opcode.FOOTER, Opcode.SCHEMA, Opcode.CHANN
 _CHAIN: Final = 4
 """Number of consecutive records that are accepted without a checksum.
 
-The worst case is messages half of zeros: a megabyte contains a thousand places that look like a
-record's head. One in a hundred of these is followed by another such place. By chance, three in a
-row occur once in a gigabyte, four in a row once in 100 GB. After damage, messages are found only if
-this number of them are consecutive.
-"""
+In the worst case, messages half of zeros, a megabyte contains a thousand places that look like a
+record's head; one in a hundred is followed by another. By chance, three in a row occur once in a
+gigabyte, four once in 100 GB. Fewer consecutive messages are not found after damage."""
 
 _PRIVATE: Final = 0x80  # first opcode for private use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
@@ -54,8 +48,13 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
 }
 # Two kinds continue with data that have an 8-byte length; number of bytes after these data.
 _DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
-_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: records.COUNTED_HEAD, Opcode.CHUNK: 40}
-_EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
+# Least and greatest length of other bodies [bytes].
+_LENGTHS: Final[Mapping[int, tuple[int, int]]] = {
+    Opcode.MESSAGE: (records.COUNTED_HEAD, records.LARGEST_RECORD),
+    Opcode.CHUNK: (40, records.LARGEST_RECORD),
+    Opcode.DATA_END: (4, 4),
+    Opcode.FOOTER: (20, 20),
+}
 
 _FIRST_STEP: Final = 2**12  # bytes searched at a time while the next record may be near
 _STEP: Final = 2**19
@@ -68,7 +67,6 @@ _RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.
 
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 
-
 _BATCH: Final = 2**20  # bytes of consecutive records outside chunks that are returned together
 _LONGEST_NAME: Final = 64  # bytes of the name of a compression
 _LONE: Final = _RUNS | {Opcode.HEADER, Opcode.DATA_END}
@@ -79,9 +77,8 @@ class Section:
     """A segment of records without known damage.
 
     Attributes:
-        data: Records one after the other: opcode u8, length u64, body. The records are all those of
-            an unpacked chunk, or records outside chunks in the data section: header, schemas,
-            channels, messages, metadata, one attachment, the end of the data.
+        data: Records one after the other (opcode u8, length u64, body): all those of an unpacked
+            chunk, or records outside chunks in the data section.
         start: Offset in the file [bytes].
         is_chunk: Whether the segment is a chunk.
         is_checked: Whether the checksum of the chunk or attachment is correct. For the record at
@@ -118,10 +115,9 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     """Yield the data section in the order of the file, and the segments that cannot be read.
 
     After an invalid header, reading continues at the next record that can be confirmed: a chunk, a
-    message index, or an attachment with its checksum. Single messages count only if earlier
-    messages were outside chunks. A chunk that fails its checksum counts as damaged as a whole. An
-    unfinished file ends in damage. The summary is not read. Memory is needed for one chunk at a
-    time, packed and unpacked.
+    message index, or an attachment with its checksum; messages only if earlier ones were outside
+    chunks. A chunk that fails its checksum is damaged as a whole. An unfinished file ends in
+    damage. Memory is needed for one chunk at a time, packed and unpacked.
     """
     window, damaged = FileWindow(stream), False
     for found in _walk_records(window):
@@ -134,9 +130,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
                 checksum = zlib.crc32(data, checksum)
             yield replace(found, is_checked=expected != 0 and checksum == expected)
             if checksum != expected:
-                start = found.start
                 reason = f"expected data with the checksum {expected:#010x}, found {checksum:#010x}"
-                yield Loss(start=start, end=start, reason=reason)
+                yield Loss(start=found.start, end=found.start, reason=reason)
             continue
         yield found
 
@@ -144,8 +139,8 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
 def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
     """Yield complete records from `place`, the start of a record, and the place to continue.
 
-    This function reads files that are being written, so it ends before the first incomplete record.
-    After the end of the data, the place to continue is the end of the file.
+    The file may be growing: reading ends before the first incomplete record. After the end of the
+    data, the place to continue is the end of the file.
     """
     window = FileWindow(stream)
     while place < window.size:
@@ -200,13 +195,13 @@ def _read_record(
     if place >= window.size:
         reason = "expected the end of the data, found that of the file: cut short, or not finished"
         return [Loss(start=window.size, end=window.size, reason=reason)], None
-    if window.read(place, 1)[0] == Opcode.CHUNK:
+    if (opcode := window.read(place, 1)[0]) == Opcode.CHUNK:
         return _read_chunk(window, place)
-    if window.read(place, 1)[0] == Opcode.ATTACHMENT:
+    if opcode == Opcode.ATTACHMENT:
         return _read_attachment(window, place)
     opcode, end = _find_record_end(window, place)
-    # A wrong bit can turn a header or a message index into a message. No writer mixes chunks and
-    # single messages.
+    # A wrong bit can turn another record into a message. No writer mixes chunks and single
+    # messages.
     if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
         raise LogError("expected messages in chunks, found one that stands alone")
     # A wrong bit can turn metadata or an attachment into one of these.
@@ -217,14 +212,13 @@ def _read_record(
         return [Loss(start=place, end=place, reason=reason)], None
     if opcode not in _LONE:
         return [], end
-    data = _read_run(window, place, opcode)
+    data = _read_run(window, place, opcode, end)
     section = Section(data=data, start=place, is_chunk=False, is_checked=False)
     return [section], None if opcode == Opcode.DATA_END else place + len(data)
 
 
-def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
-    """Return consecutive records of one kind from `place`, up to a batch."""
-    end = _find_record_end(window, place)[1]
+def _read_run(window: FileWindow, place: int, opcode: int, end: int) -> bytes:
+    """Return consecutive records of one kind from `place`, the first to `end`, up to a batch."""
     if opcode == Opcode.MESSAGE:
         end = max(end, place + records.skip_followed(window.read(place, _BATCH)))
     while opcode in _RUNS and end - place < _BATCH:
@@ -332,8 +326,7 @@ def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     Bytes after its fields belong to the record if `_is_padding` returns True.
 
     Raises:
-        LogError: If the lengths disagree, or the file ends within the record; the message is one
-            clause.
+        LogError: If the lengths disagree, or the file ends within the record; one clause.
     """
     opcode, length = _read_head(window, place)
     end = place + RECORD.size + length
@@ -344,17 +337,14 @@ def _find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
         found -= place + RECORD.size
         raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
     # If the fields do not confirm the length of a record, the next record must.
-    is_borne_out = opcode in _SHAPES or opcode in _EXACT
+    is_borne_out = opcode in _SHAPES or opcode in {Opcode.DATA_END, Opcode.FOOTER}
     if not is_borne_out and not _is_record_start(window, end, after=opcode):
         raise LogError(f"no record follows the one of {length} bytes")
     return opcode, end
 
 
 def _is_record_start(window: FileWindow, place: int, *, after: int = 0) -> bool:
-    """Return whether a record can start here; the end of the file may truncate it.
-
-    A message index can follow only a chunk or another index.
-    """
+    """Return whether a record can start here; the end of the file may truncate it."""
     if window.size - place < RECORD.size:
         head = window.read(place, 1)
         return not head or head[0] >= _PRIVATE or head[0] in _KNOWN
@@ -386,18 +376,14 @@ def _measure_record(window: FileWindow, place: int, opcode: int, end: int) -> in
 def _is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
     """Return whether the bytes from `start` to `end` belong to the record before them.
 
-    The known fields of the record end at `start`; the record ends at `end`, according to its
-    length. A later version may append fields, which readers ignore. The length is accepted if a
-    valid record begins at `end`. If valid records begin at `start`, the length is damaged.
+    Its known fields end at `start`, and by its length it ends at `end`: a later version may append
+    fields. A valid record at `end` confirms the length; valid records from `start` on refute it.
     """
     return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
 
 
 def _is_followed(window: FileWindow, place: int, after: int) -> bool:
-    """Return whether a record follows whose fields, or whose next record, confirm its length.
-
-    For a record truncated by the end of the file, a valid header is enough.
-    """
+    """Return whether a record, perhaps cut, follows whose fields or next record fit its length."""
     if not _is_record_start(window, place, after=after):
         return False
     if window.size - place < RECORD.size:
@@ -435,10 +421,7 @@ def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
     opcode, length = RECORD.unpack(head)
     if opcode < _PRIVATE and opcode not in _KNOWN:
         raise LogError(f"expected a record, found the opcode {opcode:#04x}")
-    exact = _EXACT.get(opcode)
-    least, most = (
-        (_LEAST.get(opcode, 0), records.LARGEST_RECORD) if exact is None else (exact, exact)
-    )
+    least, most = _LENGTHS.get(opcode, (0, records.LARGEST_RECORD))
     if not least <= length <= most:
         raise LogError(f"expected a record (opcode {opcode}), found one of {length} bytes")
     return opcode, length
@@ -448,7 +431,7 @@ def _find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int |
     """Return the offset of the next record that can be confirmed, if any.
 
     Schemas, channels and messages outside chunks are searched only in files with such messages:
-    within a damaged uncompressed chunk such records would look valid without any confirmation.
+    they would look valid within a damaged uncompressed chunk.
     """
     is_wanted = np.zeros(256, dtype=bool)
     is_wanted[[*_BOUND, Opcode.DATA_END, *(_RUNS if is_lone else ())]] = True

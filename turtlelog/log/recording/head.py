@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError, ScenarioError
-from turtlelog.files.text_files import copy_tables, format_toml, parse_known_toml
+from turtlelog.files.text_files import format_toml, parse_known_toml
 from turtlelog.libraries import __version__
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import name_place
@@ -39,8 +39,7 @@ _PARAMETER_FILE: Final = "parameters.toml"
 """Attachment with the known values of a scenario."""
 
 _USUAL: Final = 2**13
-"""Largest attachment whose tables are cached [bytes]; 32 such attachments take at most about 25
-MB."""
+"""Longest declaration that is cached [bytes]."""
 
 _LONGEST: Final = 2**18
 """Largest size of the record, and of an attachment, that is read [bytes]; turtlelog writes a few
@@ -56,10 +55,7 @@ _REQUIRED: Final = object()
 """Value of entries that every record has."""
 
 _LONGEST_DECLARATION: Final = _LONGEST // 2
-"""Largest declaration as JSON [bytes]; the record has other entries too.
-
-250 names of 60 letters take 16 KiB.
-"""
+"""Largest declaration as JSON [bytes]; 250 names of 60 letters take 16 KiB."""
 
 _OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
 """Declaration of another law in format 1: the phases that every law had then."""
@@ -74,12 +70,10 @@ class Head:
         source: Source, as in `Run`.
         name: Name, as in `Run`.
         stop_reason: Stop reason, as in `Run`.
-        goal_heading_rad: Goal heading, as in `Run`. The goal's quaternion in the messages is not
-            exact.
+        goal_heading_rad: Goal heading, as in `Run`; in the messages it is not exact.
         absent: Missing fields, as in `Run`.
         nan_columns: Columns of the run that are None, and NaN in the messages.
-        more_topics: Optional topics of this recording, even without messages: all sensed poses may
-            drop out.
+        more_topics: Optional topics of this recording, even without messages.
         declaration: Declaration, as in `Run`; None in format 1.
         notes: Notes, as in `Run`.
         clock: Clock, as in `Run`.
@@ -101,11 +95,7 @@ class Head:
 
 
 def format_head(head: Head) -> dict[str, str]:
-    """Return the metadata record. Entries that are None are omitted.
-
-    Raises:
-        LogError: If the declaration is longer than readers accept.
-    """
+    """Return the metadata record. Entries that are None are omitted."""
     record = {
         "format_version": str(head.format_version),
         "turtlelog_version": __version__,
@@ -136,11 +126,7 @@ def format_head(head: Head) -> dict[str, str]:
 
 
 def parse_head(record: Mapping[str, str]) -> Head:
-    """Return the metadata record of a recording.
-
-    Raises:
-        LogError: If it was written by a newer turtlelog, or an entry is missing or wrong.
-    """
+    """Return the metadata record of a recording."""
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
     version = _decode(record, "format_version", int)
@@ -209,20 +195,11 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:
         raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
-    is_usual = len(text) <= _USUAL
-    tables = copy_tables(_keep_tables(name, text)) if is_usual else _parse_tables(name, text)
-    return tables, name in attachments and name == SCENARIO_FILE
-
-
-def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
     try:
-        return parse_known_toml(text.decode())
+        tables = parse_known_toml(text.decode())
     except ValueError as err:
         raise LogError(f"attachment {name}: not TOML: {err}") from err
-
-
-_keep_tables = lru_cache(maxsize=32)(_parse_tables)
-"""Files of one experiment share their tables."""
+    return tables, name in attachments and name == SCENARIO_FILE
 
 
 def sum_up_record(record: Mapping[str, str]) -> str:
@@ -238,27 +215,28 @@ def _encode(value: object) -> str:
     return msgspec.json.encode(value).decode()
 
 
-def _get(record: Mapping[str, str], key: str) -> str:
+def _get(record: Mapping[str, str], key: str, of: str = HEAD) -> str:
     if key not in record:
-        raise LogError(f"metadata {HEAD}: the entry {key} is missing")
+        raise LogError(f"metadata {of}: the entry {key} is missing")
     return record[key]
 
 
-def _decode(record: Mapping[str, str], key: str, kind: Any, absent: Any = _REQUIRED) -> Any:
+def _decode(
+    record: Mapping[str, str], key: str, kind: Any, absent: Any = _REQUIRED, of: str = HEAD
+) -> Any:
     if key not in record and absent is not _REQUIRED:
         return absent
-    text = _get(record, key)
+    text = _get(record, key, of)
     try:
         return msgspec.json.decode(text, type=kind)
     except msgspec.MsgspecError as err:
-        raise LogError(f"metadata {HEAD}: {key}: {err}, found {text[:60]!r}") from err
+        raise LogError(f"metadata {of}: {key}: {err}, found {text[:60]!r}") from err
 
 
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
     """Return the declaration of a law in format 1, which stores no declaration.
 
-    Missing values of the attached tables have their defaults, so an imported log has the sequential
-    law. Without a law name and samples, nothing is known.
+    A missing law is the default one; without its name and samples, nothing is known.
     """
     from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 
@@ -307,11 +285,7 @@ def format_recovery(
 
 
 def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
-    """Return the note `recovered` for a file with these records; empty if it was not recovered.
-
-    Raises:
-        LogError: If the record was changed after writing.
-    """
+    """Return the note `recovered` for a file with these records; empty if it was not recovered."""
     notes = [found for found in records if isinstance(found, Metadata) and found.name == RECOVERY]
     losses = "; ".join(dict.fromkeys(_describe(note.metadata) for note in notes))
     return {"recovered": f"{_FROM_DAMAGED}{losses}"} if notes else {}
@@ -320,8 +294,8 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
 def _describe(record: Mapping[str, str]) -> str:
     if record.get(CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {RECOVERY}: damaged, its checksum does not match")
-    lost = _decode_loss(record, "lost", tuple[Loss, ...])
-    missing = _decode_loss(record, "missing", dict[str, int] | None)
+    lost = _decode(record, "lost", tuple[Loss, ...], of=RECOVERY)
+    missing = _decode(record, "missing", dict[str, int] | None, of=RECOVERY)
     if missing is None:
         count = "the number of lost messages is unknown"
     elif missing:
@@ -332,10 +306,3 @@ def _describe(record: Mapping[str, str]) -> str:
     if len(lost) > 1:
         places.append(describe_count(len(lost) - 1, "more place"))
     return f"{count} ({', and '.join(places)})" if places else count
-
-
-def _decode_loss(record: Mapping[str, str], key: str, kind: Any) -> Any:
-    try:
-        return msgspec.json.decode(record[key], type=kind)
-    except (KeyError, msgspec.MsgspecError) as err:
-        raise LogError(f"metadata {RECOVERY}: {key}: expected its JSON, found {err}") from err

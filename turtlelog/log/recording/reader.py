@@ -185,7 +185,6 @@ def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
 def _build_measured(
     columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
-    """Return the motion that the robot reported; empty without reports."""
     if topics.MEASURED.name not in columns:
         return {}
     found = columns.pop(topics.MEASURED.name)
@@ -319,9 +318,8 @@ def _unless_nan(head: Head, name: str, values: Column) -> Values | None:
 def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     """Return contents with consistent rows, and a clause on the changes; empty without changes.
 
-    Poses are numbered from 0, and each sample contains the number of its pose. Poses with a missing
-    column are dropped. Samples are dropped if their pose, states, reference, sensed pose or shaped
-    command is missing. The remaining poses are numbered anew. If no sample read a pose, it is
+    Poses are numbered from 0, and each sample contains the number of its pose. Rows that lack a
+    part are dropped, and the remaining poses are numbered anew. If no sample read a pose, it is
     unknown whether the pose dropped out or its sensed values are lost.
     """
     tables, declaration = dict(contents.topics), contents.head.declaration

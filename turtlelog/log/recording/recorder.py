@@ -1,7 +1,4 @@
-"""Live recording: a file that is readable up to the last second.
-
-Ticks are encoded as the message records of a chunk, with one packing call per message.
-"""
+"""Live recording: a file that is readable up to the last second."""
 
 import struct
 import sys
@@ -25,10 +22,11 @@ from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.engine.cdr import CODES, ENCAPSULATION, FRONT, encode_message
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.records import RECORD
-from turtlelog.log.file_access import exit_on_terminate, hold_stop, mark_live, name_write_error
+from turtlelog.log.file_access import mark_live, name_write_error
 from turtlelog.log.mcap_writer import ChunkRows, McapFile
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
+from turtlelog.log.recording.live_run import exit_on_terminate, hold_stop
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import DONE, PAUSE, Declaration
@@ -56,13 +54,12 @@ class Recorder:
 
     Ticks are buffered until 64 KiB are full or a second has passed, and then written to the
     operating system as one self-contained chunk. A killed process therefore loses about the last
-    second; a power failure may also lose data not yet written to disk. Nothing runs in the
-    background: if the loop blocks, buffered ticks are written with the next tick.
+    second; a power failure may lose more. Nothing runs in the background: if the loop blocks,
+    buffered ticks are written with the next tick.
 
     As a context manager, the recorder finishes the file at exit, also after Ctrl-C, SIGTERM, SIGHUP
-    or SIGQUIT. An existing file is refused, also if another recorder is writing it. If the file is
-    deleted, moved or replaced, the recording ends with the next chunk, because later data would be
-    lost.
+    or SIGQUIT. An existing file is refused. If the file is deleted, moved or replaced, the
+    recording ends with the next chunk, because later data would be lost.
     """
 
     def __init__(
@@ -121,9 +118,7 @@ class Recorder:
     def receive(self, tick: Tick) -> None:
         """Record a tick.
 
-        Raises:
-            LogError: If the file cannot be written. The file is then closed, and readable up to
-                that point.
+        If the file cannot be written, it is closed, and readable up to that point.
         """
         if not self._is_open:
             raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
@@ -200,7 +195,6 @@ class Recorder:
         return LogError(f"{self._path}: expected a file that stays, found it {loss}: {rest}")
 
     def _discard(self) -> None:
-        """Remove a file that will not be finished."""
         with suppress(OSError):
             self._stream.close()
         self._path.unlink(missing_ok=True)
@@ -320,8 +314,6 @@ def measure_tick(tick: Tick) -> int:
 
 @dataclass(slots=True, eq=False)
 class _Messages:
-    """The messages of one topic."""
-
     number: int  # number of the topic's channel
     pack: Callable[..., bytes]  # packs a record, if the type has a fixed size
     length: int  # of such a record, as in its length field
@@ -363,12 +355,11 @@ class TickRecords:
             self._messages[topic.name]
             for topic in (topics.POSE, topics.POSE64, topics.CONTROL, topics.COMMAND)
         )
-        self._sensed, self._sensed64 = (
-            self._messages.get(topic.name) for topic in (topics.SENSED, topics.SENSED64)
+        self._sensed, self._sensed64, self._shaped, self._reference64 = (
+            self._messages.get(topic.name)
+            for topic in (*topics.OF_SENSING, topics.SHAPED, topics.REFERENCE64)
         )
-        self._shaped = self._messages.get(topics.SHAPED.name)
         self._states = self._messages.get(topics.LAW_STATE)
-        self._reference64 = self._messages.get(topics.REFERENCE64.name)
         self._phases = declaration.phase_names
         self._phase: int | None = None
         self._lacking: set[str] = set()
@@ -386,26 +377,24 @@ class TickRecords:
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
         """Return the messages of the next ticks, at least one tick."""
         for tick in ticks:
-            time_ns = tick.time_ns
-            self._add_pose(time_ns, tick)
+            self._add_pose(tick)
             for number, sample in enumerate(tick.computed):
-                states = tick.states[number] if tick.states else ()
-                self._add_sample(sample.time_ns, sample, states)
+                self._add_sample(sample, tick.states[number] if tick.states else ())
             for sample in tick.published:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
                 self._add(self._command, sample.published_ns, sample.sequence, *values)
             for sample in tick.computed:
-                self._follow_phase(sample.time_ns, sample)
+                self._follow_phase(sample)
             if tick.stop_reason is not None and self._phase is not None:
                 later_ns = [sample.time_ns for sample in tick.computed]
                 later_ns += [sample.published_ns for sample in tick.published]
-                self._end_phase(max([time_ns, *later_ns]), tick.stop_reason)
+                self._end_phase(max([tick.time_ns, *later_ns]), tick.stop_reason)
             for event in tick.events:
                 self._add_varied(topics.EVENT, event.time_ns, tabulate_event(event))
         return self._collect()
 
-    def _add_pose(self, time_ns: int, tick: Tick) -> None:
-        row, number = tick.row, self._pose.count
+    def _add_pose(self, tick: Tick) -> None:
+        time_ns, row, number = tick.time_ns, tick.row, self._pose.count
         self._pose.count = number + 1
         if not number and self._goal is not None:
             self._add_varied(topics.GOAL, time_ns, describe_pose(time_ns, *self._goal))
@@ -421,8 +410,8 @@ class TickRecords:
         if self._sensed64 is not None and self._is_exact:
             self._add(self._sensed64, time_ns, number, *values)
 
-    def _add_sample(self, time_ns: int, sample: SampleRow, states: tuple[float, ...]) -> None:
-        row, sequence = _LIST(sample), sample.sequence
+    def _add_sample(self, sample: SampleRow, states: tuple[float, ...]) -> None:
+        time_ns, row, sequence = sample.time_ns, _LIST(sample), sample.sequence
         self._add(self._control, time_ns, sequence, *row)
         if self._states is not None:
             self._add(self._states, time_ns, sequence, *states)
@@ -441,13 +430,13 @@ class TickRecords:
                 name for name, places in _PLACES.items() if any(isnan(row[at]) for at in places)
             }
 
-    def _follow_phase(self, time_ns: int, sample: SampleRow) -> None:
+    def _follow_phase(self, sample: SampleRow) -> None:
         if sample.phase != self._phase:
             if self._phase is not None:
                 self._add_pause()
             self._phase, self._is_paused = sample.phase, False
-            self._add_varied(topics.PHASE, time_ns, {"data": self._phases[sample.phase]})
-        self._sample_ns, self._is_blocked = time_ns, sample.blocks_ticks > 0
+            self._add_varied(topics.PHASE, sample.time_ns, {"data": self._phases[sample.phase]})
+        self._sample_ns, self._is_blocked = sample.time_ns, sample.blocks_ticks > 0
         if self._is_blocked and sample.ends_phase:
             self._add_pause()
 
@@ -496,6 +485,4 @@ class TickRecords:
             channels=[self._channels[number - 1] for number in index],
             records=records,
             index=index,
-            start_ns=min(int(entries[:, 0].min()) for entries in index.values()),
-            end_ns=max(int(entries[:, 0].max()) for entries in index.values()),
         )

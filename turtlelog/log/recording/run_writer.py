@@ -13,10 +13,9 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.engine.cdr import PackedItems
 from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import create_folder, name_write_error
+from turtlelog.log.file_access import CHOSEN, UNUSED, create_folder, name_write_error
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (
     FORMAT_VERSION,
@@ -232,10 +231,7 @@ def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
 
 
 def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
-    """Yield the sensed poses by pose number, and their exact values if 32-bit floats lose digits.
-
-    A sensor gives no velocity.
-    """
+    """Yield the sensed poses by pose number, exact too if 32-bit floats lose digits."""
     xy_m, heading_rad = poses.sensed_xy_m, poses.sensed_heading_rad
     if xy_m is None or heading_rad is None:
         return
@@ -284,10 +280,7 @@ def _build_states(run: Run) -> list[TopicColumns]:
 
 
 def _build_references(run: Run) -> list[TopicColumns]:
-    """Return the reference poses, for other tools and in exact form, one per sample with one.
-
-    Messages for other tools contain a quaternion.
-    """
+    """Return the reference poses of samples, for other tools (as quaternions) and exact."""
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
     if xy_m is None or heading_rad is None or not run.declaration.has_reference:
@@ -352,13 +345,9 @@ _LATEST_NS: Final = 2**31 * 1_000_000_000
 
 
 def build_shared_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the poses as odometry, as transforms and, at the time of the last pose, as one path.
-
-    The result is empty if there are more than `MOST_SHARED` poses, or times beyond the range of
-    stamps.
-    """
+    """Return the poses as odometry, as transforms and as one path, unless `list_unshared`."""
     poses = run.poses
-    if not _can_share(run):
+    if not len(poses) or list_unshared(run):
         return ()
     seconds, nanoseconds = divmod(poses.time_ns, 1_000_000_000)
     half_rad = poses.heading_rad / 2.0
@@ -409,29 +398,21 @@ def _pack_poses(columns: Mapping[str, NDArray[Any]], rows: int) -> PackedItems:
     return PackedItems(rows, layout.fill(rows, numbers).tobytes())
 
 
-def _can_share(run: Run) -> bool:
-    """Return whether the poses of a run are few enough, and its times fit stamps."""
-    count = len(run.poses)
-    return 0 < count <= MOST_SHARED and int(run.poses.time_ns[-1]) < _LATEST_NS
-
-
 def list_unshared(run: Run) -> list[str]:
     """Return why poses are not written for other programs: one sentence, or an empty list."""
-    if _can_share(run) or not len(run.poses):
-        return []
-    reason = (
-        f"{len(run.poses):,} poses are more than {MOST_SHARED:,}"
-        if len(run.poses) > MOST_SHARED
-        else "the times do not fit the stamps of ROS"
-    )
-    return [f"/odom, /tf and /path are left out: {reason}"]
+    reason = ""
+    if len(run.poses) > MOST_SHARED:
+        reason = f"{len(run.poses):,} poses are more than {MOST_SHARED:,}"
+    elif len(run.poses) and int(run.poses.time_ns[-1]) >= _LATEST_NS:
+        reason = "the times do not fit the stamps of ROS"
+    return [f"/odom, /tf and /path are left out: {reason}"] if reason else []
 
 
 def _read_rates(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return forward speed [m/s] and turn rate [rad/s] of every pose; NaN if unknown.
 
-    The values are measured by the robot, or else applied by turtlesim. turtlesim publishes the
-    magnitude of its speed; the sign comes from the motion along the heading.
+    They are measured by the robot, or else applied by turtlesim, which publishes the magnitude of
+    its speed; the sign comes from the motion along the heading.
     """
     poses = run.poses
     unknown = np.full(len(poses), np.nan)

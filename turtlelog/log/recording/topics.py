@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from typing import Any, BinaryIO, Final
 
@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import walk_blocks
+from turtlelog.log.engine.blocks import build_walked_block, walk_through
 from turtlelog.log.engine.channels import Catalogue, TopicPlan, find_definition
 from turtlelog.log.engine.decode import (
     LOG_TIME,
@@ -45,8 +45,7 @@ class Topic:
 # The turtle's goal, with one message.
 GOAL: Final = Topic("/turtle1/goal", "geometry_msgs/msg/PoseStamped")
 
-# One message per pose; exact poses and their applied velocities only if 32-bit floats would lose
-# digits. Readers prefer exact topics.
+# One message per pose. Exact topics, if 32-bit floats would lose digits, are preferred by readers.
 POSE: Final = Topic("/turtle1/pose", "turtlesim/msg/Pose")
 POSE64: Final = Topic("/turtle1/pose64", "geometry_msgs/msg/Pose2D")
 VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
@@ -80,8 +79,7 @@ CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
 # The law's own numbers, with one message per sample. The law determines the type.
 LAW_STATE: Final = "/turtle1/law_state"
 
-# Reference poses of samples, for other tools; exact for readers, because a quaternion does not give
-# the exact heading.
+# Reference poses of samples, for other tools as quaternions, and exact for readers.
 REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
 REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
 
@@ -93,8 +91,7 @@ COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
 PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
 
-# Poses for other programs: as odometry, as transforms from the world to the robot, and all poses in
-# one message at the time of the last.
+# Poses for other programs: odometry, transforms from the world to the robot, and one path.
 ODOMETRY: Final = Topic("/odom", "nav_msgs/msg/Odometry")
 TRANSFORMS: Final = Topic("/tf", "tf2_msgs/msg/TFMessage")
 PATH: Final = Topic("/path", "nav_msgs/msg/Path")
@@ -177,9 +174,7 @@ TYPE_HASHES: Final[Mapping[str, str]] = {
 }
 """Hash by message type, for every key of `SCHEMAS`. Text and hash must change together.
 
-RIHS01 is the SHA-256 of a type's description (REP 2011). ROS 2 compares it with the hash of the
-installed type.
-"""
+RIHS01 is the SHA-256 of a type's description (REP 2011), which ROS 2 compares."""
 
 _FLOAT64: Final = {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
 """Description of a float64 field's type (REP 2011)."""
@@ -229,10 +224,8 @@ def list_topics(
 ) -> tuple[Topic, ...]:
     """Return the topics of a recording. Messages with equal times have this order.
 
-    Args:
-        declaration: Declaration of the law; None in format 1.
-        kind: Name of the law; the message type of the law's states is named after it.
-        more: Names of the recording's optional topics among `SENSED`, `MEASURED` and `SHAPED`.
+    In format 1 there is no declaration. The type of the law's states is named after its `kind`;
+    `more` are names of optional topics.
     """
     sensed = OF_SENSING if SENSED.name in more else ()
     sensed += (MEASURED,) if MEASURED.name in more else ()
@@ -302,9 +295,8 @@ class Contents:
     Attributes:
         head: Metadata of the recording.
         attachments: Attached bytes by name.
-        topics: Columns of every expected topic by name, empty without messages. Declaration and
-            effects determine the topics. In a complete file, fields that no run needs are omitted,
-            and log times replace publish times.
+        topics: Columns of every expected topic by name, empty without messages. In a complete file,
+            fields that no run needs are omitted, and log times replace publish times.
         damages: Segments that could not be read; empty if the file is complete.
         recovered: Note on earlier losses, if the file was recovered.
     """
@@ -327,9 +319,7 @@ class PartialRecordingWarning(UserWarning):
 def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
     """Return the contents of a recording, after checking all available checksums.
 
-    Args:
-        stream: The file.
-        may_be_foreign: Whether the file may be a third-party file, so that damage is not suspected.
+    Damage of a third-party file is not suspected if it `may_be_foreign`.
 
     Raises:
         LogError: If the file is not MCAP, or a topic of turtlelog has another type.
@@ -375,7 +365,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     summary = salvage_summary(stream)
     if summary is not None:
         catalogue.add((*summary.schemas, *summary.channels), 0)
-    for block in walk_blocks(stream, catalogue, damages=damages):
+    for block in walk_through(stream, partial(build_walked_block, catalogue), damages=damages):
         found += _keep_notes(block.rest)
         known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
         try:

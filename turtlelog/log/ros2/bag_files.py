@@ -1,8 +1,7 @@
 """The files of a bag, as its metadata.yaml or the folder names them, and their contents.
 
-Four entries of metadata.yaml are needed, so single lines are read. A YAML library takes 50 times as
-long: 4 s for 2,000 topics. Anchors, and lists in brackets over several lines, are refused with the
-line number; neither rosbag2 nor rosbags writes them.
+Single lines of metadata.yaml are read, because a YAML library takes 50 times as long: 4 s for 2,000
+topics. Anchors, and lists in brackets over several lines, are refused; no recorder writes them.
 """
 
 import re
@@ -121,7 +120,6 @@ def parse_bag_metadata(text: str) -> BagMetadata:
 
 
 def _read_flow_list(number: int, value: str) -> list[str]:
-    """Return the names of a list in brackets on one line; empty for another value."""
     found = _FLOW_LIST.match(value)
     items = found["items"].strip() if found else ""
     names, place = [], 0
@@ -173,10 +171,7 @@ def _build_metadata(values: Mapping[str, str], files: Sequence[str]) -> BagMetad
 
 
 def _iterate_entries(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, key and value of the entries right below the root.
-
-    List items and keys below an entry are yielded as text without a key.
-    """
+    """Yield line, key and value of the entries below the root; items without a key."""
     depth, is_inside = -1, False
     for number, whole in iterate_lines(text):
         line = whole.rstrip()
@@ -225,17 +220,14 @@ _MOST_NAMED: Final = 6
 """Largest number of files that an error names: one line of a terminal."""
 
 _MOST_OVERLAP: Final = 0.5
-"""Largest overlap of two parts, as a share of the shorter part. Queued messages overlap by seconds,
-two recordings completely."""
+"""Largest overlap of two parts, as a share of the shorter; two recordings overlap completely."""
 
 _MOST_APART_NS: Final = 10_000_000_000
-"""Longest time from the end of a part to the next part [ns]. rosbag2 begins a part with the next
-message, and a running robot publishes transforms, diagnostics or odometry at least every few
-seconds."""
+"""Longest time from the end of a part to the next part [ns]. A running robot publishes transforms,
+diagnostics or odometry at least every few seconds."""
 
 _MOST_APART_STEPS: Final = 100.0
-"""The same limit as a multiple of the mean time between messages, because slow topics alone may be
-silent for longer."""
+"""The same limit as a multiple of the mean time between messages, for slow topics alone."""
 
 _UNITS_S: Final = (("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("s", 1.0))
 
@@ -259,18 +251,13 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
     """Return the files of a bag in the bag's order: the files in a folder, or a single file.
 
     Raises:
-        LogError: If a folder contains no files of a bag, lacks a file named in its metadata, or
-            mixes kinds of files.
+        LogError: If a folder contains no files of a bag, lacks a named one, or mixes kinds.
     """
     return find_bag_files(path).files
 
 
 def find_bag_files(path: str | Path) -> BagFiles:
-    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder.
-
-    Raises:
-        LogError: As `list_bag_files` does.
-    """
+    """Return the files of a bag as named in metadata.yaml; without it, the files in the folder."""
     path = make_path(path)
     if not path.is_dir():
         return BagFiles(files=(path,))
@@ -333,7 +320,6 @@ def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFi
 
 
 def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
-    """Return the files named in the metadata, each once. A single renamed file is accepted."""
     files: dict[Path, None] = {}  # ordered, with fast look-up
     missing: list[str] = []
     base = folder.resolve().as_posix()
@@ -362,8 +348,7 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
 def _find_file(folder: Path, name: str, base: str) -> Path | None:
     """Return a file of a bag; `base` is the bag's folder from the root.
 
-    Early versions wrote the folder's name before the file's. Files outside the bag are not read: a
-    recording must not choose which files are opened.
+    None outside the bag is read: a recording must not choose which files are opened.
     """
     place = PurePosixPath(name.replace("\\", "/"))
     within = place.relative_to(base) if place.is_relative_to(base) else place
@@ -391,10 +376,7 @@ def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
 
 
 def _find_break(files: tuple[Path, ...]) -> str | None:
-    """Return why numbered files are not parts of one bag; None if each part continues another part.
-
-    Every recording by turtlelog begins at 0, and no recording has parts.
-    """
+    """Return why numbered files are not parts of one bag; None if each continues another."""
     found: list[tuple[tuple[int, int], int, str]] = []
     is_whole = True
     for file in files:
@@ -421,10 +403,7 @@ def _find_break(files: tuple[Path, ...]) -> str | None:
 
 
 def _require_sound(files: tuple[Path, ...]) -> None:
-    """Refuse SQLite beside MCAP files, which no recorder writes, and a file with two names.
-
-    The messages of a file with two names would be duplicated.
-    """
+    """Refuse SQLite beside MCAP files, which no recorder writes, and a file with two names."""
     if len({".db3" in file.suffixes for file in files}) > 1:
         names = ", ".join(file.name for file in files)
         raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")

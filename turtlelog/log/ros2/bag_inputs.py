@@ -12,9 +12,9 @@ import numpy as np
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.file_access import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
-from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
@@ -55,8 +55,7 @@ _AT_ROBOT_SHARE: Final = 0.1
 """The same distance as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
 
 _ONE_GOAL_M: Final = 0.5
-"""Largest distance between the ends of successive paths to one goal [m]: Nav2 lets a plan end up to
-this tolerance away from the goal."""
+"""Largest distance between the ends of successive paths to one goal [m]; Nav2's tolerance."""
 
 _MOST_PATHS: Final = 1000
 """Largest number of path messages that are read without request. A trace that grows point by point
@@ -71,8 +70,7 @@ def choose_commands(
 ) -> tuple[bag_topics.Pick | None, str]:
     """Return the topic of the commands, or the reason why there is none, which may be empty.
 
-    Ackermann commands have priority if a wheelbase is given. Without a wheelbase, they give no turn
-    rate.
+    Ackermann commands need a wheelbase, and have priority if one is given.
     """
     asked, steering = choice.command_topic, bag_topics.ACKERMANN_TYPES
     choose = partial(choose_command_topic, topics, pose_topic=pose_topic)
@@ -103,9 +101,6 @@ def choose_command_topic(
     The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
     the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
     chosen. Without poses, `pose_topic` is empty.
-
-    Raises:
-        LogError: If several topics are equally likely.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -150,8 +145,7 @@ def order_commands(
 def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -> dict[str, Values]:
     """Return forward and lateral speed [m/s] and turn rate [rad/s].
 
-    Ackermann commands need the distance between the axles: a car turns with speed * tan(steering
-    angle) / wheelbase. The turn rate is NaN from 90 deg on.
+    A car turns with speed * tan(steering angle) / wheelbase; NaN from 90 deg on.
     """
     if kind in bag_topics.ACKERMANN_TYPES and wheelbase_m is not None:
         drive = "drive." if kind.endswith("Stamped") else ""
@@ -245,11 +239,7 @@ def add_references(
 def _choose_path_topics(
     topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
 ) -> list[TopicInfo]:
-    """Return the requested path topic, or all topics that may contain plans, in order.
-
-    A controller's short local plan (local_plan) and topics with the name of a trace are not
-    references.
-    """
+    """Return the requested path topic, or all that may contain plans (no traces), in order."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return [bag_topics.find_asked(held, asked, (bag_topics.PATH,), "path_topic")]
@@ -272,7 +262,6 @@ def _choose_path_topics(
 
 
 def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> TopicInfo | None:
-    """Return the topic of goals, preferably next to the poses; None if there is none."""
     fitting = (
         topic
         for topic in bag_topics.drop_unread(topic for topic in topics if topic.count)
@@ -292,8 +281,7 @@ _Goal = tuple[dict[str, Any], str, int]
 def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
     """Return the last goal that was set while the robot was recorded, and when it was first given.
 
-    A goal in another frame is converted to the frame of the poses by the transforms at the time of
-    the goal. Without such transforms, there is no goal, and the note gives the reason.
+    A goal in another frame needs transforms at its time.
     """
     rows = _sort_rows(messages)
     known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
@@ -363,10 +351,9 @@ def find_path(
 ) -> tuple[list[list[float]] | None, str, int]:
     """Return the points of the path that counts [m], in the frame of the poses, a note and a time.
 
-    It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock).
-    If later paths end elsewhere, they lead to another goal, and the first path to the last goal
-    counts. The time is when it was published [ns]. If there is no reference, for example as the
-    topic has the robot's own trace, the points are None.
+    It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock),
+    or, if later paths end elsewhere, the first to the last goal. The time is when it was published
+    [ns]. The points are None without a reference, as of the robot's own trace.
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))
@@ -383,10 +370,9 @@ def find_path(
         return None, f"{topic}: left out: it ends where the robot is, and is its trace", 0
     present = [one for one in known if one[0] <= track.time_ns[-1]] or known
     later = [one for one in present if one[0] >= since_ns] or present
-    first = max(
-        (at for at in range(1, len(later)) if _lead_apart(*later[at - 1 : at + 1])), default=0
-    )
-    given_ns, xy_m = later[first]
+    ends_m = np.array([one[-1] for _, one in later])
+    apart = np.flatnonzero(np.hypot(*np.diff(ends_m, axis=0).T) > _ONE_GOAL_M)
+    given_ns, xy_m = later[int(apart[-1]) + 1 if len(apart) else 0]  # the first to the last goal
     points = _thin(xy_m)
     try:
         Path(kind="waypoints", points=tuple((x, y) for x, y in points))
@@ -414,12 +400,6 @@ def _is_trace(time_ns: int, xy_m: Values, track: RobotTrack) -> bool:
     begin_m, end_m = np.hypot(*(xy_m[[0, -1]] - track.xy_m[row]).T)
     is_lap = begin_m <= near_m and length_m > _measure(track.xy_m[: row + 1]) + near_m
     return bool(end_m <= near_m and not is_lap)
-
-
-def _lead_apart(one: tuple[int, Values], other: tuple[int, Values]) -> bool:
-    """Return whether two paths end at different places, as paths to two goals."""
-    apart_m = float(np.hypot(*(one[1][-1] - other[1][-1])))
-    return apart_m > _ONE_GOAL_M
 
 
 def _read_points(

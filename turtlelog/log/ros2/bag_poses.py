@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import CHOSEN, ReadChoice, name_file, parse_joints, parse_wheels
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     FIX,
@@ -23,7 +23,6 @@ from turtlelog.log.planar_poses import (
     Values,
     find_pose_shape,
 )
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2 import bag_topics, bag_transforms
 from turtlelog.log.ros2.bag_rows import Bag
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
@@ -57,11 +56,7 @@ class PoseSource:
 
 
 def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> PoseSource:
-    """Return the messages with a robot's poses.
-
-    Raises:
-        LogError: If there are no poses, or several sources are equally likely.
-    """
+    """Return the messages with a robot's poses."""
     frames = {"pose_frame": choice.pose_frame, "world_frame": choice.world_frame}
     asked = [name for name, value in frames.items() if value is not None]
     if choice.wheel_joints is not None or choice.wheels is not None:
@@ -185,10 +180,7 @@ robot."""
 def _pick_moving(
     bag: Bag, topics: Collection[TopicInfo], pick: bag_topics.Pick
 ) -> tuple[bag_topics.Pick, Found | None]:
-    """Return a moving topic instead of one that never moves, with its messages if they were read.
-
-    Some robots publish an odometry of zeros next to a computed odometry.
-    """
+    """Return a moving topic instead of one that never moves, with its messages if read."""
     if not pick.others or pick.topic.type not in POSITIONS:
         return pick, None
     first = _read_moving(bag, pick.topic)
@@ -237,8 +229,9 @@ def _trace_poses(
     """Return poses of one frame in another frame as messages of a separate topic."""
     topic = pick.topic.topic
     tree = read_tree(bag, topics, topic)
-    frames = {"robot": choice.pose_frame, "world": choice.world_frame}
-    chosen = bag_transforms.choose_frames(tree, **frames, name=choice.robot)
+    chosen = bag_transforms.choose_frames(
+        tree, robot=choice.pose_frame, world=choice.world_frame, name=choice.robot
+    )
     link, held = bag_transforms.trace_frame(tree, chosen)
     unheld = np.zeros(len(link.time_ns), dtype=bool)
     for one in held:
@@ -318,8 +311,7 @@ def _choose_times(
 ) -> tuple[NDArray[np.int64], str]:
     """Return the times of poses and the name of their clock.
 
-    If the clock was set while recording, stamps jump too; mapped to the recorder's clock they do
-    not.
+    If the clock was set while recording, only stamps mapped to it do not jump.
     """
     log_ns, stamp_ns = join_arrays([columns.log_time_ns for columns in found]), join_stamps(found)
     if choice.time == "log" or stamp_ns is None:

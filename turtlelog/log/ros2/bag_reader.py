@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions, name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
@@ -24,7 +24,6 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions
 from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -62,7 +61,7 @@ from turtlelog.log.ros2.set_clocks import (
     describe_silence,
 )
 from turtlelog.log.ros2.stamps import TimesNs
-from turtlelog.run import PoseColumns, Run, SampleColumns
+from turtlelog.run import Clock, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 
 NOT_READ: Final = "not_read"
@@ -88,8 +87,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
 
     Args:
         path: A folder, with or without `metadata.yaml`, or a single MCAP or SQLite file.
-        options: Fields of a `ReadChoice`: topics, frames and goal, which add to or override those
-            found in the bag.
+        options: Fields of a `ReadChoice`, which override what is found in the bag.
 
     Raises:
         LogError: If the bag cannot be read, contains no poses, or several topics are possible. One
@@ -211,66 +209,77 @@ def _build_run(
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
-    absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
-    sensed = _match_sensed(found, track.time_ns, moved)
-    counts = [
-        describe_count(count, kind)
-        for kind, count in (("pose", dropped), ("command", lost))
-        if count
-    ]
-    without = f", {unturned} of the poses without a heading" if unturned else ""
+    changes = {"moved_rows": str(moved), "wrapped_headings": str(wrapped)}
+    changes |= _note_lost({"pose": dropped, "command": lost}, unturned)
+    others = source.notes.get("other_pose_topics")
     notes = {
-        "original_timestamp": format_utc(start_ns),
         **source.notes,
         **({"frame": source.frame} if source.frame else {}),
-        "sorted_rows": str(sum(rows.late for rows in tables)),
-        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
-        "moved_rows": str(moved),
-        "wrapped_headings": str(wrapped),
-        **({"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}),
+        **_count_changes(tables),
+        **changes,
         **times.notes,
         **rate_notes,
         **note_crowded(time_ns),
-        **note_motion(
-            poses,
-            columns,
-            track.xy_m,
-            commands=commands,
-            vertical=vertical,
-            others=source.notes.get("other_pose_topics"),
-        ),
+        **note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others),
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
-    name, source_words = _name_bag(path)
-    run = Run(
-        name=name,
-        source=source_words,
-        poses=PoseColumns(
-            time_ns=time_ns,
-            xy_m=np.column_stack([columns["x"], columns["y"]]),
-            heading_rad=heading_rad,
-            speed_m_s=columns.get("speed"),
-            turn_rate_rad_s=columns.get("turn_rate"),
-            measured_speed_m_s=columns.get("measured_speed"),
-            measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-            sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
-            sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
-            **lift_poses(columns.get("z"), columns.get("tilt")),
-        ),
+    pose_columns = PoseColumns(
+        time_ns=time_ns,
+        xy_m=np.column_stack([columns["x"], columns["y"]]),
+        heading_rad=heading_rad,
+        speed_m_s=columns.get("speed"),
+        turn_rate_rad_s=columns.get("turn_rate"),
+        measured_speed_m_s=columns.get("measured_speed"),
+        measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
+        **_match_sensed(found, track.time_ns, moved),
+        **lift_poses(columns.get("z"), columns.get("tilt")),
+    )
+    return _join_run(path, pose_columns, commands, start_ns, times.clock, notes), track
+
+
+def _join_run(
+    path: Path,
+    poses: PoseColumns,
+    commands: OrderedRows | None,
+    start_ns: int,
+    clock: Clock | None,
+    notes: Mapping[str, str],
+) -> Run:
+    """Return the run of a bag from a time on the recorder's clock, perhaps without poses."""
+    name = path.resolve().name
+    storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
+    absent: tuple[str, ...] = () if len(poses) else ("poses",)
+    absent += () if poses.speed_m_s is not None else ("poses.speed_m_s", "poses.turn_rate_rad_s")
+    return Run(
+        name=name if path.is_dir() else strip_suffixes(path),
+        source=f"{storage}: {name}",
+        poses=poses,
         commands=bag_inputs.build_bag_commands(commands, start_ns),
         samples=SampleColumns.build_empty(),
-        clock=times.clock,
+        clock=clock,
         absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
-        notes=notes,
+        notes={"original_timestamp": format_utc(start_ns), **notes},
     )
-    return run, track
+
+
+def _count_changes(tables: Sequence[OrderedRows]) -> dict[str, str]:
+    return {
+        "sorted_rows": str(sum(rows.late for rows in tables)),
+        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
+    }
+
+
+def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
+    """Return a note on rows without finite numbers, `unturned` of them poses without a heading."""
+    counts = [describe_count(count, kind) for kind, count in lost.items() if count]
+    without = f", {unturned} of the poses without a heading" if unturned else ""
+    return {"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}
 
 
 def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
-    """Return the finite poses in order of time, and three numbers of dropped ones.
+    """Return the finite poses in order of time, and the numbers of three kinds of dropped ones.
 
-    All are counted, those at a place but without a heading, and of these, those whose forward axis
-    points up or down. Speeds that are NaN throughout are dropped.
+    These are all, those at a place without a heading, and of these those that point up or down.
     """
     rows = order_topic(found, topic, extract_poses)
     columns = rows.columns
@@ -297,22 +306,18 @@ def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, 
     return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
 
 
-def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> Values | None:
-    """Return sensed x, y and heading at the times of the poses; NaN if a pose was not sensed.
-
-    The result is None if there are no sensed poses, or their times do not identify the poses, as
-    with a wall clock.
-    """
+def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
+    """Return sensed positions and headings, NaN if not sensed; empty if times fit no poses."""
     if moved or not any(SENSED.name in of_file for of_file in found):
-        return None
+        return {}
     kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
     sensed = order_topic(found, kind, extract_poses)
     rows = np.searchsorted(time_ns, sensed.time_ns)
     if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
-        return None
+        return {}
     values = np.full((len(time_ns), 3), np.nan)
     values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
-    return values
+    return {"sensed_xy_m": values[:, :2].copy(), "sensed_heading_rad": values[:, 2].copy()}
 
 
 _NEVER_IN_BAGS: Final = (
@@ -348,34 +353,11 @@ def _read_commands_alone(
         )
     times = time_rows(rows.stamps, None, choice.time, noun="commands")
     rows = rows.take(times.poses.rows, times.poses.time_ns)
-    start_ns = int(rows.time_ns[0])
-    name, source = _name_bag(bag.path)
-    run = Run(
-        name=name,
-        source=source,
-        poses=PoseColumns.build_empty(),
-        commands=bag_inputs.build_bag_commands(rows, start_ns),
-        samples=SampleColumns.build_empty(),
-        clock=times.clock,
-        absent=("poses", "poses.speed_m_s", "poses.turn_rate_rad_s", *_NEVER_IN_BAGS),
-        notes={
-            "original_timestamp": format_utc(start_ns),
-            "sorted_rows": str(rows.late),
-            "dropped_duplicates": str(rows.duplicates),
-            **({"dropped_nan": describe_count(dropped, "command")} if dropped else {}),
-            **times.notes,
-            **describe_other_poses(topics),
-            **note_pick("command_topic", pick),
-        },
-    )
+    notes = {**_count_changes([rows]), **_note_lost({"command": dropped}), **times.notes}
+    notes |= describe_other_poses(topics) | note_pick("command_topic", pick)
+    poses, start_ns = PoseColumns.build_empty(), int(rows.time_ns[0])
+    run = _join_run(bag.path, poses, rows, start_ns, times.clock, notes)
     return _note_steps(run, bag), pick.topic.topic
-
-
-def _name_bag(path: Path) -> tuple[str, str]:
-    """Return the name and the source of a run from a bag."""
-    name = path.resolve().name
-    storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
-    return (name if path.is_dir() else strip_suffixes(path)), f"{storage}: {name}"
 
 
 def _add_samples(run: Run, bag: Bag, start_ns: int) -> Run:
@@ -437,10 +419,7 @@ def _join(found: list[TopicColumns]) -> tuple[NDArray[np.int64], dict[str, Any]]
 
 
 def _require_fit(run: Run, written: int, time_ns: TimesNs, columns: Mapping[str, Any]) -> None:
-    """Refuse samples whose pose numbers are not rows of the run's poses.
-
-    The file has `written` poses; `time_ns` is when each sample was answered, on the run's clock.
-    """
+    """Refuse samples, answered at `time_ns`, whose pose numbers are not rows of the run's poses."""
     read, poses = columns["pose_sequence"], run.poses
     if written != len(poses):
         raise LogError(f"expected the {written} poses as they are numbered, found {len(poses)}")
@@ -473,7 +452,6 @@ def _read_names(
 
 
 def _declare(named: Mapping[int, str] | None, highest: int) -> Declaration:
-    """Return phases without loops, by number. An unnamed phase gets its number as name."""
     usual = dict(enumerate(SEQUENTIAL_P.phase_names))
     if named is None or all(usual.get(number) == name for number, name in named.items()):
         named = usual

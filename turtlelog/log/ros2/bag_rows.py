@@ -1,10 +1,10 @@
 """The rows of a bag's topics: sorted, without duplicates, with finite numbers, and on one clock.
 
-A message has two times: its stamp, set by the publisher, and its log time, when the recorder
-received it. The two times differ by the offset of two clocks and the transport delay. Stamps have
-less jitter, but commands without stamps have only the recorder's clock. Poses are therefore timed
-by their stamps, mapped to the recorder's clock by the messages with the shortest transport delay.
-The shortest delay is unknown, so all pose times are late by this delay.
+A message has its stamp, set by the publisher, and its log time, when the recorder received it. They
+differ by the offset of two clocks and the transport delay. Stamps have less jitter, but commands
+without stamps have only the recorder's clock. Poses are therefore timed by their stamps, mapped to
+the recorder's clock by the messages with the shortest transport delay. This delay is unknown, so
+all pose times are late by it.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -20,10 +20,9 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.topic_columns import TopicColumns, iterate_heads, read_some_columns
-from turtlelog.log.file_access import name_place
+from turtlelog.log.file_access import TimeSource, name_place
 from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
-from turtlelog.log.planar_poses import ROWS_AT_ONCE, Fields, Values
-from turtlelog.log.read_choice import TimeSource
+from turtlelog.log.planar_poses import Fields, Values
 from turtlelog.log.ros2.bag_files import find_bag_files
 from turtlelog.log.ros2.set_clocks import ClockStep, find_clock_steps, undo_clock_steps
 from turtlelog.log.ros2.stamps import (
@@ -108,8 +107,7 @@ def open_bag(path: str | Path) -> Bag:
     """Return a ROS 2 bag: a folder, or a single file.
 
     Raises:
-        LogError: If the path is not a bag, or one of its files cannot be read, is truncated or is
-            damaged.
+        LogError: If the path is not a bag, or one of its files is truncated or damaged.
     """
     path = make_path(path)
     found = find_bag_files(path)
@@ -153,7 +151,8 @@ class OrderedRows:
         self, rows: NDArray[np.int64] | NDArray[np.bool_], time_ns: TimesNs | None = None
     ) -> "OrderedRows":
         """Return some of the rows in any order, with given new times, if any."""
-        if rows.dtype != np.bool_ and len(rows) == len(self.time_ns) and _is_whole(rows):
+        is_full = rows.dtype != np.bool_ and len(rows) == len(self.time_ns)
+        if is_full and (rows[1:] > rows[:-1]).all():  # all rows in order
             return self if time_ns is None else replace(self, time_ns=time_ns)
         return replace(
             self,
@@ -163,23 +162,10 @@ class OrderedRows:
         )
 
 
-def _is_whole(rows: NDArray[Any]) -> bool:
-    """Return whether row numbers are those of all rows in order."""
-    parts = (rows[first : first + ROWS_AT_ONCE] for first in range(0, len(rows), ROWS_AT_ONCE))
-    firsts = range(0, len(rows), ROWS_AT_ONCE)
-    return all(
-        np.array_equal(part, np.arange(first, first + len(part)))
-        for first, part in zip(firsts, parts, strict=True)
-    )
-
-
 def order_rows(
     found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Values]]
 ) -> OrderedRows:
-    """Return a topic's rows in several files as one table, sorted by time, without duplicates.
-
-    The columns of the messages of each file are in `tables`.
-    """
+    """Return a topic's rows of all files as one table, sorted by time, without duplicates."""
     time_ns = join_arrays([columns.log_time_ns for columns in found])
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     rows = OrderedRows(
@@ -259,8 +245,7 @@ CLOSE_ROWS: Final = "close_rows"
 """Name of the note on dropped poses at nearly equal times."""
 
 _CLOSEST_NS: Final = 1_000_000
-"""Smallest time between two poses that gives a usable rate [ns]: noise of 0.2 mm becomes 0.2 m/s
-and more."""
+"""Smallest time between two poses that gives a usable rate [ns]: 0.2 mm of noise become 0.2 m/s."""
 
 _CLOSEST_SHARE: Final = 0.25
 """Share of the usual step below which poses count as close, because a motion capture may run at 2
@@ -316,9 +301,6 @@ def time_rows(
     Both topics are in order of log time. With `auto`, stamps of poses are used if they are usable.
     In a bag without poses, its commands are given as poses, with this noun. No command is dropped,
     however close in time.
-
-    Raises:
-        LogError: If stamps are requested and no pose has a usable stamp.
     """
     commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:
@@ -405,10 +387,7 @@ def _describe(found: StampClock, used: Literal["log", "stamp"]) -> str:
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which rows to keep: those that no other row follows too closely for a rate.
-
-    The last of several close rows is kept: if poses were delayed, its time is correct.
-    """
+    """Return which rows to keep: the last of several that are too close for a rate."""
     step_ns = np.diff(time_ns)
     moving_ns = step_ns[step_ns > 0]
     if not len(moving_ns):

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
+from turtlelog.log.file_access import CLOCK_SET, name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Values
-from turtlelog.log.read_choice import CLOCK_SET
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names
@@ -32,8 +31,7 @@ from turtlelog.run.angles import wrap_angle
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
 MOST_SCANS: Final = 400
-"""Largest number of scans, evenly selected: a minute at 7 Hz, or one in seven scans of ten minutes
-at 5 Hz."""
+"""Largest number of scans, evenly selected: a minute at 7 Hz."""
 
 MOST_RAYS: Final = 360
 """Largest number of points per scan, evenly selected: one per degree."""
@@ -45,8 +43,7 @@ _MOST_CELLS: Final = 20_000
 """Largest number of cells of scans, and of cells of a map that determine a view: walls of 1 km."""
 
 _MOST_MESSAGES: Final = 20_000
-"""Largest number of scans that are read: an hour at 5 Hz. More scans of 360 rays would take over
-100 MB."""
+"""Largest number of scans that are read: an hour at 5 Hz, which takes 100 MB with 360 rays."""
 
 _LONGEST_RAY_M: Final = 10_000.0
 """Range that no scanner on a robot reaches [m]; `range_max` may be infinite."""
@@ -266,7 +263,6 @@ def _to_robot(
 
 
 def _to_world(points: Values, run: Run, time_ns: int) -> Values:
-    """Return points in the robot's frame, converted to the frame of its poses [m]."""
     poses = run.poses
     after = int(np.clip(np.searchsorted(poses.time_ns, time_ns), 1, len(poses) - 1))
     span_ns = int(poses.time_ns[after] - poses.time_ns[after - 1])

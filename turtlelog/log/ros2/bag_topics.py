@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.log.file_access import match_topic
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
-from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import POSE64
 
 PATH: Final = "nav_msgs/msg/Path"
@@ -92,11 +92,7 @@ class Pick:
 
 
 def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
-    """Return the requested topic, or else the most likely topic.
-
-    Raises:
-        LogError: If there is no such topic, or several are equally likely.
-    """
+    """Return the requested topic, or else the most likely topic."""
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return Pick(topic=find_asked(held, asked, (*POSE_TYPES, JOINTS), "pose_topic"))
@@ -166,16 +162,12 @@ def describe_other_poses(topics: Iterable[TopicInfo]) -> dict[str, str]:
 
 
 def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
-    """Return the unread topics of poses, commands, goals or paths with reasons; may be empty.
-
-    Topics of other types do not matter for a run.
-    """
+    """Return the unread topics of poses, commands, goals or paths with reasons; may be empty."""
     unread = [topic for topic in topics if topic.count and topic.reason]
     return _join_reasons(filter(_is_of_a_run, unread))
 
 
 def _deny_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> NoPosesError:
-    """Return the error of a bag without readable poses."""
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons(filter(_is_of_a_run, unread)):
         return NoPosesError(reasons, is_unread=True)
@@ -356,8 +348,7 @@ class BagRobot:
 def find_robots(topics: Iterable[TopicInfo]) -> tuple[BagRobot, ...]:
     """Return the robots that topic names distinguish; empty for a bag of one robot.
 
-    Several robots have topics of one type whose namespaces differ in one word. These words differ
-    only by number, or both poses and commands have them.
+    Namespaces of topics of one type differ in one word: by number, or of poses and commands.
     """
     held = [topic for topic in topics if topic.count]
     kinds: dict[_Place, dict[str, set[bool]]] = defaultdict(lambda: defaultdict(set))
@@ -399,9 +390,6 @@ def select_robot(
 
     Without a name, the first robot with poses is chosen if the robots differ only by number. A name
     that occurs in no topic may occur in the frames of transforms.
-
-    Raises:
-        LogError: If several robots are equally likely.
     """
     robots = find_robots(topics)
     if not robots:
@@ -423,11 +411,7 @@ def select_robot(
 
 
 def describe_robots(robots: Sequence[BagRobot], topic: str, asked: str | None) -> str:
-    """Return a sentence on the robots of a bag and that of a topic; empty for one robot.
-
-    Raises:
-        LogError: If the topic does not belong to the requested robot.
-    """
+    """Return a sentence on the robots of a bag and that of a topic; empty for one robot."""
     words = topic.split("/")[:-1]
     names = list_first_names([robot.name for robot in robots])
     if asked is not None and asked not in words:
@@ -460,7 +444,6 @@ def _choose_names(words: dict[str, set[bool]]) -> list[str]:
 
 
 def _find_most(topics: Iterable[TopicInfo]) -> TopicInfo | None:
-    """Return the topic with the most messages, satellite fixes last."""
     return min(
         topics, key=lambda topic: (topic.type == FIX, -topic.count, topic.topic), default=None
     )

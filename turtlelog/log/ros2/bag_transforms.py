@@ -46,8 +46,7 @@ class Link:
         stamp_ns: Stamp of each message [ns], shape (n,).
         place_m: Position of the child's origin in the parent frame [m], shape (n, 3).
         turn: Rotation of the child as quaternions x, y, z, w, shape (n, 4).
-        is_static: Whether the transform is static. Only the last message of a static transform is
-            used.
+        is_static: Whether the transform is static, so that only its last message is used.
     """
 
     parent: str
@@ -77,8 +76,7 @@ class Link:
     def interpolate(self, stamp_ns: int) -> tuple[Values, Values] | None:
         """Return place and turn at a stamp, between its neighbours; None if stamps are unusable.
 
-        A stamp before the first or after the last message has the values of that message, up to 1 s
-        away.
+        A stamp up to 1 s beyond the first or last message has the values of that message.
         """
         order = np.argsort(self.stamp_ns, kind="stable")
         stamps = self.stamp_ns[order]
@@ -139,11 +137,7 @@ def collect_links(
 
 
 def _wrap_foxglove(columns: TopicColumns) -> TopicColumns:
-    """Return `foxglove.FrameTransform` messages as TFMessages of one transform, others unchanged.
-
-    Raises:
-        LogError: If a field is missing.
-    """
+    """Return `foxglove.FrameTransform` messages as TFMessages of one transform each."""
     if columns.type != FRAME_TRANSFORM:
         return columns
     for name in _FOXGLOVE_NAMES:
@@ -191,14 +185,12 @@ def _build_link(
 
 
 def choose_frames(
-    tree: Tree, *, robot: str | None = None, world: str | None = None, name: str | None = None
+    tree: Tree, *, robot: str | None, world: str | None, name: str | None
 ) -> FrameChoice:
     """Return the requested frames, completed by the most likely ones.
 
-    Frames of a robot and of the world have well-known names. Without such names, the only moving
-    link is chosen. A link below a robot's frame is a joint and is never chosen.
-
-    The frames of several robots may begin with their names.
+    Frames of a robot and of the world have well-known names, perhaps after the robot's. Without
+    such names, the only moving link is chosen. A link below a robot's frame is a joint.
     """
     frames = {frame for names in tree for frame in names}
     robot, world = (None if one is None else one.lstrip("/") for one in (robot, world))
@@ -361,8 +353,7 @@ def locate_frame(
 ) -> tuple[Values, Values] | None:
     """Return the pose of a frame in another frame at some times; None if they are not connected.
 
-    At log times [ns], shape (n,), links are used as last recorded. At the stamp of a single time
-    [ns], links with stamps are interpolated.
+    At log times [ns], shape (n,), links are as last recorded, at a stamp [ns] interpolated.
     """
     try:
         place_m, turn = _compose_way(_find_way(tree, world, frame), time_ns, stamp_ns)
@@ -376,7 +367,6 @@ _Step = tuple[Link, bool]
 
 
 def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
-    """Return the shortest path from one frame to another."""
     ways: dict[str, list[_Step]] = {start: []}
     waiting = [start]
     while waiting and end not in ways:
@@ -459,7 +449,6 @@ def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
 
 
 def _normalise(turn: Values) -> Values:
-    """Return quaternions of length 1, shape (n, 4)."""
     length = np.linalg.norm(turn, axis=1, keepdims=True)
     # Quaternions that were never set stay 0; the computation of headings reports them.
     return np.asarray(turn / np.where(length == 0.0, 1.0, length))

@@ -19,10 +19,7 @@ _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def _join_messages(found: Sequence[TopicColumns], names: Sequence[str]) -> TopicColumns:
-    """Return the messages of a topic in all files, at least one, in order of log time.
-
-    The fields are the named ones and the stamps, which are 0 if the type has none.
-    """
+    """Return the messages of a topic in all files in order of log time, with stamps (or 0)."""
     for columns in found:
         for name in names:
             if name not in columns.fields:
@@ -55,7 +52,6 @@ def _time_motion(messages: TopicColumns) -> Values:
 def _make_poses(
     messages: TopicColumns, rows: NDArray[np.int64], columns: Mapping[str, Values]
 ) -> TopicColumns:
-    """Return poses computed from some of the messages, as messages of the same topic."""
     stamps = {name: messages.fields[name] for name in _STAMP}
     found = replace(messages, fields=stamps).select(rows)
     return replace(found, fields={**found.fields, **columns})
@@ -71,8 +67,7 @@ _LEAST_WAY_M: Final = 0.5
 """Smallest distance over which a course is computed [m], suitable for noise up to 5 cm."""
 
 _NOISES: Final = 10.0
-"""The same distance in standard deviations of the noise, which then turns the course by sqrt(2) /
-10 rad, 8 deg."""
+"""The same distance in standard deviations of the noise, which turns the course by up to 8 deg."""
 
 _LONGEST_S: Final = 10.0
 """Longest time in which a moving receiver covers this distance [s]: half a metre at 0.05 m/s. A
@@ -82,20 +77,15 @@ _FEWEST: Final = 3
 """Number of fixes needed for a course: its own, one before and one after."""
 
 _MEDIAN_OF_SECOND: Final = 2.884
-"""Median length of second differences of positions in the plane, in standard deviations of the
-noise of one axis.
-
-The factor is sqrt(6) for a second difference, times sqrt(2 ln 2) for the median of a Rayleigh
-distribution.
-"""
+"""Median length of second differences of positions, in standard deviations of one axis's noise:
+sqrt(6) for the differences, times sqrt(2 ln 2) for the median of a Rayleigh distribution."""
 
 
 def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str, str]]:
     """Return the poses from fixes of sensor_msgs/NavSatFix, and notes on them.
 
-    x, y and z are the distances east, north and above the first fix. While the receiver moves,
-    the heading is its course; at rest, the heading is held. Before the first course, the heading
-    equals that course.
+    x, y and z are the distances east, north and above the first fix. The heading is the course
+    while the receiver moves, held at rest, and before the first course equal to it.
     """
     messages = _join_messages(found, _FIX_FIELDS)
     latitude_deg, longitude_deg, altitude_m, status = (
@@ -140,7 +130,6 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
 
 
 def _describe_standing(time_s: Values, place_m: Values) -> str:
-    """Return a description of a receiver that never moves far enough for a course."""
     if len(time_s) < _FEWEST:
         return f"fewer than {_FEWEST} fixes"
     step_s = float(np.median(np.diff(time_s)))
@@ -176,10 +165,9 @@ def project_fixes(latitude_deg: Values, longitude_deg: Values, height_m: Values)
 def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
     """Return courses [rad], the distance over which they are computed [m], and how many are held.
 
-    A course leads from a position at least half this distance behind to a position at least half of
-    it ahead, both within ten seconds. Otherwise the previous course is held; at the start, the
-    first course is used. All courses are NaN if nothing moves. Times do not decrease, shape (n,);
-    positions have the shape (n, 2).
+    A course leads from a position at least half this distance behind to one at least half of it
+    ahead, both within ten seconds; otherwise the previous or first course is held. All are NaN if
+    nothing moves. Times do not decrease, shape (n,); positions have the shape (n, 2).
     """
     second_m = np.hypot(*np.diff(xy_m, n=2, axis=0).T)
     noise_m = float(np.median(second_m)) / _MEDIAN_OF_SECOND if len(second_m) else 0.0
@@ -264,10 +252,7 @@ def integrate_wheels(
 
 
 def _drive_arcs(steps_m: Values, track_m: float) -> dict[str, Values]:
-    """Return x, y [m] and heading `theta` [rad] of a differential drive from the origin.
-
-    The steps of the left and the right wheel [m] have the shape (n - 1, 2).
-    """
+    """Return x, y [m] and `theta` [rad] by the steps of left and right wheel, shape (n - 1, 2)."""
     turned_rad = (steps_m[:, 1] - steps_m[:, 0]) / track_m
     heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
     # Chord of an arc: sin(a) / a of half the rotation; np.sinc is sin(pi x) / (pi x).

@@ -38,15 +38,14 @@ _STRIDE_NS: Final = 200_000_000
 """Time over which poses are differenced [ns]; in this time, 1 mm of noise is 7 mm/s."""
 
 _JUMP_M: Final = 0.05
-"""Excess of a step over the reported speed from which it is a jump [m]: the length of a step at 20
-Hz and 1 m/s."""
+"""Excess of a step over the reported speed from which it is a jump [m]: a step at 20 Hz and 1
+m/s."""
 
 _MOST_JUMPS: Final = 0.1
 """Largest share of jumps among the steps. More jumps would be the usual motion."""
 
 _NEARER: Final = 2.0
-"""Ratio of two paths' distances from the path of the commands, from which the farther path is
-probably wrong."""
+"""Ratio of two paths' distances from that of the commands, from which the farther is wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,8 +76,7 @@ def measure_paths(
 ) -> Paths:
     """Return the path lengths of a drive by poses, speeds and commands.
 
-    The times of poses [ns] do not decrease; columns of shape (n,) are x, y [m] and reported
-    velocities [m/s]. Commands have a publication time [ns] and a magnitude of velocity [m/s].
+    Times do not decrease. Commands have a time [ns] and a magnitude of velocity [m/s].
     """
     xy_m = np.column_stack([columns["x"], columns["y"]])
     step_ns = np.diff(time_ns)
@@ -135,7 +133,6 @@ def describe_paths(paths: Paths) -> str | None:
 
 
 def _describe_still(paths: Paths) -> str | None:
-    """Return a sentence on poses that never move although speeds or commands do; else None."""
     if paths.by_speed is not None and paths.by_speed >= _LEAST_M:
         way = format_short(paths.by_speed, "m")
         return f"the poses never move, and are likely wrong: the reported speed drives {way}"
@@ -149,7 +146,6 @@ def _describe_still(paths: Paths) -> str | None:
 
 
 def _blame(paths: Paths, by_speed: float) -> str:
-    """Return which of two paths is more probably wrong, with the reason."""
     if paths.in_jumps and not _differ(paths.by_poses - paths.in_jumps, by_speed):
         jumps = format_short(paths.in_jumps, "m")
         return f"the poses are more likely wrong, whose jumps add {jumps}"
@@ -188,10 +184,7 @@ _LEAP_ROWS: Final = 4
 
 
 def describe_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses that alternate between two places; None if they do not.
-
-    The positions, shape (n, 2) [m], have the order of reception.
-    """
+    """Return a sentence on poses, as received, that alternate between two places; else None."""
     rows = len(xy_m) - _LEAP_ROWS
     if rows < _LEAP_ROWS:
         return None
@@ -210,23 +203,20 @@ def describe_leaps(xy_m: Values) -> str | None:
 
 
 _LEAST_LEAP_M: Final = 0.01
-"""Smallest leap of a driving robot [m]. Positions are rounded to a centimetre at most, and the
-noise of a filter is smaller."""
+"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
 
 _ROWS: Final = 4
 """Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
 
 _OPPOSITE: Final = 0.9
-"""Cosine of the angle between a leap and the reverse of the next leap (26 deg), from which they are
-opposite."""
+"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
 
 _MOST_LEAPS: Final = 0.8
 """Smallest share of leaps that the next leap reverses; for noise in any direction it is below
 0.5."""
 
 _FAR: Final = 5.0
-"""Smallest motion as a multiple of the leap: a robot at rest may alternate between two rounded
-positions."""
+"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
 
 
 def describe_small_leaps(xy_m: Values) -> str | None:
@@ -273,8 +263,7 @@ _SLOWEST_M_S: Final = 0.05
 """Difference between twists and path up to which it may be noise (rms) [m/s]."""
 
 _MUCH_BETTER: Final = 3.0
-"""Ratio of fits from which twists count as along the world's axes. Twists of a robot that never
-turns away from the x axis fit both axes equally."""
+"""Ratio of fits from which twists count as along the world's axes; both fit a robot along x."""
 
 
 def judge_rates(
@@ -282,9 +271,9 @@ def judge_rates(
 ) -> tuple[dict[str, Values], dict[str, str]]:
     """Return the columns of poses with rates along the robot's axes, and a note on the changes.
 
-    Twists that were never set are all zeros; such rates are left out if the poses move. Twists
-    along the axes of the world are a common fault; they are rotated into the robot's axes. The
-    times [ns] do not decrease; columns are x, y [m], heading [rad] and rates [m/s or rad/s].
+    Rates that are all zeros are left out if the poses move. Twists along the axes of the world, a
+    common fault, are rotated. Times [ns] do not decrease; columns are x, y [m], heading [rad] and
+    rates.
     """
     left = {name: column for name, column in columns.items() if name != LATERAL}
     lateral = columns.get(LATERAL)
@@ -381,10 +370,7 @@ _OFF: Final = 0.2
 def describe_turning(
     time_ns: TimesNs, heading_rad: Values, turn_rate_rad_s: Values, column: str
 ) -> str:
-    """Return a sentence on reported turn rates that the headings contradict; else nothing.
-
-    The name of a column in assumed rad/s leads to a proposed unit; else it is empty.
-    """
+    """Return a sentence on turn rates (of a `column` in assumed rad/s) that headings contradict."""
     rows = thin_rows(time_ns, _TURN_STRIDE_NS)
     step_s = np.diff(time_ns) / 1e9
     means = (turn_rate_rad_s[1:] + turn_rate_rad_s[:-1]) / 2.0
@@ -400,10 +386,7 @@ def describe_turning(
 
 
 def describe_speed(time_ns: TimesNs, xy_m: Values, speed_m_s: Values, column: str) -> str:
-    """Return a sentence on reported speeds that the positions contradict; else nothing.
-
-    The name of a column in assumed m/s leads to a proposed unit; else it is empty.
-    """
+    """Return a sentence on speeds (of a `column` in assumed m/s) that the positions contradict."""
     paths = measure_paths(time_ns, {"x": xy_m[:, 0], "y": xy_m[:, 1], SPEED: speed_m_s})
     found = describe_paths(paths)
     if found is None:
@@ -427,8 +410,7 @@ def _propose(field: str, column: str, ratio: float) -> str:
 
 
 _CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]: the fastest motion capture takes a
-pose every 100 us."""
+"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
 
 
 def note_crowded(time_ns: TimesNs) -> dict[str, str]:
@@ -445,20 +427,16 @@ def note_motion(
     poses: OrderedRows,
     columns: Mapping[str, Values],
     xy_m: Values,
-    *,
     commands: OrderedRows | None,
+    *,
     vertical: int,
     others: str | None,
 ) -> dict[str, str]:
     """Return notes on poses off the plane, on leaps, and on reported speeds that contradict poses.
 
-    Args:
-        poses: The timed poses, with the columns of their messages.
-        columns: The columns that `judge_rates` keeps.
-        xy_m: Positions in the order of reception [m], shape (m, 2).
-        commands: The timed commands.
-        vertical: Number of poses left out because the forward axis points up or down.
-        others: The other topics of poses.
+    `poses` are timed, with all columns; `columns` are those that `judge_rates` keeps, `xy_m` the
+    positions as received [m], `vertical` the number of poses without a heading, `others` the other
+    topics.
     """
     notes, z_m = {}, columns.get("z")
     plane = describe_height(z_m, columns.get("tilt"))
@@ -468,9 +446,7 @@ def note_motion(
         notes["plane"] = (plane or "the robot leaves the plane") + (lost if vertical else "")
     if leaps := describe_leaps(xy_m) or describe_small_leaps(xy_m):
         notes["leaps"] = leaps
-    if (
-        plane is not None
-    ):  # speeds are along the robot's axes, and differ from those seen from above
+    if plane is not None:  # speeds along the robot's axes are not those seen from above
         return notes
     if level := describe_level(z_m):
         notes["height"] = level

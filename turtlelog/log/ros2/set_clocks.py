@@ -1,9 +1,8 @@
 """Steps of the recorder's clock: it was set while recording, by NTP or by hand.
 
 A small computer without a battery starts with a wrong date, and NTP sets its clock when the network
-is there. If it also records, log times and stamps jump together. The motion shows what happened: it
-goes on as if no time had passed. Messages are stored as they came, so a clock that was set back
-leaves later messages with earlier times.
+is there. Log times and stamps jump together, but the motion goes on as if no time had passed. A
+clock that was set back leaves later messages with earlier times.
 """
 
 from collections import Counter
@@ -34,12 +33,10 @@ SILENCE: Final = "silence"
 """Name of the note on a silence that lasts most of a bag."""
 
 _RIM_M: Final = 0.2
-"""Distance of a point of the robot from its centre [m], half a robot's width: its way shows driving
-and turning on the spot alike."""
+"""Distance of a point of the robot from its centre [m]: its way shows turning on the spot, too."""
 
 _SILENT_STEPS: Final = 10.0
-"""Shortest silence in usual steps after which motion shows that no time passed. In less time a
-robot can brake and speed up again."""
+"""Shortest silence in usual steps that motion judges; in less, a robot can brake and speed up."""
 
 _TIMED_M: Final = 0.125
 _TIMED_RAD: Final = 0.1
@@ -72,8 +69,7 @@ class ClockStep:
         before_ns: Last log time before this step [ns].
         after_ns: First log time after this step [ns].
         shift_ns: What the clock was set by [ns]; negative if it was set back.
-        extra_ns: Time to take out of log times after this step [ns]. It is 0 in the longest segment
-            between two steps, whose clock counts.
+        extra_ns: Time to take out of log times after this step [ns]; 0 in the longest segment.
         stored: Number of messages in `twice_ns` that are stored before a step back, by topic; empty
             if unknown.
     """
@@ -185,11 +181,7 @@ def undo_clock_steps(
 
 
 def describe_silence(*times: TimesNs) -> str:
-    """Return a remark on a silence longer than the rest of a bag; empty without one.
-
-    Args:
-        times: Times of poses and of commands [ns].
-    """
+    """Return a remark on a silence longer than the rest of a bag; empty without one."""
     time_ns = np.sort(np.concatenate(times))
     if len(time_ns) < 2:
         return ""
@@ -230,11 +222,8 @@ def _tell_s(seconds: float) -> str:
 
 def _restore(columns: TopicColumns) -> TimesNs:
     """Return log times in the order of storage [ns]."""
-    return (
-        columns.log_time_ns
-        if columns.stored is None
-        else columns.log_time_ns[_list_stored(columns)]
-    )
+    log_ns = columns.log_time_ns
+    return log_ns if columns.stored is None else log_ns[_list_stored(columns)]
 
 
 def _list_stored(columns: TopicColumns) -> NDArray[np.int64]:
@@ -258,11 +247,13 @@ def _read_way(files: Sequence[TopicColumns]) -> Values | None:
     return np.concatenate(parts)
 
 
-def _measure_delays(files: Sequence[TopicColumns], log_ns: TimesNs) -> TimesNs | None:
-    """Return log times minus stamps in the order of storage [ns]; None without usable stamps."""
+def _measure_delays(files: Sequence[TopicColumns], log_ns: TimesNs) -> TimesNs:
+    """Return log times minus stamps in the order of storage [ns]; 0 without usable stamps."""
     stored = (columns.select(_list_stored(columns)) for columns in files)
     stamp_ns = join_stamps([*stored])
-    return None if stamp_ns is None or (stamp_ns <= 0).any() else log_ns - stamp_ns
+    if stamp_ns is None or (stamp_ns <= 0).any():
+        return np.zeros_like(log_ns)
+    return log_ns - stamp_ns
 
 
 def _has_wall_clock(files: Sequence[TopicColumns]) -> bool:
@@ -278,33 +269,15 @@ def _find_silences(
 
     If other stamps go on, the row is in neither array.
     """
-    silent = np.flatnonzero(
-        np.diff(log_ns) > max(find_least_jump(log_ns), _SILENT_STEPS * usual_ns)
-    )
+    step_ns = np.diff(log_ns)
+    silent = np.flatnonzero(step_ns > max(find_least_jump(log_ns), _SILENT_STEPS * usual_ns))
     silent = silent[(silent >= JUMP_ROWS) & (silent < len(log_ns) - 1 - JUMP_ROWS)]
-    late_ns = _measure_delays(files, log_ns)
-    is_steady = [_is_steady(log_ns, row, usual_ns) for row in silent.tolist()]
-    silent = silent[np.array(is_steady, dtype=bool)]
-    is_behind = np.array([_falls_behind(late_ns, log_ns, row) for row in silent.tolist()], bool)
+    # After a network or a recorder that stalled, messages that waited come in a burst.
+    rows_ns = log_ns[silent + 1 + JUMP_ROWS] - log_ns[silent + 1]
+    silent = silent[rows_ns > JUMP_ROWS * usual_ns / 2.0]
+    # In a paused simulation, or if only the recorder's clock was set, stamps have no silence.
+    is_behind = np.diff(_measure_delays(files, log_ns))[silent] > step_ns[silent] / 2
     return silent[~is_behind], silent[is_behind & _has_wall_clock(files)]
-
-
-def _is_steady(log_ns: TimesNs, row: int, usual_ns: int) -> bool:
-    """Return whether messages come at their usual rate after a row, not in a burst.
-
-    After a network or a recorder that stalled, messages that waited come at once.
-    """
-    return bool(log_ns[row + 1 + JUMP_ROWS] - log_ns[row + 1] > JUMP_ROWS * usual_ns / 2.0)
-
-
-def _falls_behind(late_ns: TimesNs | None, log_ns: TimesNs, row: int) -> bool:
-    """Return whether stamps go on after a row without the silence of the log times.
-
-    This happens in a paused simulation, or if only the recorder's clock was set.
-    """
-    if late_ns is None:
-        return False
-    return bool(late_ns[row + 1] - late_ns[row] > (log_ns[row + 1] - log_ns[row]) / 2)
 
 
 def _measure_steps(way: Values, first: NDArray[np.int64], second: NDArray[np.int64]) -> Values:
@@ -322,10 +295,7 @@ def _is_timed(way: Values) -> bool:
 
 
 def _goes_on(way: Values, row: int) -> bool:
-    """Return whether the motion goes on after a row as if no time had passed.
-
-    The step must be at most three usual ones, in a silence of at least ten.
-    """
+    """Return whether the motion goes on after a row as if no time had passed."""
     moved_m = []
     for first in (row - JUMP_ROWS, row + 1):
         rows = np.arange(first, first + JUMP_ROWS + 1)
@@ -341,9 +311,8 @@ def _goes_on(way: Values, row: int) -> bool:
 def _is_stored_in_order(way: Values, log_ns: TimesNs, back: NDArray[np.int64]) -> bool:
     """Return whether the order of storage, not that of time, is that of the motion.
 
-    It is not if blocks of messages are only stored late, and in order of time follow each other
-    without overlap or silence. Nor is it if the robot jumps where the times step back, and jumps
-    less in order of time.
+    It is not if blocks of messages are only stored late, without overlap or silence in order of
+    time, or if the robot jumps where the times step back, and less in order of time.
     """
     order = np.argsort(log_ns, kind="stable")
     is_new = np.diff(order) != 1

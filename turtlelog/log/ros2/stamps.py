@@ -60,8 +60,8 @@ _LEAST_STAMPED: Final = 0.5
 """Smallest share of messages with a stamp; otherwise most times would be interpolated."""
 
 _LEAST_ADVANCES: Final = 0.25
-"""Smallest share of messages with a stamp of their own. Some programs publish each pose several
-times; other programs never update the time."""
+"""Smallest share of messages with a stamp of their own: programs may publish a pose several
+times."""
 
 STRETCH_ROWS: Final = 20
 """Smallest mean number of messages between two jumps; a clock that is set more often is not
@@ -93,13 +93,11 @@ class StampClock:
 
     Attributes:
         reason: Why the stamps are not usable; empty if they are usable.
-        time_ns: Time of each message's stamp [ns], shape (n,), on the recorder's clock. At another
-            rate, stamp seconds are counted from the first log time. Messages without a usable stamp
-            have log times.
+        time_ns: Time of each message [ns], shape (n,), on the recorder's clock; at another rate,
+            stamp seconds from the first log time. Messages without a usable stamp have log times.
         pace: Stamp seconds per second of the recorder's clock; None if unknown.
         is_other_pace: Whether the rate differs by more than the drift of computer clocks.
-        offset_ns: Recorder's time minus stamp at the first stamp, for the shortest transport delay
-            [ns].
+        offset_ns: Recorder's time minus first stamp, for the shortest transport delay [ns].
         jitter_ns: Median transport delay minus the shortest delay [ns]; None at another rate.
         stamps_span_ns: Time from first to last stamp, without jumps [ns].
         log_span_ns: The same time on the recorder's clock [ns].
@@ -167,7 +165,6 @@ def _take(values: TimesNs, rows: Rows) -> TimesNs:
 
 
 def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
-    """Return why stamps are not usable; empty if they are usable."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
         return "all stamps are 0 or before 1970" if stamp_ns.any() else "all stamps are 0"
@@ -209,7 +206,6 @@ def find_least_jump(stamp_ns: TimesNs) -> float:
 
 
 def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
-    """Return the rows where the stamps' clock jumps, in order."""
     starts = [0]
     while len(starts) - 1 <= len(log_ns) / STRETCH_ROWS:
         jump = _find_jump(log_ns[starts[-1] :], stamp_ns[starts[-1] :])
@@ -301,8 +297,7 @@ def _is_other_pace(late_ns: Values, parted_ns: float, slope: float, *, is_wall: 
 def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:
     """Return recorder seconds per stamp second, from the fastest messages.
 
-    The line is the closest one below all messages: the edge of the lower hull at their mean (Moon,
-    Skelly and Towsley, 1999).
+    The line is the edge of the lower hull at the mean (Moon, Skelly and Towsley, 1999).
     """
     passed = (stamp_ns - stamp_ns[0]).astype(np.float64)
     late = (log_ns - log_ns[0]) - passed
