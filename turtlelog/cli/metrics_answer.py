@@ -206,7 +206,7 @@ def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[st
 def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
     """Yield the place of a missed end, and the final heading error."""
     end = summary.goal_end
-    if end is not None and end.verdict == "missed" and (place := end.describe_place()):
+    if end is not None and end.is_away and (place := end.describe_place()):
         yield place
     heading = summary.metrics.get("final.heading_error")
     if heading is not None and heading.value is not None and end is not None:
@@ -217,7 +217,7 @@ def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
 
 def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
     """Yield the command that explains why a run missed its goal."""
-    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
+    if summary.goal_end is not None and summary.goal_end.is_away:
         if summary.file:
             yield f"Why? {console.name_explain(summary.file, summary.law)}"
         else:
