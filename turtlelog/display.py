@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import degrees, isfinite
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeGuard, TypeVar
 
 from turtlelog.escapes import escape_controls
 
@@ -72,7 +72,7 @@ def format_number(number: float | None, unit: str = "") -> str:
     if number is None:
         return "-"
     number, unit = show_angle(number, unit)
-    return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")
+    return _add_unit(f"{number:.5g}", unit)
 
 
 def format_short(number: float, unit: str = "") -> str:
@@ -80,8 +80,7 @@ def format_short(number: float, unit: str = "") -> str:
     number, unit = show_angle(number, unit)
     if unit == "m" and 0.0 < abs(number) < _SHORT_M:
         number, unit = 1e3 * number, "mm"
-    text = f"{number:.0f}" if _WHOLE <= abs(number) < _LONG else f"{number:.3g}"
-    return text + (f" {unit}" if unit not in {"", "1"} else "")
+    return _add_unit(f"{number:{'.0f' if _WHOLE <= abs(number) < _LONG else '.3g'}}", unit)
 
 
 def format_range(low: float, high: float, unit: str) -> tuple[str, str]:
@@ -125,16 +124,13 @@ def format_pair(first: object, second: object, unit: str = "") -> tuple[str, str
         one, other = ("none" if v is None else escape_controls(str(v)) for v in (first, second))
         return one, other
     (first, printed), (second, _) = show_angle(first, unit), show_angle(second, unit)
-    texts = next(
-        (pair for pair in (_round(first, second, n) for n in range(6, 18)) if pair[0] != pair[1]),
-        _round(first, second, 6),
-    )
-    suffix = "" if printed in {"", "1"} else f" {printed}"
-    return f"{texts[0]}{suffix}", f"{texts[1]}{suffix}"
+    pairs = [(f"{first:.{digits}g}", f"{second:.{digits}g}") for digits in range(6, 18)]
+    one, other = next((pair for pair in pairs if pair[0] != pair[1]), pairs[0])
+    return _add_unit(one, printed), _add_unit(other, printed)
 
 
-def _round(first: float, second: float, digits: int) -> tuple[str, str]:
-    return f"{first:.{digits}g}", f"{second:.{digits}g}"
+def _add_unit(text: str, unit: str) -> str:
+    return text if unit in {"", "1"} else f"{text} {unit}"
 
 
 def format_html(
@@ -194,15 +190,12 @@ def format_curve_svg(values: Sequence[float], *, label: str) -> str:
         return ""
     low, high = min(known), max(known)
     scale, step = (_CURVE_HEIGHT - 4.0) / ((high - low) or 1.0), _CURVE_WIDTH / max(1, len(values))
-    places = [
-        (number * step, _CURVE_HEIGHT - 2.0 - (value - low) * scale) if isfinite(value) else None
-        for number, value in enumerate(values)
-    ]
-    drawn, before = [], False
-    for place in places:
-        if place is not None:
-            drawn.append(f"{'L' if before else 'M'}{place[0]:.1f},{place[1]:.1f}")
-        before = place is not None
+    drawn, pen = [], "M"
+    for number, value in enumerate(values):
+        if isfinite(value):
+            y = _CURVE_HEIGHT - 2.0 - (value - low) * scale
+            drawn.append(f"{pen}{number * step:.1f},{y:.1f}")
+        pen = "L" if isfinite(value) else "M"
     size = f'width="{_CURVE_WIDTH:g}" height="{_CURVE_HEIGHT:g}"'
     path = f'<path d="{"".join(drawn)}" fill="none" stroke="{CURVE_COLOUR}" stroke-width="1.5"/>'
     name = f'role="img" aria-label="{_escape(label)}"'
@@ -266,16 +259,16 @@ _MARK: Final = 8.0
 """Width of the marks [pixels]; a path that the marks cover is not visible."""
 
 
-def _is_number(cell: object) -> bool:
-    return isinstance(cell, int | float) and not isinstance(cell, bool)
-
-
 _LONGEST_NAME: Final = 24
 """Longest name in a table [characters]; a browser would break a name at each of its hyphens."""
 
 
+def _is_number(cell: object) -> TypeGuard[int | float]:
+    return isinstance(cell, int | float) and not isinstance(cell, bool)
+
+
 def _format_cell(cell: object) -> str:
-    if isinstance(cell, int | float) and _is_number(cell):
+    if _is_number(cell):
         text = format_number(cell) if isinstance(cell, float) else str(cell)
         return f'<td style="text-align:right">{text}</td>'
     text = "" if cell is None else str(cell)

@@ -160,10 +160,8 @@ def map_in_processes(
         return
     workers: list[_Worker] = []
     try:
-        for _ in range(min(jobs, len(items))):
-            workers.append(
-                _Worker(work, name, "fork" if is_forked else "spawn")
-            )  # one by one: those that run are ended below
+        for _ in range(min(jobs, len(items))):  # one by one: those that run are ended below
+            workers.append(_Worker(work, name, "fork" if is_forked else "spawn"))
         yield from _collect(workers, items)
     finally:
         for worker in workers:
@@ -186,11 +184,9 @@ def start_pool(jobs: int) -> "Executor":
     return pool
 
 
-def _list_signals(*names: str) -> tuple[signal.Signals, ...]:
-    return tuple(signal.Signals[name] for name in names if hasattr(signal, name))
-
-
-_OF_PARENT: Final = _list_signals("SIGINT", "SIGHUP")
+_OF_PARENT: Final = tuple(
+    signal.Signals[name] for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)
+)
 """Signals that reach all processes: Ctrl-C and the end of a terminal. The parent ends the
 others."""
 
@@ -323,8 +319,8 @@ def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
             started += 1
         busy = {worker.pipe: worker for worker in workers if worker.held}
         for pipe in wait(list(busy)):
-            place, *outcome = busy[pipe].take()
-            found[place] = (outcome[0], outcome[1])
+            place, result, is_error = busy[pipe].take()
+            found[place] = result, is_error
         while done in found:
             result, is_error = found.pop(done)
             if is_error:

@@ -313,8 +313,9 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         ),
         (["--band", "wide"], "--band wide: must be a number"),
         (["--final", "end"], "--final end: must be reference, last, a number or LOOP=VALUE"),
-        (["--final", "pause=1"], "final: expected a loop rotate or translate, found 'pause'"),
-        (["--final", "inf"], "final: expected 'reference', 'last' or a number, found inf"),
+        (["--final", "pause=1"], "--final: expected a loop rotate or translate, found 'pause'"),
+        (["--initial", "a=1"], "error: --initial: expected a loop rotate or translate, found 'a'"),
+        (["--final", "inf"], "--final: expected 'reference', 'last' or a number, found inf"),
         (["--initial", "last"], "--initial last: must be a number or LOOP=VALUE"),
         (["--initial", "rotate="], "--initial : must be a number or LOOP=VALUE"),
         (

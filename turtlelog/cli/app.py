@@ -165,7 +165,7 @@ def _register() -> None:
     others = Group("Help and completion", sort_key=len(_COMMANDS))
     app.command(_help, name="help", group=others, usage="Usage: turtlelog help [COMMAND]")
     app.command(
-        "turtlelog.cli.completion:install_completion",
+        "turtlelog.cli.list_names:install_completion",
         name="--install-completion",
         group=others,
         help="Write the completion script of your shell and say where.",

@@ -94,10 +94,10 @@ def check(
     /,
     *,
     reference: options.Place | None = None,
-    reports: ReportOptions | None = None,
-    first: FirstSpecOptions | None = None,
-    formats: console.FormatOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    reports: ReportOptions = ReportOptions(),
+    first: FirstSpecOptions = FirstSpecOptions(),
+    formats: console.FormatOptions = console.FormatOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> int:
     """Check recordings against a specification: bounds, temporal-logic formulas, tolerances.
 
@@ -123,22 +123,18 @@ def check(
         reference: Reference recording, instead of the one in SPEC; also the reference trajectory of
             ate.* and rpe.* in --expect.
     """
-    kind = (formats or console.FormatOptions()).choose()
-    reports, first = reports or ReportOptions(), first or FirstSpecOptions()
+    kind = formats.choose()
+    words = words or []
     if first.schema:
         from turtlelog.check.spec_templates import build_schema
 
         console.print_json(build_schema())
         return console.EXIT_FINE
     if first.init is not None:
-        return _write_first(
-            first.init, words or [], first.output, topics or options.ReadingOptions()
-        )
-    words = words or []
+        return _write_first(first.init, words, first.output, topics)
     files = reports.name_files(_choose_files(words, first))
     _require_targets(reports, first.output, words)
     spec = _load_spec(words[0], first.expect or (), reference)
-    topics = topics or options.ReadingOptions()
     if first.output is not None:
         found = options.find_files(files, first.output)
         files = [Path(one.path) for one in found]
@@ -203,17 +199,15 @@ _FORMULA: Final = '"rotate.overshoot <= 2"'
 
 
 def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
-    """Refuse files next to the answer that could not be written."""
     if output is not None and output.suffix.lower() != ".parquet":
-        other = "--init, or a name that ends in .parquet"
-        raise UsageError(f"--output {output}: needs {other}")
+        raise UsageError(f"--output {output}: needs --init, or a name that ends in .parquet")
     options.require_new_target(reports.junit, words, suffix=".xml")
     options.require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
     options.require_apart([path for path in targets if path is not None])
 
 
-def build_spec(formulas: "Sequence[str]") -> "tl.Spec":
+def build_spec(formulas: Sequence[str]) -> "tl.Spec":
     """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
     from turtlelog.check.spec import Check, names_metrics_alone, require_known_names
 
@@ -304,9 +298,8 @@ def _check_into_table(
     """Return the results of files. The table provides the results of unchanged files."""
     from turtlelog.check.judge_run import plan_verdict_table, read_verdicts
 
-    for name in ("junit", "artifacts", "report"):
-        if getattr(reports, name) is not None:
-            raise UsageError(f"--{name}: leave out --output, which does not read unchanged files")
+    given = {f"--{name}": getattr(reports, name) for name in ("junit", "artifacts", "report")}
+    options.refuse_given(given, "leave out --output, which does not read unchanged files")
     judge = _prepare_judge(spec, topics)
     table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
     options.require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
@@ -369,9 +362,7 @@ def _check_all(
                 # Failed files that another process has judged are read once more here.
                 _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
             yield from file.checked.results
-    if reports.junit is not None:
-        console.write_text(reports.junit, format_junit(checked))
-        console.print_note(f"wrote {reports.junit}")
+    console.write_asked(reports.junit, lambda path: console.write_text(path, format_junit(checked)))
     _write_report(reports.report, runs, checked, spec, topics)
 
 

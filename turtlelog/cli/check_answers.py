@@ -209,7 +209,6 @@ def _write_head(
 def _join(
     head: str, tables: "Sequence[tl.compare.Table]", lines: Sequence[str], following: Sequence[str]
 ) -> str:
-    """Return the parts of an answer, separated by empty lines."""
     blocks = [console.fit_table(table).strip("\n") for table in tables]
     ends = [console.fill_lines(lines, indent=2)] if lines else []
     ends += ["\n".join(map(escape_controls, following))] if following else []
@@ -249,9 +248,7 @@ def _name_failing(counted: CountedResults) -> str:
     """Return in brackets the only failed check with its value, or failed checks without limits."""
     if counted.verdicts[tl.check.Verdict.FAIL] == 1:
         one = counted.failures[0]
-        told = (
-            "it has no value" if one.value is None else f"value {format_short(one.value, one.unit)}"
-        )
+        told = _tell_value(one, with_limit=False)
         return f" ({escape_controls(one.check)}, {told})"
     if _find_worst(counted) is not None:
         return ""
@@ -279,49 +276,45 @@ def _list_facts(counted: CountedResults, spec: "Spec | None", files: int) -> Ite
     several = counted.verdicts.total() > 1
     if several and counted.verdict == "PASS" and (nearest := counted.find_smallest()) is not None:
         yield f"Nearest to its limit: {escape_controls(nearest.check)}, {_tell_value(nearest)}."
-    if observed := _count_observed(counted, spec):
+    if spec is not None and (observed := _count_observed(counted, spec)):
         were = "1 failed limit was" if observed == 1 else f"{observed} failed limits were"
-        source = "" if spec is None else spec.source
-        yield f"{were} read off a run, not required: observed = true in {source}"
+        yield f"{were} read off a run, not required: observed = true in {spec.source}"
 
 
-def _count_observed(counted: CountedResults, spec: "Spec | None") -> int:
-    """Return the number of failed checks whose limits were read off a run."""
-    names = {check.name for check in spec.checks if check.is_observed} if spec else set()
+def _count_observed(counted: CountedResults, spec: "Spec") -> int:
+    names = {check.name for check in spec.checks if check.is_observed}
     return sum(
         name in names and found[tl.check.Verdict.FAIL] > 0
         for name, found in counted.of_checks.items()
     )
 
 
-def _tell_value(result: "CheckResult") -> str:
+def _tell_value(result: "CheckResult", *, with_limit: bool = True) -> str:
     if result.value is None:
         return "it has no value"
     value = f"value {format_short(result.value, result.unit)}"
-    if result.limit is None:
+    if result.limit is None or not with_limit:
         return value
     return f"{value}, limit {format_short(result.limit, result.unit)}"
 
 
 def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
-    """Yield bounds to confirm, and next commands."""
-    observed = 0 if spec is None else sum(check.is_observed for check in spec.checks)
-    if spec is not None and observed and not _count_observed(counted, spec):
-        were = "1 bound was" if observed == 1 else f"{observed} bounds were"
-        yield f"{were} read off a run: look at observed = true in {spec.source}"
     if spec is None:
         return
+    observed = sum(check.is_observed for check in spec.checks)
+    if observed and not _count_observed(counted, spec):
+        were = "1 bound was" if observed == 1 else f"{observed} bounds were"
+        yield f"{were} read off a run: look at observed = true in {spec.source}"
     measured = next((one for one in counted.failures if one.value is not None), None)
-    if measured is not None:
+    if measured is not None and (advice := _advise(measured, spec)):
         has_cause = any(one.why for one in counted.failures)
         question = "Within the run:" if has_cause else "Why?"
-        yield f"{question} {_advise(measured, spec)}"
+        yield f"{question} {advice}"
     if not shows_all and counted.verdicts.total() > 1:
         yield "All checks with their margins: --all"
 
 
-def _advise(failed: "CheckResult", spec: "Spec") -> str:
-    """Return the command that explains a failed check."""
+def _advise(failed: "CheckResult", spec: "Spec") -> str | None:
     file = shlex.quote(failed.file)
     formulas = (check.formula for check in spec.checks if check.name == failed.check)
     is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)
@@ -331,7 +324,8 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
     option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
-    return f"{console.name_explain(failed.file, console.read_law(failed.file))}{option}"
+    command = console.advise_explain(failed.file)
+    return command and f"{command}{option}"
 
 
 def count_checks(counted: CountedResults, *, shows_all: bool) -> "tl.compare.Table":
@@ -450,9 +444,7 @@ def _explain(result: "CheckResult", meant: Mapping[str, str]) -> str:
 
 def _read_reasons(spec: "Spec") -> dict[str, str]:
     """Return the reasons of bounds by check, without bounds observed in a run."""
-    tolerances = {
-        **{f"signals.{name}": found for name, found in spec.tolerances.signals.items()},
-        **{f"metrics.{name}": found for name, found in spec.tolerances.metrics.items()},
-    }
-    bounds = {found.name: found.reason for found in spec.checks if not found.is_observed}
-    return bounds | {name: found.reason for name, found in tolerances.items()}
+    reasons = {found.name: found.reason for found in spec.checks if not found.is_observed}
+    of_signals, of_metrics = spec.tolerances.signals, spec.tolerances.metrics
+    reasons |= {f"signals.{name}": found.reason for name, found in of_signals.items()}
+    return reasons | {f"metrics.{name}": found.reason for name, found in of_metrics.items()}

@@ -11,14 +11,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.compare_answer import ChoiceOptions, compare_across
+from turtlelog.cli.compare_answer import ChoiceOptions, compare_across, list_needed
 from turtlelog.cli.compare_reference import (
     compare_with_reference,
     compare_with_robot,
     list_scenario_files,
 )
 from turtlelog.cli.compare_trajectories import TrajectoryOptions, compare_with_trajectory
-from turtlelog.cli.work import Jobs, count_jobs, require_jobs, show_progress, watch_summaries
+from turtlelog.cli.work import Jobs, count_jobs, show_progress, watch_summaries
 from turtlelog.display import describe_count, join_words, split_numbers
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
@@ -60,15 +60,10 @@ class ReferenceOptions:
 
     @property
     def is_why(self) -> bool:
-        """Whether --why is given.
-
-        Raises:
-            UsageError: If an option needs --why.
-        """
-        lacking = {"--first": self.first is not None, "--trust-law": self.trust_law}
-        if not self.why and any(lacking.values()):
-            name = next(name for name, is_given in lacking.items() if is_given)
-            raise UsageError(f"{name}: needs --why")
+        """Whether --why is given; without it, options that need it are refused."""
+        if not self.why:
+            given = {"--first": self.first, "--trust-law": self.trust_law}
+            options.refuse_given(given, "needs --why")
         return bool(self.why)
 
 
@@ -95,11 +90,11 @@ def compare(
     files: options.Files,
     /,
     *,
-    against: ReferenceOptions | None = None,
-    choice: ChoiceOptions | None = None,
-    formats: console.FormatOptions | None = None,
-    pictures: DrawingOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    against: ReferenceOptions = ReferenceOptions(),
+    choice: ChoiceOptions = ChoiceOptions(),
+    formats: console.FormatOptions = console.FormatOptions(),
+    pictures: DrawingOptions = DrawingOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> int:
     """Compare runs: which is best at what. With --reference: how much each differs.
 
@@ -140,19 +135,19 @@ def compare(
         files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
             (.json, .csv); and perhaps one scenario of a robot (.toml).
     """
-    against, choice = against or ReferenceOptions(), choice or ChoiceOptions()
-    kind = (formats or console.FormatOptions()).choose()
-    pictures = pictures or DrawingOptions()
-    rrd = pictures.rrd
+    kind, rrd = formats.choose(), pictures.rrd
     if against.is_why:
-        _require_why_sense(against, choice, rrd)
+        options.refuse_given({"--metric": choice.metric}, f"--why {choice.metric} names the metric")
+        given = {"--align": against.align, **choice.name_values(), "--rrd": rrd}
+        options.refuse_given(given, "leave out --why")
         paths = [*([] if against.reference is None else [against.reference]), *files]
         return _compare_why(against, paths, plot=pictures.plot, topics=topics, kind=kind)
     files = options.list_files(files, without=against.reference)
     jobs = count_jobs(against.jobs, files)
     trajectories = against.trajectories
     if trajectories.require_sense():
-        _require_trajectory_sense(choice, rrd)
+        advice = "leave it out beside --ate and --rpe"
+        options.refuse_given({**choice.name_values(), "--rrd": rrd}, advice)
         reference = trajectories.take_reference(against.reference, files)
         return compare_with_trajectory(
             reference, files, against, topics, plot=pictures.plot, kind=kind
@@ -187,48 +182,20 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             f"compare needs at least two runs, but {len(paths)} was given; add another file, or"
             " --reference FILE"
         )
-    if against.reference is None and against.align is not None:
-        raise UsageError("--align: needs --reference FILE")
-    for name in () if against.reference is None else _list_given(choice, _OF_MANY):
-        raise UsageError(f"--{name}: leave out --reference")
-
-
-_OF_MANY: Final = ("metric", "sort", "where", "varied")
-"""Options for comparing runs side by side, without a reference."""
-
-
-def _list_given(group: object, names: Sequence[str]) -> dict[str, object]:
-    """Return the options of a group with these names that are given."""
-    values = {name: getattr(group, name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _require_why_sense(against: ReferenceOptions, choice: ChoiceOptions, rrd: Path | None) -> None:
-    given = _list_given(against, ["align"]) | _list_given(choice, _OF_MANY)
-    for name, value in given.items():
-        hint = f"--why {value} names the metric" if name == "metric" else "leave out --why"
-        raise UsageError(f"--{name}: {hint}")
-    if rrd is not None:
-        raise UsageError("--rrd: leave out --why")
-
-
-def _require_trajectory_sense(choice: ChoiceOptions, rrd: Path | None) -> None:
-    for name in (*_list_given(choice, _OF_MANY), *(["rrd"] if rrd is not None else [])):
-        raise UsageError(f"--{name}: leave it out beside --ate and --rpe")
+    if against.reference is None:
+        options.refuse_given({"--align": against.align}, "needs --reference FILE")
+    else:
+        options.refuse_given(choice.name_values(), "leave out --reference")
 
 
 def _require_robot_sense(against: ReferenceOptions, choice: ChoiceOptions) -> None:
-    given = _list_given(against, ("reference", "align", "tolerances"))
-    for name, value in (given | _list_given(choice, _OF_MANY)).items():
-        raise UsageError(
-            f"--{name} {value}: leave it out, the scenario is what bags are compared with"
-        )
+    names = ("reference", "align", "tolerances")
+    given = {f"--{name}": getattr(against, name) for name in names} | choice.name_values()
+    advice = "leave it out, the scenario is what bags are compared with"
+    options.refuse_given({f"{name} {value}": value for name, value in given.items()}, advice)
 
 
-def _draw(
-    paths: Sequence[Path], rrd: Path, topics: options.ReadingOptions | None
-) -> "list[tl.Run]":
-    """Write a picture of all runs, which needs all of them at once, and return the runs."""
+def _draw(paths: Sequence[Path], rrd: Path, topics: options.ReadingOptions) -> "list[tl.Run]":
     runs = options.read_runs(paths, topics)
     with show_progress("drawing"):
         tl.write_comparison_rrd(runs, rrd)
@@ -277,13 +244,11 @@ def _compare_why(
     files: Sequence[Path],
     *,
     plot: Path | None,
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
     kind: str,
 ) -> int:
-    """Print the causes of a metric's difference between two runs."""
     metric, files = split_metric(against, files)
     options.require_pictures(plot, None, files, drawn=(), of="")
-    topics = topics or options.ReadingOptions()
     code, told = console.EXIT_FINE, list[str]()
     if against.first is None:
         if len(files) != 2:
@@ -307,18 +272,18 @@ def _compare_why(
             *runs,
             metric=metric,
             trust_law=against.trust_law,
-            work=tl.explain.Work(jobs=require_jobs(against.jobs), report=progress.count),
+            work=tl.explain.Work(jobs=against.jobs, report=progress.count),
         )
     if kind == "json":
-        files_of = {"first": str(pair[0]), "second": str(pair[1])}
-        console.print_json(WhyAnswer(**files_of, condition=against.first, explanation=found))
+        first, second = map(str, pair)
+        console.print_json(
+            WhyAnswer(first=first, second=second, condition=against.first, explanation=found)
+        )
     elif kind == "txt":
         console.print_text(format_why(found, pair, lead=told))
     else:
         console.print_tables([tabulate_why(found)], kind)
-    if plot is not None:
-        tl.draw.write_difference_figure(found, plot)
-        console.print_note(f"wrote {plot}")
+    console.write_asked(plot, lambda path: tl.draw.write_difference_figure(found, path))
     return code
 
 
@@ -335,7 +300,7 @@ def _find_pair(
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
     found = tl.compare.summarise_files(
         paths,
-        only=partial(_take_needed, needed),
+        only=partial(list_needed, needed=needed, is_usual=False),
         topics=topics.build_choice(),
         jobs=count_jobs(jobs, paths),
     )
@@ -371,10 +336,6 @@ def _find_pair(
 
 _MOST_NAMED: Final = 3
 """Largest number of unreadable recordings that a sentence names; stderr has a line for each."""
-
-
-def _take_needed(needed: tuple[str, ...], _: "tl.Run") -> tuple[str, ...]:
-    return needed
 
 
 def format_why(

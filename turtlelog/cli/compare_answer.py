@@ -1,7 +1,7 @@
 """`turtlelog compare` of runs side by side: which is best at what."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -57,20 +57,20 @@ class ChoiceOptions:
     where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
     varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
 
-    def list_varied(self) -> list[str]:
-        """Return the keys and conditions that were varied on purpose, in addition to gains."""
-        return [] if self.varied is None else options.split_names(self.varied, "--varied")
+    def name_values(self) -> dict[str, str | None]:
+        """Return the values by option."""
+        return {f"--{one.name}": getattr(self, one.name) for one in fields(self)}
 
     def list_columns(self) -> list[str]:
         """Return the requested names and patterns; empty for the usual columns."""
-        return [] if self.metric is None else options.split_names(self.metric, "--metric")
+        return options.split_names(self.metric, "--metric") or []
 
 
 def compare_across(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
     choice: ChoiceOptions,
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
     *,
     jobs: int,
     kind: str,
@@ -82,7 +82,7 @@ def compare_across(
         needed = tl.compare.list_needed_metrics(
             columns, where=choice.where, sort=choice.sort, source="--where"
         )
-        only = partial(_list_needed, needed=needed, is_usual=not columns)
+        only = partial(list_needed, needed=needed, is_usual=not columns)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     code = console.print_errors(errors)
     # A single run is not compared with others.
@@ -94,7 +94,7 @@ def compare_across(
 def _summarise(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
     *,
     only: "Callable[[tl.Run], Sequence[str]] | None",
     jobs: int,
@@ -109,13 +109,14 @@ def _summarise(
             for run, path in pairs
         ), []
     errors: list[TurtlelogError] = []
-    chosen = (topics or options.ReadingOptions()).build_choice()
+    chosen = topics.build_choice()
     found = tl.compare.summarise_files(paths, only=only, topics=chosen, jobs=jobs)
     summaries = tuple(watch_summaries(found, len(paths), errors))
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
 
-def _list_needed(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
+def list_needed(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
+    """Return the needed metrics, also those that the law of a run lacks, and the usual ones."""
     # The usual metrics of a third-party bag are known when it is read.
     return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed
 
@@ -133,7 +134,8 @@ def _print_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
     only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--metric")
-    ranking = tl.compare.judge_runs(summaries, varied=choice.list_varied(), source="--varied")
+    varied = options.split_names(choice.varied, "--varied") or []
+    ranking = tl.compare.judge_runs(summaries, varied=varied, source="--varied")
     if kind == "json":
         console.print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
         return
@@ -173,31 +175,25 @@ def _format_across(
     more = len(conditions) - _MOST_NOTES
     if more > 0:
         conditions = [*conditions[:_MOST_NOTES], f"{describe_count(more, 'more note')}: --json."]
-    left_out: list[str] = []
-    if not only:
-        table, left_out = narrow_columns(table, summaries)
+    table, left_out = (table, []) if only else narrow_columns(table, summaries)
     table = replace(table, notes=(*list_cell_reasons(table, summaries), *changes, *told))
     above = [*notes, *conditions]
     reached = tl.compare.describe_reached(summaries) if ranking.is_fair else ""
     if reached and _is_shortest_missed(table, summaries):
         reached += "; the shortest run does not"
     title = f"{table.title}{_describe_alike(table, summaries, ranking)}."
-    best = [*_name_best(table), title]
+    head = [*_name_best(table), title]
+    head += [f"{reached[0].upper()}{reached[1:]}."] if reached else []
+    following = [f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []
+    following += _list_next(summaries, names, table, ranking)
     return "\n".join(
         [
-            console.fill_lines(
-                [*best, *([f"{reached[0].upper()}{reached[1:]}."] if reached else [])]
-            ),
+            console.fill_lines(head),
             *_list_best(table),
             *([console.fill_lines(above, indent=2)] if above else []),
             console.fit_body(console.cut_rows(table)),
             "",
-            console.fill_lines(
-                [
-                    *([f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []),
-                    *_list_next(summaries, names, table, ranking),
-                ]
-            ),
+            console.fill_lines(following),
         ]
     )
 
@@ -205,14 +201,11 @@ def _format_across(
 def _is_shortest_missed(table: "Table", summaries: "Sequence[RunSummary]") -> bool:
     """Return whether the shortest run does not reach the goal, but another run does."""
     ends = [one.goal_end for one in summaries]
-    titles = [column.title for column in table.columns]
-    shortest = [
-        row
-        for (row, column), mark in table.marks.items()
-        if (titles[column], mark) == ("run.duration", "best")
-    ]
     has_reached = [end is not None and end.verdict == "reached" for end in ends]
-    return any(has_reached) and any(not has_reached[row] for row in shortest)
+    return any(has_reached) and any(
+        mark == "best" and table.columns[column].title == "run.duration" and not has_reached[row]
+        for (row, column), mark in table.marks.items()
+    )
 
 
 def _describe_alike(table: "Table", summaries: "Sequence[RunSummary]", ranking: "Ranking") -> str:
@@ -256,7 +249,6 @@ def _rank(name: str) -> int:
 
 
 def _name_best(table: "Table") -> list[str]:
-    """Return the best run by the most important metric, with its value; empty without one."""
     rows = _rank_best(table)
     if not rows:
         return []
@@ -265,7 +257,6 @@ def _name_best(table: "Table") -> list[str]:
 
 
 def _list_best(table: "Table") -> list[str]:
-    """Return the best and worst runs by the most important metrics, one line each."""
     rows = _rank_best(table)
     with_ids = [(label, who, f"{name} {value}", worst) for label, who, name, value, worst in rows]
     lines = console.align_rows(with_ids)
@@ -278,13 +269,9 @@ def _list_best(table: "Table") -> list[str]:
 
 def _rank_best(table: "Table") -> list[tuple[str, str, str, str, str]]:
     """Return description, best run, metric, value and worst run, by importance."""
-    marked = [
-        place
-        for place, _ in enumerate(table.columns)
-        if any(place == column for _, column in table.marks)
-    ]
-    marked.sort(key=lambda place: _rank(table.columns[place].title))
-    said = [place for place in marked if _rank(table.columns[place].title) < len(_LABELS)]
+    ranks = {place: _rank(table.columns[place].title) for place in {row[1] for row in table.marks}}
+    marked = sorted(ranks, key=lambda place: (ranks[place], place))
+    said = [place for place in marked if ranks[place] < len(_LABELS)]
     return [_describe_best(table, place) for place in (said or marked)[:_MOST_SAID]]
 
 
@@ -309,7 +296,6 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
-    """Return the run with the best or worst value of a column, and the value."""
     rows = [row for (row, column), found in table.marks.items() if (column, found) == (place, mark)]
     names = [str(table.rows[row][0]) for row in rows]
     who = join_words(names) if len(names) <= 2 else describe_count(len(names), "run")
@@ -319,21 +305,23 @@ def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
 def _list_next(
     summaries: "Sequence[RunSummary]", names: Sequence[str], table: "Table", ranking: "Ranking"
 ) -> Iterator[str]:
-    """Yield the next commands to type."""
     known = [one.key for one in ranking.differences if not one.is_unknown]
     if known:
         yield f"Varied on purpose? --varied {','.join(known[:_MOST_SAID])}"
-    worst = {
-        table.columns[column].title: row
-        for (row, column), mark in table.marks.items()
-        if mark == "worst"
-    }
+    marks = table.marks.items()
+    best, worst = (
+        {table.columns[column].title: row for (row, column), mark in marks if mark == end}
+        for end in ("best", "worst")
+    )
     if worst:
         metric = min(worst, key=_rank)
-        row = worst[metric]
+        first, last = (summaries[rows[metric]] for rows in (best, worst))
         option = "" if metric == "final.position_error" else f" --metric {metric}"
-        command = console.name_explain(summaries[row].file, summaries[row].law)
-        yield f"Why is {names[row]} worse? {command}{option}"
+        command = f"{console.name_explain(last.file, last.law)}{option}"
+        if last.is_lawless:  # `explain` needs samples of a controller
+            files = " ".join(console.quote_file(one.file) for one in (first, last))
+            command = f"turtlelog compare {files} --why {metric}"
+        yield f"Why is {names[worst[metric]]} worse? {command}"
     yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."
 
 

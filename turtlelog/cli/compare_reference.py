@@ -81,7 +81,7 @@ def compare_with_reference(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
     against: "ReferenceOptions",
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     *,
     jobs: int,
     kind: str,
@@ -95,7 +95,7 @@ def compare_with_reference(
     alignment = against.align or ("recorded" if len(files) == 1 else "first_sample")
     if alignment == "first-sample":
         alignment = "first_sample"
-    choice = (topics or ReadingOptions()).build_choice()
+    choice = topics.build_choice()
     reference = tl.log.read_as_chosen(paths[0], choice) if held is None else held[0]
     comparer = _Comparer(reference=reference, alignment=alignment, choice=choice)
     others = paths[1:]
@@ -148,10 +148,7 @@ def _tabulate(
 
 
 def _format_reference(
-    first: "RunSummary",
-    found: "Sequence[Compared]",
-    *,
-    shows_signals: bool,
+    first: "RunSummary", found: Sequence[Compared], *, shows_signals: bool
 ) -> str:
     """Return the distances of runs from a reference's path, then metrics and signals."""
     summaries, changes = tl.compare.shorten_names([first, *(one.summary for one in found)])
@@ -190,18 +187,12 @@ def _list_errors(errors: "Mapping[str, PathDeviation]", reference: str) -> Itera
     at = f"by at most {_show(worst.largest_m)}, at {worst.largest_at_s:.2f} s"
     is_on = round(worst.largest_m, 9) == 0.0
     if len(errors) == 1:
-        yield (
-            f"{name} stays on the path of {reference}, within 1e-9 m."
-            if is_on
-            else f"{name} departs from the path of {reference} {at}."
-        )
+        on = f"{name} stays on the path of {reference}, within 1e-9 m."
+        yield on if is_on else f"{name} departs from the path of {reference} {at}."
     else:
-        head = f"{len(errors)} runs beside {reference}"
-        yield (
-            f"{head}: all stay on its path, within 1e-9 m."
-            if is_on
-            else f"{head}: {name} departs most from its path, {at}."
-        )
+        off = f"{name} departs most from its path, {at}."
+        told = "all stay on its path, within 1e-9 m." if is_on else off
+        yield f"{len(errors)} runs beside {reference}: {told}"
     for name, error in errors.items():
         if not round(error.largest_apart_m, 9):
             continue
@@ -248,12 +239,10 @@ class _ReferenceAnswer:
 
 def _build_run(path: Path, compared: Compared) -> _HeldRun:
     found = compared.comparison
-    return _HeldRun(
+    return console.copy_fields(
+        _HeldRun,
+        found,
         file=str(path),
-        name=found.name,
-        overlap_s=found.overlap_s,
-        overlap_from_s=found.overlap_from_s,
-        notes=found.notes,
         signals=[console.copy_fields(_HeldSignal, one) for one in found.signals],
         metrics=[
             _HeldMetric(
@@ -276,7 +265,7 @@ def compare_with_robot(
     *,
     plot: Path | None,
     rrd: Path | None,
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     kind: str,
 ) -> int:
     """Print the distances of recorded robots from the robot of a scenario among the files."""
@@ -310,20 +299,20 @@ def compare_with_robot(
             is_fine = False
     if found:
         _print(found, scenario_file, kind)
-        _draw(found[0][1], plot, rrd)
+        first = found[0][1]
+        console.write_asked(plot, lambda path: tl.draw.write_prediction_figure(first, path))
+        console.write_asked(rrd, lambda path: tl.draw.write_prediction_rrd(first, path))
     return console.EXIT_FINE if is_fine else console.EXIT_BAD_INPUT
 
 
 def _print(
     found: "Sequence[tuple[Path, tl.compare.RobotComparison]]", scenario: Path, kind: str
 ) -> None:
-    if kind == "json":
-        seeds = found[0][1].seeds
-        runs = [_build_robot(file, one) for file, one in found]
-        console.print_json(_RobotAnswer(reference=str(scenario), seeds=seeds, runs=runs))
-        return
     robots = [one for _, one in found]
-    if kind == "txt":
+    if kind == "json":
+        runs = [_build_robot(file, one) for file, one in found]
+        console.print_json(_RobotAnswer(reference=str(scenario), seeds=robots[0].seeds, runs=runs))
+    elif kind == "txt":
         console.print_text(_format_robots(robots, [str(file) for file, _ in found], str(scenario)))
     else:
         console.print_tables([tl.compare.tabulate_robots(robots)], kind)
@@ -349,25 +338,17 @@ def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], sce
         heads.insert(0, f"{len(found)} recorded robots beside the scenario {found[0].scenario}:")
     # The sentences contain the number of errors outside of the band.
     ranks = [0 if column.title in {"above", "below"} else None for column in table.columns]
+    narrow = tl.compare.narrow_table(replace(table, notes=()), console.find_width(), ranks)
     seeds = found[0].seeds
     means = (
         f"Each motion is simulated with {seeds} seeds." if seeds else "The scenario has no noise."
     )
-    return "\n".join(
-        [
-            console.fill_lines([*heads, *table.notes], indent=2),
-            console.fit_body(
-                replace(tl.compare.narrow_table(table, console.find_width(), ranks), notes=())
-            ),
-            "",
-            console.fill_lines(
-                [
-                    f"The simulated robot is driven with the recorded commands. {means}",
-                    f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
-                ]
-            ),
-        ]
-    )
+    following = [
+        f"The simulated robot is driven with the recorded commands. {means}",
+        f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
+    ]
+    head = console.fill_lines([*heads, *table.notes], indent=2)
+    return "\n".join([head, console.fit_body(narrow), "", console.fill_lines(following)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -432,12 +413,3 @@ def _build_robot(file: Path, found: "tl.compare.RobotComparison") -> _RobotRun:
         clock=found.clock,
         notes=found.notes,
     )
-
-
-def _draw(found: "tl.compare.RobotComparison", plot: Path | None, rrd: Path | None) -> None:
-    if plot is not None:
-        tl.draw.write_prediction_figure(found, plot)
-        console.print_note(f"wrote {plot}")
-    if rrd is not None:
-        tl.draw.write_prediction_rrd(found, rrd)
-        console.print_note(f"wrote {rrd}")

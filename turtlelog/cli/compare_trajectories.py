@@ -12,7 +12,7 @@ from cyclopts import Group, Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.options import Place, ReadingOptions, require_pictures
+from turtlelog.cli.options import Place, ReadingOptions, refuse_given, require_pictures
 from turtlelog.cli.work import show_progress
 from turtlelog.display import LATEST_S, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
@@ -51,31 +51,21 @@ class TrajectoryOptions:
     times: Place | None = None
 
     def require_sense(self) -> bool:
-        """Return whether trajectories are compared.
-
-        Raises:
-            UsageError: If an option needs --ate or --rpe.
-        """
+        """Return whether trajectories are compared; if not, refuse the options for them."""
         if self.ate or self.rpe:
             return True
         given = {
-            "all-pairs": self.all_pairs or None,
-            "associate": self.associate,
-            "max-difference": self.max_difference,
-            "time-offset": self.time_offset,
-            "times": self.times,
+            "--all-pairs": self.all_pairs,
+            "--associate": self.associate,
+            "--max-difference": self.max_difference,
+            "--time-offset": self.time_offset,
+            "--times": self.times,
         }
-        for name, value in given.items():
-            if value is not None:
-                raise UsageError(f"--{name}: needs --ate or --rpe LENGTH")
+        refuse_given(given, "needs --ate or --rpe LENGTH")
         return False
 
     def take_reference(self, reference: Path | None, files: Sequence[Path]) -> Path:
-        """Return the reference.
-
-        Raises:
-            UsageError: If there is no reference.
-        """
+        """Return the reference, which must be given."""
         option = "--ate" if self.ate else "--rpe"
         if reference is None:
             raise UsageError(f"{option}: needs --reference FILE, the trajectory that is true")
@@ -84,15 +74,11 @@ class TrajectoryOptions:
         return reference
 
     def build_settings(self, align: str | None) -> "TrajectorySettings":
-        """Return the settings for comparing trajectories.
-
-        Raises:
-            UsageError: If a value is invalid.
-        """
+        """Return the settings for comparing trajectories."""
         from turtlelog.compare.trajectory_comparison import ALIGN_IN
 
-        known = [one for one in ALIGN_IN if one == align]
-        if align is not None and not known:
+        known = next((one for one in ALIGN_IN if one == align), None)
+        if align is not None and known is None:
             raise UsageError(
                 f"--align {align[:60]}: must be {join_words(ALIGN_IN, 'or')} with --ate and --rpe"
             )
@@ -106,7 +92,7 @@ class TrajectoryOptions:
         except CompareError as err:
             raise UsageError(f"--rpe {err}") from err
         return tl.compare.TrajectorySettings(
-            align=known[0] if known else None,
+            align=known,
             interpolates=self.associate == "linear",
             most_apart_s=most_s,
             offset_s=self._parse_offset(),
@@ -115,10 +101,12 @@ class TrajectoryOptions:
         )
 
     def _parse_offset(self) -> float | None:
-        if self.time_offset in {None, "start"}:
-            return 0.0 if self.time_offset is None else None
+        if self.time_offset is None:
+            return 0.0
+        if self.time_offset == "start":
+            return None
         try:
-            offset_s = float(self.time_offset or "")
+            offset_s = float(self.time_offset)
         except ValueError:
             offset_s = math.nan
         if not abs(offset_s) < LATEST_S:
@@ -130,7 +118,7 @@ def compare_with_trajectory(
     reference: Path,
     files: Sequence[Path],
     against: "ReferenceOptions",
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     *,
     plot: Path | None,
     kind: str,
@@ -139,7 +127,7 @@ def compare_with_trajectory(
     options = against.trajectories
     settings = options.build_settings(against.align)
     require_pictures(plot, None, [reference, *files], drawn=files, of="trajectory")
-    choice = (topics or ReadingOptions()).build_choice()
+    choice = topics.build_choice()
     true = _read(reference, choice, options)
     found: list[tuple[Path, TrajectoryComparison]] = []
     for file in files:
@@ -151,9 +139,8 @@ def compare_with_trajectory(
             console.print_error(str(err))
     if found:
         _print(found, reference, options, kind)
-        if plot is not None:
-            tl.draw.write_trajectory_figure(found[0][1], plot)
-            console.print_note(f"wrote {plot}")
+        first = found[0][1]
+        console.write_asked(plot, lambda path: tl.draw.write_trajectory_figure(first, path))
     return console.EXIT_FINE if len(found) == len(files) else console.EXIT_BAD_INPUT
 
 
@@ -345,11 +332,10 @@ class TrajectoriesAnswer:
 
 
 def _build_answer(file: Path, one: "TrajectoryComparison") -> TrajectoryAnswer:
-    return TrajectoryAnswer(
+    return console.copy_fields(
+        TrajectoryAnswer,
+        one,
         file=str(file),
-        name=one.name,
-        space=one.space,
-        align=one.align,
         rotation=one.alignment.rotation.tolist(),
         translation_m=one.alignment.translation_m.tolist(),
         scale=one.alignment.scale,
@@ -368,5 +354,4 @@ def _build_answer(file: Path, one: "TrajectoryComparison") -> TrajectoryAnswer:
             )
             for error in one.errors
         ],
-        notes=one.notes,
     )

@@ -9,7 +9,7 @@ import shlex
 import stat
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -51,11 +51,7 @@ class FormatOptions:
     json: bool = False
 
     def choose(self) -> str:
-        """Return the requested format: `txt`, `md`, `csv`, `tex` or `json`.
-
-        Raises:
-            UsageError: If several formats are requested.
-        """
+        """Return the requested format: `txt`, `md`, `csv`, `tex` or `json`; refuse several."""
         kinds = {"markdown": "md", "csv": "csv", "latex": "tex", "json": "json"}
         chosen = [name for name in kinds if getattr(self, name)]
         if len(chosen) > 1:
@@ -108,11 +104,6 @@ def shows_colour() -> bool:
     if os.environ.get("FORCE_COLOR"):
         return True
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
-
-
-def print_lines(lines: Iterable[str]) -> None:
-    """Print results, each in one line, whatever the result contains."""
-    print_text("\n".join(map(escape_controls, lines)))
 
 
 def print_tables(tables: "Sequence[tl.compare.Table]", kind: str) -> None:
@@ -210,17 +201,26 @@ def name_explain(file: object, law: object) -> str:
     return f"turtlelog explain {quote_file(file)}{trust}"
 
 
-def read_law(file: Path | str) -> object:
-    """Return the kind of the law that a recording names; None for any other file."""
+def advise_explain(file: Path | str) -> str | None:
+    """Return the command that explains a file; None if it has no samples of a controller."""
     with suppress(TurtlelogError):
-        return tl.log.read_file_info(file).parameters.get("law.kind")
-    return None
+        found = tl.log.read_file_info(file)
+        lacks = "samples" in found.absent
+        return None if lacks else name_explain(file, found.parameters.get("law.kind"))
+    return name_explain(file, None)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, which appears when it is complete."""
     with tl.log.replace_when_complete(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def write_asked(path: Path | None, write: Callable[[Path], object]) -> None:
+    """Write a file if it is requested, and name it in a note."""
+    if path is not None:
+        write(path)
+        print_note(f"wrote {path}")
 
 
 def list_written(paths: Iterable[object]) -> list[str]:
@@ -388,10 +388,9 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         writer = csv.writer(spool, lineterminator="\n")
         is_shown = sys.stdout.isatty()  # else a program reads the cells
         for number, row in enumerate(rows):
-            texts = map(guard_cell, row)
-            cells = [
-                escape_controls(one) if is_shown and isinstance(one, str) else one for one in texts
-            ]
+            cells = [*map(guard_cell, row)]
+            if is_shown:
+                cells = [escape_controls(one) if isinstance(one, str) else one for one in cells]
             writer.writerows([cells] if number else [head, cells])
 
 

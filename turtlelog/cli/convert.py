@@ -1,6 +1,6 @@
 """`turtlelog convert`: conversion of a run to another format, or recovery of a damaged file."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -73,8 +73,8 @@ def convert(
     /,
     *,
     output: Annotated[list[options.Place], Parameter(name=("--output", "-o"), metavar="OUT")],
-    tables: TableOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    tables: TableOptions = TableOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
 ) -> None:
     """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2 folder.
@@ -104,7 +104,6 @@ def convert(
         json: Print one JSON object instead of lines.
     """
     options.require_there([file])
-    tables = tables or TableOptions()
     if tables.recover:
         _recover_file(file, output, json=json)
         return
@@ -122,30 +121,7 @@ def convert(
         for path in written:  # the files that exist, although another one failed
             console.print_note(f"wrote {path}")
         raise
-    from turtlelog.log.recording.run_writer import list_unshared
-
-    kept = {
-        name: text for name, text in run.notes.items() if name not in {tl.log.CHOSEN, tl.log.UNUSED}
-    }
-    # A count of 0 changes nothing.
-    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items() if text != "0"]
-    notes += [
-        f"{path} holds the poses alone: --table chooses another table, a folder holds all"
-        for path, kind in kinds.items()
-        if kind in {"csv", "parquet"} and _is_file(path, tables) and tables.table is None
-    ]
-    notes += [
-        f"{path} holds the poses alone, without commands, goal and scenario"
-        for path, kind in kinds.items()
-        if kind == "tum"
-    ]
-    notes += [
-        f"{path} holds x, y and heading alone, without height and tilt; .csv and .parquet hold both"
-        for path, kind in kinds.items()
-        if _is_flattened(run, kind)
-    ]
-    if {"mcap", "rosbag2"} & {*kinds.values()} and not tables.own_topics:
-        notes += list_unshared(run)
+    notes = [*_list_notes(run, kinds, tables)]
     if json:
         console.print_json(
             ConvertAnswer(
@@ -167,8 +143,27 @@ def convert(
     console.print_text("\n".join([console.fill_lines(lines), *console.list_written(written), ends]))
 
 
+def _list_notes(run: "tl.Run", kinds: Mapping[Path, str], tables: TableOptions) -> Iterator[str]:
+    """Yield the notes of a run, and what its outputs leave out."""
+    for name, text in run.notes.items():
+        # A count of 0 changes nothing.
+        if name not in {tl.log.CHOSEN, tl.log.UNUSED} and text != "0":
+            yield f"{name.replace('_', ' ')}: {text}"
+    for path, kind in kinds.items():
+        if kind in {"csv", "parquet"} and _is_file(path, tables) and tables.table is None:
+            yield f"{path} holds the poses alone: --table chooses another table, a folder holds all"
+        elif kind == "tum":
+            yield f"{path} holds the poses alone, without commands, goal and scenario"
+        if _is_flattened(run, kind):
+            alone = "holds x, y and heading alone, without height and tilt"
+            yield f"{path} {alone}; .csv and .parquet hold both"
+    if not {"mcap", "rosbag2"}.isdisjoint(kinds.values()) and not tables.own_topics:
+        from turtlelog.log.recording.run_writer import list_unshared
+
+        yield from list_unshared(run)
+
+
 def _describe_held(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> str:
-    """Return the contents of an output: the rows of each kind."""
     nouns = ("poses", "commands", "samples", "events")
     counts = {noun: len(getattr(run, noun)) for noun in nouns}
     one = "poses" if kind == "tum" or (_is_file(path, tables) and kind != "mcap") else None
@@ -185,7 +180,6 @@ def _is_file(path: Path, tables: TableOptions) -> bool:
 def _require_targets(
     outputs: list[Path], kinds: dict[Path, str], file: Path, tables: TableOptions
 ) -> None:
-    """Refuse invalid targets before the first output is written."""
     if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
         raise UsageError(
             f"--table: {outputs[0]} is no table; end its name in .csv or .parquet, or write a"
@@ -194,8 +188,8 @@ def _require_targets(
     if tables.to == "tum":
         for path in outputs:
             if path.suffix.lower() not in _TRAJECTORIES:
-                expected = f"a name that ends in {' or '.join(_TRAJECTORIES)}"
-                raise UsageError(f"--to tum: {path} must be {expected}")
+                ends = " or ".join(_TRAJECTORIES)
+                raise UsageError(f"--to tum: {path} must be a name that ends in {ends}")
     elif tables.to is not None and all(_is_file(path, tables) for path in outputs):
         raise UsageError(f"--to: leave it out, the name {outputs[0]} says it")
     for path in outputs:
@@ -216,11 +210,11 @@ def _require_folder(path: Path) -> None:
 
 
 def _write(run: "tl.Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
-    """Write one output and read it back."""
     from turtlelog.log.exported_tables import require_read_back
     from turtlelog.log.table_files import require_same_poses
 
-    run = _flatten_run(run) if _is_flattened(run, kind) else run
+    if _is_flattened(run, kind):
+        run = replace(run, poses=replace(run.poses, height_m=None, tilt_rad=None))
     with show_progress("writing"):
         if kind == "mcap":
             tl.write_recording(run, path, shares_poses=not tables.own_topics)
@@ -246,11 +240,6 @@ def _is_flattened(run: "tl.Run", kind: str) -> bool:
     """Return whether a format loses the heights and tilts of a run: only tables store them."""
     has_any = run.poses.height_m is not None or run.poses.tilt_rad is not None
     return has_any and kind not in {"csv", "parquet"}
-
-
-def _flatten_run(run: "tl.Run") -> "tl.Run":
-    """Return a run without heights and tilts."""
-    return replace(run, poses=replace(run.poses, height_m=None, tilt_rad=None))
 
 
 def _list_absent(run: "tl.Run") -> list[str]:
@@ -340,7 +329,6 @@ def _format(report: "tl.log.RecoveryReport", output: Path) -> list[str]:
 
 
 def _describe_loss(report: "tl.log.RecoveryReport") -> str:
-    """Return the size of the loss, as a clause."""
     if report.complete:
         return "nothing was lost: the file is complete and undamaged"
     if report.missing is None:
@@ -351,8 +339,6 @@ def _describe_loss(report: "tl.log.RecoveryReport") -> str:
             return f"{SUMMARY_ALONE} ({count} bytes)"
         return f"an unknown number of messages is lost ({count} bytes)"
     lost = sum(report.missing.values())
-    return (
-        f"{describe_count(lost, 'message')} {'is' if lost == 1 else 'are'} lost"
-        if lost
-        else "no message is lost"
-    )
+    if not lost:
+        return "no message is lost"
+    return f"{describe_count(lost, 'message')} {'is' if lost == 1 else 'are'} lost"

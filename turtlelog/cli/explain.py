@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -10,7 +11,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import options
-from turtlelog.cli.console import copy_fields, print_json, print_note, print_text, write_text
+from turtlelog.cli.console import (
+    copy_fields,
+    print_json,
+    print_note,
+    print_text,
+    write_asked,
+    write_text,
+)
 from turtlelog.cli.explain_answer import (
     NEEDS,
     describe_causes,
@@ -20,7 +28,7 @@ from turtlelog.cli.explain_answer import (
 )
 from turtlelog.cli.list_names import complete_causes, complete_metrics
 from turtlelog.cli.replay_answer import PlantReplayAnswer, build_plant, build_pose_error, tell_time
-from turtlelog.cli.work import Jobs, require_jobs, show_progress
+from turtlelog.cli.work import Jobs, show_progress
 from turtlelog.errors import ExplainError
 
 _GIVEN: Final = "Gains are taken as given. What they change: turtlelog compare --why RUN RUN"
@@ -54,8 +62,8 @@ def explain(
     *,
     metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
     causes: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_causes)] = None,
-    chosen: ExplainOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    chosen: ExplainOptions = ExplainOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
 ) -> None:
     """Explain a metric of a run: which effect of the implementation contributes how much.
@@ -93,19 +101,19 @@ def explain(
         json: Print one JSON object.
     """
     options.require_there([file])
-    chosen = chosen or ExplainOptions()
     options.require_new_target(chosen.scenario, [file], suffix=".toml")
     options.require_new_target(chosen.rrd, [file], suffix=".rrd")
-    names = None if causes is None else options.split_names(causes, "--causes")
+    names = options.split_names(causes, "--causes")
     (run,) = options.read_runs([file], topics)
     metric = metric or tl.explain.choose_metric(run.declaration)
     with options.name_as_typed(file, run):
         tl.explain.require_causes(run, metric, names)
         tl.explain.require_trust(run, trust_law=chosen.trust_law)
         found = tl.identify_run(run, trust_law=chosen.trust_law)
-    if chosen.scenario is not None:
-        write_text(chosen.scenario, tl.format_scenario(found.build_scenario()))
-        print_note(f"wrote {chosen.scenario}")
+    write_asked(
+        chosen.scenario,
+        lambda path: write_text(path, tl.format_scenario(found.build_scenario())),
+    )
     attribution = None
     if found.scenario is not None:
         with show_progress("simulated", 100.0, "%") as progress:
@@ -115,24 +123,23 @@ def explain(
                 causes=names,
                 identified=found,
                 trust_law=chosen.trust_law,
-                work=tl.explain.Work(jobs=require_jobs(chosen.jobs), report=progress.count),
+                work=tl.explain.Work(jobs=chosen.jobs, report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     again = found.resimulation
     error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
-    answer = ExplainAnswer(
+    answer = copy_fields(
+        ExplainAnswer,
+        found,
         file=str(file),
-        name=found.name,
         metric=tl.measure_run(run, only=[metric])[metric].to_dict(),
         identified=tuple(
             copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
             for key, one in found.findings.items()
         ),
         resimulation=None if again is None else asdict(again) | error,
-        tried=found.tried,
         attribution=attribution,
         in_words={} if attribution is None else dict(describe_causes(found, attribution)),
-        notes=found.notes,
         motion=None if motion is None else build_motion(file, run, motion),
     )
     if json:
@@ -145,7 +152,7 @@ def explain(
             print_text(_GIVEN)
         print_text(f"\n{format_explain_details(answer, found)}" if chosen.details else _DETAILS)
     if chosen.rrd is not None:
-        _draw(run, found, attribution, chosen.rrd, require_jobs(chosen.jobs))
+        _draw(run, found, attribution, chosen.rrd, chosen.jobs)
 
 
 def _draw(
@@ -259,6 +266,7 @@ class MotionAnswer:
 
 def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> MotionAnswer:
     """Return the facts as an answer."""
+    at_s = partial(tell_time, run)
 
     def build_rate(rows: int, periods: "tl.explain.Periods | None") -> RateAnswer:
         if periods is None:
@@ -269,17 +277,12 @@ def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> 
             low_s=periods.low_ns / 1e9,
             high_s=periods.high_ns / 1e9,
             longest_silence_s=periods.longest_ns / 1e9,
-            silence_at_s=tell_time(run, periods.longest_at_ns),
+            silence_at_s=at_s(periods.longest_at_ns),
         )
 
     delays, replay = found.delays, found.replay
     largest, outliers = (
-        [
-            ValueAnswer(
-                signal=one.signal, unit=one.unit, value=one.value, at_s=tell_time(run, one.time_ns)
-            )
-            for one in values
-        ]
+        [copy_fields(ValueAnswer, one, at_s=at_s(one.time_ns)) for one in values]
         for values in (found.largest, found.outliers)
     )
     return MotionAnswer(
@@ -291,7 +294,7 @@ def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> 
         outliers=outliers,
         jumps=[
             LeapAnswer(
-                at_s=tell_time(run, jump.time_ns),
+                at_s=at_s(jump.time_ns),
                 moved=jump.moved_m,
                 aside=jump.aside_m,
                 turned=jump.turned_rad,
@@ -299,8 +302,7 @@ def build_motion(file: Path, run: "tl.Run", found: "tl.explain.MotionFacts") -> 
             for jump in found.jumps
         ],
         gaps=[
-            SilenceAnswer(start_s=tell_time(run, gap.start_ns), end_s=tell_time(run, gap.end_ns))
-            for gap in found.gaps
+            SilenceAnswer(start_s=at_s(gap.start_ns), end_s=at_s(gap.end_ns)) for gap in found.gaps
         ],
         command_delays=None
         if delays is None

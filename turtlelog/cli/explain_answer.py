@@ -127,7 +127,6 @@ def _fill(lines: list[str]) -> str:
 
 
 def _write_confidence(found: "Identification", attribution: "Attribution") -> str:
-    """Return how well the simulated scenario reproduces the log."""
     again = found.resimulation
     if again is None:
         return ""
@@ -175,10 +174,10 @@ def format_identification(found: "Identification") -> str:
         else:
             # Its evidence is the note below the table, printed once.
             rows += _format_finding(name, replace(finding, evidence=_NOTED), unit)
-    notes = []
-    for note, names in hidden.items():
-        unknown = f" Therefore unknown: {', '.join(names)}." if names else ""
-        notes.append(_capitalise(note) + unknown)
+    notes = [
+        _capitalise(note) + (f" Therefore unknown: {', '.join(names)}." if names else "")
+        for note, names in hidden.items()
+    ]
     heads = ("", "value", "confidence", "evidence")
     table = build_table(f"Identified from the log of {found.name}", heads, rows)
     return "\n".join([fit_table(table), *([_fill(notes), ""] if notes else [])])
@@ -240,7 +239,6 @@ def _format_value(value: Any, unit: str, digits: int = 6) -> str:
 
 
 def _format_resimulation(found: "Identification") -> str:
-    """Return the differences of the re-simulation, and the loop settings that were tried."""
     again, tried = found.resimulation, []
     for name, key, unit in _ROWS:
         values = found.tried.get(key, ())

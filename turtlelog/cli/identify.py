@@ -1,7 +1,6 @@
 """`turtlelog identify`: a robot's gain, dead time and time constant, with their reliability."""
 
 import math
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,7 +11,6 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.display import describe_count, join_words
-from turtlelog.escapes import escape_controls
 
 
 @Parameter(name="*")
@@ -36,9 +34,9 @@ def identify(
     files: options.Files,
     /,
     *,
-    written: WrittenOptions | None = None,
+    written: WrittenOptions = WrittenOptions(),
     details: bool = False,
-    topics: options.TopicOptions | None = None,
+    topics: options.TopicOptions = options.TopicOptions(),
     json: options.Json = False,
 ) -> int:
     """Identify how a robot follows its commands: gain, dead time, time constant of each axis.
@@ -74,7 +72,6 @@ def identify(
             of each number of the scenario.
         json: Print one JSON object instead of text.
     """
-    written = written or WrittenOptions()
     plot, rrd, scenario = written.plot, written.rrd, written.scenario
     options.require_pictures(plot, rrd, files, drawn=files, of="file")
     options.require_new_target(scenario, files, suffix=".toml")
@@ -88,15 +85,11 @@ def identify(
         console.print_text(
             format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
         )
-    if scenario is not None and robot is not None:
-        console.write_text(scenario, robot.text)
-        console.print_note(f"wrote {scenario}")
-    if plot is not None:
-        tl.draw.write_robot_figure(model, runs[0], plot)
-        console.print_note(f"wrote {plot}")
-    if rrd is not None:
-        tl.draw.write_robot_rrd(model, runs[0], rrd)
-        console.print_note(f"wrote {rrd}")
+    if robot is not None:
+        text = robot.text
+        console.write_asked(scenario, lambda path: console.write_text(path, text))
+    console.write_asked(plot, lambda path: tl.draw.write_robot_figure(model, runs[0], path))
+    console.write_asked(rrd, lambda path: tl.draw.write_robot_rrd(model, runs[0], path))
     return console.EXIT_FINE if any(axis.is_known for axis in model.axes) else console.EXIT_FAILED
 
 
@@ -185,17 +178,13 @@ def build_identify_answer(
     robot: "tl.identify.RobotScenario | None" = None,
 ) -> IdentifyAnswer:
     """Return the answer as data."""
-    written = None
-    if robot is not None:
-        written = ScenarioAnswer(file=str(scenario), notes=robot.notes)
-    return IdentifyAnswer(
-        files=[str(file) for file in files],
-        clock=model.clock,
-        axes=[_build_axis(axis) for axis in model.axes],
-        tick_delays=model.tick_delays,
+    return console.copy_fields(
+        IdentifyAnswer,
+        model,
+        files=[*map(str, files)],
+        axes=[*map(_build_axis, model.axes)],
         events=[console.copy_fields(EventAnswer, event) for event in model.events],
-        notes=model.notes,
-        scenario=written,
+        scenario=robot and ScenarioAnswer(file=str(scenario), notes=robot.notes),
     )
 
 
@@ -245,9 +234,8 @@ def format_robot(
 ) -> str:
     """Return the robot's delay, its values, and their reliability."""
     known = [axis for axis in model.axes if axis.is_known]
-    who = f"{len(files)} runs of one robot"
-    if len(files) == 1:
-        who = tl.compare.label_file(files[0])
+    several = f"{len(files)} runs of one robot"
+    who = several if len(files) > 1 else tl.compare.label_file(files[0])
     parts = [console.fill_lines(tl.identify.write_robot_headline(model.axes, who))]
     if known:
         brackets = model.brackets
@@ -255,19 +243,18 @@ def format_robot(
             brackets += ", wider for the doubts below"
         heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
         table = console.build_table("", heads, map(tl.identify.list_model_values, known))
-        told = ["Total delay: dead time plus time constant.", f"In brackets: {brackets}."]
-        parts += [f"{console.fit_body(table)}\n{console.fill_lines([' '.join(told)])}\n"]
+        told = f"Total delay: dead time plus time constant. In brackets: {brackets}."
+        parts += [f"{console.fit_body(table)}\n{console.fill_lines([told])}\n"]
         parts += [console.fill_lines([f"The robot {join_words([*map(describe_gain, known)])}."])]
     trust = [*_list_trust(model), *_list_axes(model, shows_details=shows_details)]
     parts += [console.fill_lines(trust, indent=2)] if trust else []
     parts += _list_nav2(known)
     if robot is not None:
-        source = f"Comments in {scenario} give the source of each number."
-        notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
-        parts += [
-            "",
-            f"The scenario {scenario}:\n{notes}" if shows_details else console.fill_lines([source]),
-        ]
+        told = console.fill_lines([f"Comments in {scenario} give the source of each number."])
+        if shows_details:
+            notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
+            told = f"The scenario {scenario}:\n{notes}"
+        parts += ["", told]
     return "\n".join([*parts, "", *_list_next(model, files, scenario, shows_details=shows_details)])
 
 
@@ -317,10 +304,19 @@ def _list_trust(model: "tl.RobotModel") -> Iterator[str]:
         )
 
 
+def _name(axis: "tl.identify.AxisModel") -> str:
+    """Return the name of an axis for the beginning of a sentence."""
+    return tl.identify.NAMES[axis.axis].capitalize()
+
+
+def _name_other(axis: "tl.identify.AxisModel") -> str:
+    return tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+
+
 def _describe_axis(axis: "tl.identify.AxisModel") -> Iterator[str]:
     if not axis.is_known or axis.explained is None:
         return
-    name = tl.identify.NAMES[axis.axis].capitalize()
+    name = _name(axis)
     yield from _describe_fit(axis, axis.explained)
     yield from _describe_second_order(axis)
     yield from _describe_acceleration(axis)
@@ -342,29 +338,24 @@ def _describe_axis(axis: "tl.identify.AxisModel") -> Iterator[str]:
 
 def _describe_fit(axis: "tl.identify.AxisModel", explained: float) -> Iterator[str]:
     """Yield how much of the motion the model explains, and whether it separates its delays."""
-    name = tl.identify.NAMES[axis.axis].capitalize()
-    little = curve = ""
-    if explained < _LITTLE:
-        little = " Most changes of the motion do not follow from the commands."
-    if axis.whiteness is not None and axis.whiteness < _CURVE:
-        curve = " The rest is a curve, not noise: the model lacks something."
-    yield (
-        f"{name}: the model explains {100.0 * explained:.0f} % of the variance of"
-        f" {axis.steps} steps between poses.{little}{curve}"
+    name, share = _name(axis), f"{100.0 * explained:.0f} %"
+    told = (
+        f"{name}: the model explains {share} of the variance of {axis.steps} steps between poses."
     )
+    if explained < _LITTLE:
+        told += " Most changes of the motion do not follow from the commands."
+    if axis.whiteness is not None and axis.whiteness < _CURVE:
+        told += " The rest is a curve, not noise: the model lacks something."
+    yield told
     # Dead time and time constant may each be 0, although their sum may not.
     parts, total = (axis.dead_time_s, axis.lag_s), axis.total_delay_s
     is_open = all(part is not None and part.low <= 0.0 for part in parts)
     if is_open and total is not None and total.low > 0.0:
-        yield (
-            f"{name}: the log does not separate dead time from time constant, it shows their sum."
-        )
+        yield f"{name}: the log does not separate dead time from time constant, it shows their sum."
 
 
 def _describe_acceleration(axis: "tl.identify.AxisModel") -> Iterator[str]:
-    """Yield the limits of how fast the rate changes, in sentences."""
-    name = tl.identify.NAMES[axis.axis].capitalize()
-    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    name = _name(axis)
     if axis.rate_limit is not None:
         places = {"before_lag": "before the lag", "within_lag": "within its velocity loop"}
         where = places.get(axis.limit_acts, "alone")
@@ -374,17 +365,15 @@ def _describe_acceleration(axis: "tl.identify.AxisModel") -> Iterator[str]:
         yield f"{name}: its jerk is limited, so the acceleration reaches its limit within {time_s}."
     if axis.rate_limit_beside is not None:
         yield (
-            f"The wheels limit the acceleration of both axes together: a {other} that changes by"
-            f" {_show_limit(axis.rate_limit_beside)} reaches this limit alone."
+            f"The wheels limit the acceleration of both axes together: a {_name_other(axis)} that"
+            f" changes by {_show_limit(axis.rate_limit_beside)} reaches this limit alone."
         )
 
 
 def _describe_wheels(
     axis: "tl.identify.AxisModel", beside: "tl.identify.Estimate"
 ) -> Iterator[str]:
-    """Yield the limit of the wheels, which both axes share, in sentences."""
-    name = tl.identify.NAMES[axis.axis]
-    other = tl.identify.NAMES["turn_rate" if axis.axis == "speed" else "speed"]
+    name, other = tl.identify.NAMES[axis.axis], _name_other(axis)
     ways = {
         "scaled": "a command beyond is reduced on both axes alike",
         "clipped": "a command beyond is clipped at each wheel",
@@ -412,7 +401,7 @@ def _show_limit(found: "tl.identify.Estimate") -> str:
 
 def _describe_second_order(axis: "tl.identify.AxisModel") -> Iterator[str]:
     """Yield text on a second order: two time constants, or an oscillation if that is certain."""
-    product, lag, name = axis.lag_product_s2, axis.lag_s, tl.identify.NAMES[axis.axis].capitalize()
+    product, lag, name = axis.lag_product_s2, axis.lag_s, _name(axis)
     if product is None or lag is None:
         return
     equal = 0.25 * lag.value**2
@@ -434,10 +423,9 @@ def _list_axes(model: "tl.RobotModel", *, shows_details: bool) -> Iterator[str]:
     for axis in model.axes:
         if not axis.is_known:
             end = "" if axis.reason.endswith("?") else "."
-            name = tl.identify.NAMES[axis.axis].capitalize()
-            yield f"{name}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
+            yield f"{_name(axis)}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
     for axis in model.axes if shows_details else ():
-        name, delay = tl.identify.NAMES[axis.axis].capitalize(), axis.correlation_delay_s
+        name, delay = _name(axis), axis.correlation_delay_s
         if not axis.is_known or axis.explained is None:
             continue
         if delay is None:
@@ -455,10 +443,9 @@ def _list_events(model: "tl.RobotModel") -> list[str]:
         if len(found) > _RARE * axis.steps:
             often.append(axis.axis)
             worst = max(found, key=lambda event: abs(event.size))
-            name = tl.identify.NAMES[axis.axis].capitalize()
             said.append(
-                f"{name}: {len(found)} of {axis.steps} steps are off by"
-                f" far more than is usual and do not count; the largest: {worst.text}."
+                f"{_name(axis)}: {len(found)} of {axis.steps} steps are off by far more than is"
+                f" usual and do not count; the largest: {worst.text}."
             )
     rare = [event for event in model.events if event.axis not in often]
     said += [f"Outlier: {event.text}." for event in rare[:_MOST_EVENTS]]
@@ -483,15 +470,14 @@ def _list_nav2(known: "Sequence[tl.identify.AxisModel]") -> list[str]:
 def _list_next(
     model: "tl.RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
 ) -> Iterator[str]:
-    """Yield the next commands to type."""
-    words = escape_controls(" ".join(shlex.quote(str(file)) for file in files))
+    words = " ".join(map(console.quote_file, files))
     if scenario is not None:
         target = console.quote_file(scenario)
         yield f"Next: turtlelog theory {target}"
         yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {console.name_explain(files[0], console.read_law(files[0]))}"
+        yield f"Why? {console.advise_explain(files[0])}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -128,8 +129,8 @@ def info(
     files: Files,
     /,
     *,
-    asked: InfoOptions | None = None,
-    reading: TopicOptions | None = None,
+    asked: InfoOptions = InfoOptions(),
+    reading: TopicOptions = TopicOptions(),
     jobs: Jobs = None,
     json: Json = False,
 ) -> int:
@@ -150,12 +151,9 @@ def info(
         jobs: Number of processes. Default: one per core if that is faster.
         json: Print one JSON list instead of text.
     """
-    asked = asked or InfoOptions()
     require_files(files)
     files = list_files(files)
-    describe = partial(
-        _read, choice=(reading or TopicOptions()).build_choice(), is_asked=asked.clock
-    )
+    describe = partial(_read, choice=reading.build_choice(), is_asked=asked.clock)
     count = count_jobs(
         jobs, files, file_s=_FILE_S, count_read=partial(count_read, is_asked=asked.clock)
     )
@@ -165,30 +163,23 @@ def info(
     code = console.print_errors(errors)
     if json:
         console.print_json(found)
+    elif len(found) > _MOST_IN_FULL and not (asked.topics or asked.parameters):
+        console.print_text(_format_answers(found))
     elif found:
-        console.print_text(_format(found, asked))
+        is_alone = len(found) == 1
+        texts = (_format_answer(one, asked, is_alone=is_alone) for one in found)
+        console.print_text("\n\n".join(texts))
     return code
-
-
-def _format(found: "list[InfoAnswer]", asked: InfoOptions) -> str:
-    if len(found) > _MOST_IN_FULL and not (asked.topics or asked.parameters):
-        return _format_answers(found)
-    is_alone = len(found) == 1
-    return "\n\n".join(_format_answer(one, asked, is_alone=is_alone) for one in found)
 
 
 def _read(
     path: Path, *, choice: "tl.log.ReadChoice", is_asked: bool
 ) -> "InfoAnswer | TurtlelogError":
-    """Return the contents of a file, or its error."""
     try:
         recording = tl.log.read_file_info(path, choice)
         summary = summarise(path, recording, choice, is_asked=is_asked)
-        robots = (
-            ()
-            if recording.format_version is not None
-            else tl.log.ros2.find_robots(recording.topics)
-        )
+        is_own = recording.format_version is not None
+        robots = () if is_own else tl.log.ros2.find_robots(recording.topics)
     except TurtlelogError as err:
         return release_frames(err)
     return console.copy_fields(
@@ -217,8 +208,8 @@ def _read(
 def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[str, ...]:
     """Return the absent fields. Topics of commands are known only if the run was read."""
     run = summary.run
-    more = [] if run is None or run.has_poses else ["poses"]
-    more += [] if run is None or run.has_commands else ["commands"]
+    more = [] if run is None or run.poses else ["poses"]
+    more += [] if run is None or run.commands else ["commands"]
     if summary.run is None and recording.format_version is None:
         held = {topic.type for topic in recording.topics if topic.count}
         kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
@@ -241,9 +232,9 @@ def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) ->
     lines = [_fill(f"{name}: ", _write_head(answer))]
     if is_alone and answer.complete and answer.format_version is None and answer.run is not None:
         can = ["metrics", "check", "compare", "view", "plot"]
-        can[1:1] = ["identify"] if answer.run.has_commands else []
-        can[1:1] = ["explain"] if answer.run.has_samples else []
-        lines.append(f"You can: {', '.join(can if answer.run.has_poses else _OF_COMMANDS)}")
+        can[1:1] = ["identify"] if answer.run.commands else []
+        can[1:1] = ["explain"] if answer.run.samples else []
+        lines.append(f"You can: {', '.join(can if answer.run.poses else _OF_COMMANDS)}")
     lines += [_fill(f"  {key:<{width}}  ", text) for key, text in rows]
     if topics and answer.topics:
         rows_of_topics = ((topic.topic, topic.type, topic.count) for topic in answer.topics)
@@ -291,7 +282,6 @@ def _name_kind(answer: InfoAnswer) -> str:
 
 
 def _tell_state(answer: InfoAnswer) -> str:
-    """Return how the run of a file ended, or the fault of the file."""
     if not answer.complete:
         is_empty = answer.summary.endswith(NOTHING_LEFT)
         return "truncated: nothing left" if is_empty else "not complete"
@@ -308,7 +298,6 @@ def _fill(head: str, text: str) -> str:
 
 
 def _write_head(answer: InfoAnswer) -> str:
-    """Return the kind of a file, whether it is complete, and its duration."""
     length = "" if answer.duration_s is None else f", {answer.duration_s:.1f} s"
     if answer.run is not None and tl.log.CLOCK_SET in answer.notes:
         length = f", {answer.run.duration_s:.1f} s"  # without the steps of the clock
@@ -326,13 +315,12 @@ def _write_head(answer: InfoAnswer) -> str:
 
 
 def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
-    """Yield the contents of a file by kind."""
     run = answer.run
     if answer.format_version is not None:
         yield from _list_own(answer)
     if run is not None:
         rows = {"poses": run.poses, "commands": run.commands, "samples": str(run.samples or "")}
-        yield from ((key, text) for key, text in rows.items() if text)
+        yield from filter(itemgetter(1), rows.items())
     sizes = {topic.topic: topic.count for topic in answer.topics}
     for robot in answer.robots[:_MOST_ENTRIES]:
         parts = [
@@ -341,11 +329,9 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
             if topic is not None
         ]
         yield f"robot {robot.name}", "; ".join(parts)
-    if not answer.summary.endswith(NOTHING_LEFT):
-        told = ": ".join(
-            filter(None, (_tell_reason(answer), (answer.ending or "").removeprefix("ended ")))
-        )
-        yield from [("ended", told)] if told else []
+    told = [_tell_reason(answer), (answer.ending or "").removeprefix("ended ")]
+    if any(told) and not answer.summary.endswith(NOTHING_LEFT):
+        yield "ended", ": ".join(filter(None, told))
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:

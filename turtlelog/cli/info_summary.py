@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -43,15 +44,8 @@ _STEADY: Final = 3.0
 
 _TOLD: Final = (
     *("goal", "path", "unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
-    *(
-        "held_transforms",
-        "dropped_before_transforms",
-        "robots",
-        "heading",
-        "origin",
-        "wheels",
-        "reported_rates",
-    ),
+    *("held_transforms", "dropped_before_transforms", "robots", "heading", "origin", "wheels"),
+    "reported_rates",
     *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
     *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate"),
     "other_command_topics",
@@ -86,21 +80,6 @@ class ReadRun:
     samples: int
 
     @property
-    def has_commands(self) -> bool:
-        """Whether the run has commands."""
-        return bool(self.commands)
-
-    @property
-    def has_poses(self) -> bool:
-        """Whether the run has poses."""
-        return bool(self.poses)
-
-    @property
-    def has_samples(self) -> bool:
-        """Whether the run has samples of a controller."""
-        return self.samples > 0
-
-    @property
     def first_row(self) -> str:
         """Row at time zero of the duration: the first `sample`, or else `pose` or `command`."""
         return "sample" if self.samples else "pose" if self.poses else "command"
@@ -133,7 +112,7 @@ def summarise(
     """Return the description of a file; of a bag, from poses and commands unless it is large."""
     is_lost = not info.complete and not any(topic.count for topic in info.topics)
     if info.format_version is not None:
-        text = _summarise_own(info, NOTHING_LEFT if is_lost else "")
+        text = f"a recording of turtlelog's, {NOTHING_LEFT}" if is_lost else _summarise_own(info)
         return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
     if not info.complete and (is_lost or not choice.allow_partial):
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
@@ -153,19 +132,14 @@ def summarise(
 
 def count_read(path: Path, *, is_asked: bool) -> int:
     """Return the approximate bytes read to describe a file; few for a turtlelog recording."""
-    try:
-        with path.open("rb") as stream:
-            if _OWN in stream.read(_HEAD_BYTES):
-                return 0
-    except OSError:
-        pass  # a folder, or an unreadable file
+    with suppress(OSError), path.open("rb") as stream:  # not a folder, or an unreadable file
+        if _OWN in stream.read(_HEAD_BYTES):
+            return 0
     size = count_bytes(tl.log.split_topic(path)[0])
     return size if is_asked or size <= LARGEST_BYTES else 0
 
 
-def _summarise_own(info: "tl.log.RecordingInfo", lost: str) -> str:
-    if lost:
-        return f"a recording of turtlelog's, {lost}"
+def _summarise_own(info: "tl.log.RecordingInfo") -> str:
     law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
     origin = "" if info.source == "simulation" else f", from {info.source}"
     counts = {
@@ -202,8 +176,7 @@ def _find_large(path: Path, info: "tl.log.RecordingInfo") -> str:
     path, _ = tl.log.split_topic(path)
     if isinstance(path, RemotePath):
         return "it is behind a URL"
-    files = [found for found in path.rglob("*") if found.is_file()] if path.is_dir() else [path]
-    size = sum(found.stat().st_size for found in files if found.exists())
+    size = count_bytes(path)
     if size > LARGEST_BYTES:
         return f"{size / 2**20:,.0f} MiB"
     transforms = sum(topic.count for topic in info.topics if topic.type == _TRANSFORMS)
@@ -270,7 +243,6 @@ _SENSORS: Final[Mapping[str, str]] = {
 
 
 def _summarise_others(info: "tl.log.RecordingInfo") -> str:
-    """Return the contents of a file without poses."""
     present = sorted((topic for topic in info.topics if topic.count), key=lambda one: -one.count)
     if not present:
         return "no poses, nothing to measure: there are no messages"
@@ -281,9 +253,8 @@ def _summarise_others(info: "tl.log.RecordingInfo") -> str:
         names = [f"{kind} on {name}" for kind, name in zip(kinds, names, strict=True)]
     else:
         names[0] = f"messages on {names[0]}"
-    more = len(present) - len(names)
-    others = [f"{more} more"] if more > 0 else []
-    return f"no poses, nothing to measure: {join_words([*names, *others])}"
+    names += [f"{len(present) - len(shown)} more"] if len(present) > len(shown) else []
+    return f"no poses, nothing to measure: {join_words(names)}"
 
 
 def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
@@ -327,7 +298,6 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
 
 
 def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
-    """Return topic, rate and number of rows; empty without rows."""
     if not len(time_ns):
         return ""
     rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(run, note)
@@ -346,8 +316,9 @@ def _describe_kind(run: "tl.Run") -> str:
         is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
         has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
         return "an IMU, which turns in one place" if is_named and not has_moved else "a robot"
-    is_turtlesim = tl.replay.moves_as_turtlesim(run)
-    return "turtlesim" if is_turtlesim else f"a robot that publishes {pose_type}"
+    return (
+        "turtlesim" if tl.replay.moves_as_turtlesim(run) else f"a robot that publishes {pose_type}"
+    )
 
 
 _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")

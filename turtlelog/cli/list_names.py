@@ -1,12 +1,15 @@
-"""`turtlelog list`: names for commands, checks and scenarios, also for completion."""
+"""`turtlelog list`: names for commands, checks and scenarios; completion by the shell."""
 
 import dataclasses
 import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.console import fill_lines, find_width, print_json, print_text
@@ -205,21 +208,6 @@ def _find_files(context: "CompletionContext", suffixes: set[str]) -> dict[str, s
     return {str(path): "" for path in files if path.suffix in suffixes}
 
 
-def complete_metrics(context: "CompletionContext") -> dict[str, str]:
-    """Return ids of metrics that complete a list separated by commas."""
-    return _complete_list(context, "metrics")
-
-
-def complete_figures(context: "CompletionContext") -> dict[str, str]:
-    """Return names of figures that complete a list separated by commas."""
-    return _complete_list(context, "figures")
-
-
-def complete_causes(context: "CompletionContext") -> dict[str, str]:
-    """Return names of causes that complete a list separated by commas."""
-    return _complete_list(context, "causes")
-
-
 def complete_keys(_: "CompletionContext") -> dict[str, str]:
     """Return the arguments of --set: the keys of a scenario, with the values of preset `paper`."""
     flat = tl.scenario.flatten_scenario(tl.load_scenario("paper"))
@@ -233,3 +221,28 @@ def _complete_list(context: "CompletionContext", kind: Kind) -> dict[str, str]:
         f"{before}{comma}{entry['name']}": str(entry.get("meaning") or entry.get("kind"))
         for entry in _LISTS[kind]()
     }
+
+
+complete_metrics: Final = partial(_complete_list, kind="metrics")
+complete_figures: Final = partial(_complete_list, kind="figures")
+complete_causes: Final = partial(_complete_list, kind="causes")
+
+
+def install_completion(
+    *,
+    shell: Literal["zsh", "bash", "fish", "powershell"] | None = None,
+    output: Annotated[Path | None, Parameter(name=("-o", "--output"))] = None,
+) -> None:
+    """Write the completion script of your shell and say where.
+
+    Args:
+        shell: Shell type for completion. If not specified, attempts to auto-detect current shell.
+        output: Output path for the completion script. If not specified, uses shell-specific
+            default.
+    """
+    from cyclopts.completion.install import create_install_completion_command
+
+    from turtlelog.cli.app import app  # which names this module's commands
+
+    install = create_install_completion_command(app.install_completion, add_to_startup=False)
+    install(shell=shell, output=output)

@@ -1,99 +1,86 @@
-"""`turtlelog plot TABLE`: maps, curves and sensitivities of a sweep; page formats of figures."""
+"""`turtlelog plot TABLE`: maps, curves and sensitivities of a sweep."""
 
-import math
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.options import PICTURES, require_new_target
+from turtlelog.cli.list_names import complete_keys
+from turtlelog.cli.options import PICTURES, refuse_given, require_new_target
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, format_number, join_words
-from turtlelog.errors import UsageError
+from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.cli.plot import ViewOptions
+    from turtlelog.cli.plot import PageOptions
     from turtlelog.sweep import Border, LoopLimits, Sensitivity, SweptAxis, SweptMetric, SweptView
 
 
-TIMELESS: Final = frozenset(
-    {
-        *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
-        *("gains", "luck", "strips"),
-    }
-)
-"""Figures that a time window cannot cut: they have no time axis, and no driven path."""
+Kind = Literal["map", "curves", "tornado"]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=Group("Tables of sweeps", sort_key=2))
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PageOptions:
-    """Page format of figures, and the shown part of the runs.
+class ViewOptions:
+    """View of a sweep's table.
 
     Attributes:
-        kind: column is one of two columns of a paper, page the whole width, slide 16:9 with large
-            lettering. Figures with panels side by side always take the page. Default: column, and
-            page for the table of a sweep.
-        text_width: Width of the paper's text [mm], 120 to 1000; slides ignore it. Default: 181.
-        dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
-            1920 by 1080 pixels.
-        from_s: Begin time axes here, from the first sample [s].
-        to_s: End time axes here [s].
-        marks: Mark rise, settling time with its band, peak and overshoot, dead time and pause on
-            the curves that loops control, and cut single panels to the phase.
+        kind: Maps over two keys (curves if only one varies), curves over one key with a line for
+            each value of a second, or the change of each metric along each key (tornado). Default:
+            map.
+        x: Key at the bottom.
+        y: Key at the side.
+        at: Fix a varied key at a value. Example: loop.transport_delay_ticks=4. Can be repeated.
     """
 
-    kind: Annotated[Literal["column", "page", "slide"] | None, Parameter(name="--for")] = None
-    text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
-    dpi: int | None = None
-    from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
-    to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
-    marks: Annotated[bool, Parameter(negative=())] = False
+    kind: Kind | None = None
+    x: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
+    y: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
+    at: Annotated[list[str] | None, Parameter(metavar="KEY=VALUE", completer=complete_keys)] = None
 
-    def build_page(
-        self,
-        formats: Sequence[str],
-        names: Sequence[str] | None,
-        *,
-        usual: Literal["column", "page"] = "column",
-    ) -> "tl.draw.Page":
-        """Return the size, resolution and time range of the figures.
+    def list_words(self) -> list[str]:
+        """Return the options as given."""
+        given = (("--x", self.x), ("--y", self.y))
+        words = [word for name, text in given if text is not None for word in (name, text)]
+        return words + [word for text in self.at or [] for word in ("--at", text)]
 
-        Raises:
-            UsageError: If an option has no effect: no format has a resolution, a slide has no text,
-                or no figure has a time axis.
-            ShowError: If a value is out of range.
-        """
-        if self.text_width is not None and self.kind == "slide":
-            raise UsageError("--text-width: needs --for column or page, not slide")
-        for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
-            if bound_s is not None and not math.isfinite(bound_s):
-                raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
-            if bound_s is not None and names and TIMELESS.issuperset(names):
-                found = ", ".join(names)
-                raise UsageError(f"{option}: needs a figure over time, not {found}")
-        if self.dpi is not None and "png" not in formats:
-            raise UsageError(f"--dpi: is for png files, not {', '.join(formats)}")
-        return tl.draw.Page(
-            kind=self.kind or usual,
-            **({} if self.text_width is None else {"text_width_mm": self.text_width}),
-            dpi=self.dpi,
-            from_s=self.from_s,
-            to_s=self.to_s,
-            has_marks=self.marks,
-        )
+
+def find_sweep_table(
+    files: Sequence[Path], view: ViewOptions, figures: Mapping[str, object]
+) -> Path | None:
+    """Return the table of a sweep among the files, which is then alone; None without a table.
+
+    `figures` are the options of figures of recordings, which a table does not take.
+    """
+    tables = []
+    for path in files:
+        with suppress(TurtlelogError):
+            facts = tl.sweep.read_result_facts(path) if path.suffix.lower() == ".parquet" else None
+            tables += [path] if facts is not None and facts.get("kind") == "sweep" else []
+    if not tables and view == ViewOptions():
+        return None
+    if not tables:
+        what = f"{files[0]} is a recording; " if files else ""
+        need = "--kind, --x, --y and --at need one table written by turtlelog sweep"
+        raise UsageError(f"{what}{need}")
+    if len(files) > 1:
+        raise UsageError(f"{tables[0]} is the table of a sweep, which is plotted alone")
+    refuse_given(figures, f"leave it out, {tables[0]} is the table of a sweep")
+    return tables[0]
 
 
 def draw_table(
     table: Path,
     output: Path | None,
-    view: "ViewOptions",
-    where: PageOptions,
+    view: ViewOptions,
+    where: "PageOptions",
     patterns: list[str] | None,
     *,
     json: bool,
@@ -130,29 +117,26 @@ def draw_table(
     lines = [
         line if " run --from " in line else console.fill_lines([line], indent=2) for line in lines
     ]
-    console.print_text(
-        "\n".join([*lines, *console.list_written([] if output is None else [output])])
-    )
+    lines += console.list_written([] if output is None else [output])
+    console.print_text("\n".join(lines))
 
 
-def _require_output(output: Path | None, table: Path, kind: str, where: PageOptions) -> None:
-    """Refuse an output that cannot be written."""
+def _require_output(output: Path | None, table: Path, kind: str, where: "PageOptions") -> None:
     suffix = "" if output is None else output.suffix.lower()
     if suffix == ".rrd":
         need = "view shows the recordings of rows, which sweep --record keeps"
         raise UsageError(f"--output {output}: a table becomes a figure or a report (.html); {need}")
-    if suffix not in PICTURES and where != PageOptions():
+    if suffix not in PICTURES and not where.is_usual:
         raise UsageError("--for, --text-width and --dpi need a figure to write: -o NAME.png")
     if output is None:
         return
+    figures = ".pdf, .png or .svg"
     if suffix not in {*PICTURES, ".html"}:
         raise UsageError(
             f"--output {output}: must be a name that ends in .pdf, .png, .svg or .html"
         )
     if suffix == ".html" and kind != "map":
-        raise UsageError(
-            f"--kind {kind}: {output} is no figure; end its name in .pdf, .png or .svg"
-        )
+        raise UsageError(f"--kind {kind}: {output} is no figure; end its name in {figures}")
     require_new_target(output, [table], suffix=suffix)
 
 
@@ -160,9 +144,9 @@ def _require_output(output: Path | None, table: Path, kind: str, where: PageOpti
 class SweptAxisAnswer:
     """Keys that vary together, with their values."""
 
-    keys: list[str]
+    keys: tuple[str, ...]
     unit: str | None
-    values: list[list[Any]]
+    values: tuple[tuple[Any, ...], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,7 +169,7 @@ class BestRow:
 class BorderAnswer:
     """Border of stability along a gain, with theory's limit."""
 
-    at: list[Any] | None
+    at: tuple[Any, ...] | None
     last_stable: float | None
     first_unstable: float | None
     theory: float | None
@@ -196,14 +180,14 @@ class BorderAnswer:
 class KeySensitivity:
     """Range of a metric along one key alone."""
 
-    keys: list[str]
+    keys: tuple[str, ...]
     least: float | None
     most: float | None
-    at_least: list[Any] | None
-    at_most: list[Any] | None
+    at_least: tuple[Any, ...] | None
+    at_most: tuple[Any, ...] | None
     correlation: float | None
     left_out: int
-    range_elsewhere: list[float] | None
+    range_elsewhere: tuple[float, float] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,7 +199,7 @@ class SensitivityAnswer:
     chance: float | None
     explained: float | None
     keys: list[KeySensitivity]
-    notes: list[str]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,7 +221,7 @@ class MetricOfTable:
 class LimitsAt:
     """Limits from theory at values of the other key."""
 
-    at: list[Any] | None
+    at: tuple[Any, ...] | None
     limits: Any
 
 
@@ -246,7 +230,7 @@ class LimitsAnswer:
     """Limits from theory for a loop's gain."""
 
     loop: str
-    gain: list[str]
+    gain: tuple[str, ...]
     columns: list[LimitsAt]
 
 
@@ -295,19 +279,14 @@ def build_map_answer(
         rows=results.row_count,
         failed=results.failed,
         shown=len(view.rows),
-        axes=[
-            console.copy_fields(
-                SweptAxisAnswer, axis, keys=[*axis.keys], values=[*map(list, axis.values)]
-            )
-            for axis in view.axes
-        ],
+        axes=[console.copy_fields(SweptAxisAnswer, axis) for axis in view.axes],
         held=_name_values(view.held),
         seeds=view.seeds,
         metrics=[_describe_metric(view, metric, limits) for metric in results.metrics],
         theory=[
             LimitsAnswer(
                 loop=one.loop,
-                gain=list(one.gain.keys),
+                gain=one.gain.keys,
                 columns=[
                     LimitsAt(
                         at=_find_values(_find_other(view, one), place),
@@ -335,10 +314,7 @@ def _describe_metric(
 
     values = tl.sweep.list_shown_values(view, metric)[1]
     known = values[np.isfinite(values)]
-    reasons: dict[str, int] = {}
-    for row in view.rows[~np.isfinite(metric.values[view.rows])].tolist():
-        reason = str(metric.reasons[row])
-        reasons[reason] = reasons.get(reason, 0) + 1
+    valueless = view.rows[~np.isfinite(metric.values[view.rows])]
     found = tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
     return MetricOfTable(
         id=metric.name,
@@ -346,7 +322,7 @@ def _describe_metric(
         values=len(known),
         least=float(known.min()) if len(known) else None,
         most=float(known.max()) if len(known) else None,
-        no_value=reasons,
+        no_value=Counter(str(metric.reasons[row]) for row in valueless.tolist()),
         best=_describe_best(view, metric),
         borders=_describe_borders(view, metric, limits),
         sensitivities=SensitivityAnswer(
@@ -358,24 +334,23 @@ def _describe_metric(
                 console.copy_fields(
                     KeySensitivity,
                     one,
-                    keys=list(one.axis.keys),
+                    keys=one.axis.keys,
                     at_least=_find_values(one.axis, one.least_place),
                     at_most=_find_values(one.axis, one.most_place),
-                    range_elsewhere=one.others and list(one.others),
+                    range_elsewhere=one.others,
                 )
                 for one in found.keys
             ],
-            notes=list(found.notes),
+            notes=found.notes,
         ),
     )
 
 
-def _find_values(axis: "SweptAxis | None", place: int | None) -> list[Any] | None:
-    return None if axis is None or place is None else list(axis.values[place])
+def _find_values(axis: "SweptAxis | None", place: int | None) -> tuple[Any, ...] | None:
+    return None if axis is None or place is None else axis.values[place]
 
 
 def _name_values(places: "Mapping[SweptAxis, int]") -> dict[str, Any]:
-    """Return the value of each key of the axes."""
     return {
         key: value
         for axis, place in places.items()
@@ -507,7 +482,8 @@ def _tell_best(view: "SweptView", best: BestRow) -> str:
     seeds = describe_count(view.seeds, "seed")
     if not _is_clear(best):
         return f"; no clear best: over {seeds}, all differences of these means may be chance"
-    keys = ", ".join(axis.tell_row(place) for axis in (*view.axes, *view.held))
+    axes = (*view.axes, *view.held)
+    keys = ", ".join(axis.tell_keys(axis.places[place]) for axis in axes)
     text = f", best mean with {keys}{more} (seeds from row {best.row} on)"
     if best.within_chance:
         text += f"; {best.within_chance} of {best.others} worse means may be as good by chance"

@@ -1,12 +1,13 @@
 """`turtlelog metrics`: measurement of recordings."""
 
+import re
 from array import array
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 
@@ -14,14 +15,15 @@ import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import list_needed, list_scatter, print_chosen, print_essential
-from turtlelog.cli.usage import Whole
+from turtlelog.cli.usage import Whole, parse_option
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
+from turtlelog.escapes import escape_controls
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasureOptions(options.MetricsAsked):
+class MeasureOptions:
     """How to measure. Values of a heading loop are in rad, of other loops in m.
 
     Attributes:
@@ -57,23 +59,21 @@ class MeasureOptions(options.MetricsAsked):
             "goal_tolerance_m": self.goal_tolerance,
         }
         given = {name: value for name, value in asked.items() if value is not None}
-        try:
+        with _name_options():
             return tl.MeasureSettings(**given)
-        except MeasureError as err:
-            key, _, problem = str(err).partition(":")
-            raise UsageError(f"{_OPTIONS.get(key, key)}:{problem}") from err
 
 
-_OPTIONS: Final = MappingProxyType(
-    {
-        "band": "--band",
-        "initial": "--initial",
-        "final": "--final",
-        "dead_time_ticks": "--dead-time",
-        "goal_tolerance_m": "--goal-tolerance",
-    }
-)
-"""Settings by the typed option."""
+@contextmanager
+def _name_options() -> Iterator[None]:
+    """Replace the names of settings in errors by the options as typed."""
+    try:
+        yield
+    except MeasureError as err:
+        key, _, problem = str(err).partition(":")
+        if key not in {one.name for one in fields(tl.MeasureSettings)}:
+            raise
+        option = re.sub(r"_(m|ticks)$", "", key).replace("_", "-")
+        raise UsageError(f"--{option}:{problem}") from err
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,14 +109,6 @@ class FolderOptions(WorkOptions):
 
     output: options.Output = None
 
-    def find(self, paths: Sequence[Path]) -> "list[tl.sweep.FoundRecording]":
-        """Return the given recordings, and those below given folders."""
-        return options.find_files(self.name_files(paths), self.output)
-
-    def list_files(self, paths: Sequence[Path]) -> list[Path]:
-        """Return the files that are given, or those below folders."""
-        return options.list_files(self.name_files(paths))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableAnswer:
@@ -133,11 +125,11 @@ def metrics(
     files: options.Files,
     /,
     *,
-    measuring: MeasureOptions | None = None,
+    measuring: MeasureOptions = MeasureOptions(),
     all_: Annotated[bool, Parameter(name="--all")] = False,
-    folders: FolderOptions | None = None,
-    formats: console.FormatOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    folders: FolderOptions = FolderOptions(),
+    formats: console.FormatOptions = console.FormatOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> int:
     """Measure recordings: where each run ends, and how its loops respond.
 
@@ -159,25 +151,23 @@ def metrics(
         all_: Show every metric, not only the essential ones.
     """
     options.require_files(files)
-    measuring = measuring or MeasureOptions()
-    choice = replace((topics or options.ReadingOptions()).build_choice(), allow_no_poses=True)
-    kind = (formats or console.FormatOptions()).choose()
-    patterns = measuring.list_patterns()
-    folders = folders or FolderOptions()
+    choice = replace(topics.build_choice(), allow_no_poses=True)
+    kind, files = formats.choose(), folders.name_files(files)
+    patterns = options.split_names(measuring.metric, "--metric")
     if folders.output is not None:
         if kind not in {"txt", "json"}:
             raise UsageError("--output: takes --json, no other format")
         plan = tl.sweep.plan_metric_table(measuring.build_settings(), only=patterns, topics=choice)
-        found = folders.find(files)
+        found = options.find_files(files, folders.output)
         inputs = [Path(one.path) for one in found]
         options.require_new_target(folders.output, inputs, suffix=".parquet")
         return _tell(tabulate(found, folders.output, plan, work=folders), kind)
-    files = folders.list_files(files)
+    files = options.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()
     essential = partial(list_needed, has_path=measuring.reference_path is not None)
     errors: list[TurtlelogError] = []
-    with folders.find_place(files) as place:
+    with _name_options(), folders.find_place(files) as place:
         summarised = tl.compare.summarise_files(
             files,
             settings,
@@ -216,14 +206,13 @@ def metrics(
 
 
 def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
-    """Print the result of a table, and the first unreadable files."""
     if kind == "json":
         unchanged = done.files - done.read
         console.print_json(
             console.copy_fields(TableAnswer, done, output=str(done.output), unchanged=unchanged)
         )
     else:
-        console.print_lines([summarise_table(done)])
+        console.print_text(escape_controls(summarise_table(done)))
     for label, reason in done.errors:
         console.print_error(f"{label}: {reason}")
     more = done.failed - len(done.errors)
@@ -235,7 +224,6 @@ def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:
 def _refuse_patterns(
     patterns: Sequence[str] | None, declarations: "Collection[tl.Declaration]"
 ) -> None:
-    """Refuse patterns that match no metric of any run."""
     if patterns is None or not declarations:
         return
     known = tl.measure.list_metrics(*declarations)
@@ -313,8 +301,5 @@ def _parse_value(option: str, text: str) -> Value:
     text = text.strip()
     if option == "--final" and text in {"reference", "last"}:
         return text
-    try:
-        return float(text)
-    except ValueError as err:
-        words = "reference, last, a number" if option == "--final" else "a number"
-        raise UsageError(f"{option} {text}: must be {words} or LOOP=VALUE,...") from err
+    words = "reference, last, a number" if option == "--final" else "a number"
+    return parse_option(option, text, float, f"{words} or LOOP=VALUE,...")

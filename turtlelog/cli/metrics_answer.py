@@ -75,12 +75,9 @@ def print_essential(summaries: "Sequence[tl.compare.RunSummary]", kind: str) -> 
 
 
 def _drop_words(summary: "tl.compare.RunSummary") -> "tl.compare.RunSummary":
-    metrics = {
-        name: found
-        for name, found in summary.metrics.items()
-        if name.rpartition(".")[2] not in _OF_WORDS
-    }
-    return replace(summary, metrics=metrics)
+    found = summary.metrics
+    kept = {name: found[name] for name in found if name.rpartition(".")[2] not in _OF_WORDS}
+    return replace(summary, metrics=kept)
 
 
 def print_chosen(
@@ -121,11 +118,8 @@ def print_chosen(
 
 def _describe_chosen(summaries: "Sequence[tl.compare.RunSummary]", chosen: Sequence[str]) -> str:
     """Return the values of a few metrics; for more metrics, the end of the run or their number."""
-    who = (
-        tl.compare.label_file(summaries[0].file)
-        if len(summaries) == 1
-        else describe_count(len(summaries), "run")
-    )
+    several = describe_count(len(summaries), "run")
+    who = several if len(summaries) > 1 else tl.compare.label_file(summaries[0].file)
     if len(chosen) <= _MOST_SAID:
         said = [f"{name} {_describe_range(summaries, name)}" for name in chosen]
         return console.fill_lines([f"{who}: {', '.join(said)}."])
@@ -149,9 +143,8 @@ def _describe_range(summaries: "Sequence[tl.compare.RunSummary]", name: str) -> 
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
     if not values:
-        return (
-            f"has no value ({', '.join(dict.fromkeys(one.status.words for one in found.values()))})"
-        )
+        reasons = dict.fromkeys(one.status.words for one in found.values())
+        return f"has no value ({', '.join(reasons)})"
     units = tl.compare.list_metric_units([*found.values()])
     if len(units) > 1:
         return f"is in {join_words(units)}"
@@ -179,19 +172,17 @@ def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[st
     if shown:
         table, said = _tabulate_loops(summary, shown), _describe_rest(summary)
     else:
-        said = []
         names = tl.compare.drop_absent([summary], [*filter(_is_of_run, essential)])
         found = {name: essential[name] for name in names}
         # Without samples, there are commands.
-        words = {name: _name_metric(name) for name in names}
-        if summary.is_lawless:
-            words = {name: text.replace("sample", "command") for name, text in words.items()}
-        rows = ((words[name], _show(metric)) for name, metric in found.items())
+        noun = "command" if summary.is_lawless else "sample"
+        rows = ((_name_metric(name).replace("sample", noun), _show(found[name])) for name in found)
         table = console.build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
-    jumps = _list_jumps([summary], summary.metrics)
-    since = _list_since(summary)
-    rates = [*_list_rates([summary]), *_list_travel(summary)]
-    notes = [*said, *since, *jumps, *rates, *tl.compare.list_unlocks([summary])]
+        said = []
+    notes = [
+        *(*said, *_list_since(summary), *_list_jumps([summary], summary.metrics)),
+        *(*_list_rates([summary]), *_list_travel(summary), *tl.compare.list_unlocks([summary])),
+    ]
     return "\n".join(
         [
             console.fill_lines([*head, *remarks, *_list_why(summary)]),
@@ -216,13 +207,9 @@ def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
 
 
 def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
-    """Yield the command that explains why a run missed its goal."""
     if summary.goal_end is not None and summary.goal_end.is_away:
-        if summary.file:
-            yield f"Why? {console.name_explain(summary.file, summary.law)}"
-        else:
-            command = console.name_explain("FILE.mcap", summary.law)
-            yield f"Why? Record the run with -o FILE.mcap, then: {command}"
+        command = console.name_explain(summary.file or "FILE.mcap", summary.law)
+        yield f"Why? {'' if summary.file else 'Record the run with -o FILE.mcap, then: '}{command}"
 
 
 def _list_remarks(
@@ -278,7 +265,6 @@ def _tabulate_loops(summary: "tl.compare.RunSummary", loops: Sequence[str]) -> "
 
 
 def _describe_rest(summary: "tl.compare.RunSummary") -> list[str]:
-    """Return sentences on a run that extend the first line."""
     names = (_PATH, "run.cross_track_max", "run.speed_effort", "run.turn_rate_effort")
     said = [
         f"{_name_metric(name)} {_show(summary.metrics[name])}"
@@ -296,7 +282,6 @@ def _is_of_run(name: str) -> bool:
 
 
 def _list_next(summary: "tl.compare.RunSummary", count: int) -> list[str]:
-    """Return the next commands to type."""
     is_told = any(_list_why(summary))
     if not summary.file:
         return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
@@ -341,7 +326,6 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
 
 
 def _list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
-    """Return the sentence on the resolution of lags and rise times."""
     steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
     if not steps:
         return []
@@ -363,18 +347,6 @@ def _list_travel(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield f"{told[0].upper()}{told[1:]}{own}."
 
 
-_OF_MOTION: Final = {
-    "jumps": "The path length{} counts as driven: {}.",
-    "sideways": "Speeds{} leave out motion to the side: {}.",
-    "unsigned": "Reported speeds{} have no sign: {}.",
-    "changes": "Most positions{} repeat the one before: they change at {}.",
-    "crept": "Rest{}, judged over half a second, includes {} of slow or brief motion.",
-    "gaps": "Rates and rest{} leave out {} without poses; the path length counts a straight line"
-    " there.",
-}
-"""Sentences on the motion, by note."""
-
-
 def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
     """Return sentences on gaps, and on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
@@ -382,17 +354,31 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
     told: list[list[str]] = []
     for one in summaries:
         which = "" if len(summaries) == 1 else f" of {one.name}"
-        notes = {name: one.notes[name] for name in _OF_MOTION if name in one.notes}
-        if len(summaries) == 1:  # the table's first line tells it
-            notes.pop("sideways", None)
-        said = [_OF_MOTION[name].format(which, note) for name, note in notes.items()]
-        said.extend(list_scatter(one, which, shown))
+        said = [
+            sentence.format(which=which, note=one.notes[name])
+            for name, sentence in _OF_MOTION.items()
+            # The remarks on a single run say that it moves to the side.
+            if name in one.notes and (which or name != "sideways")
+        ]
+        said += list_scatter(one, which, shown)
         told.extend([said] if said else [])
     first = [sentence for said in told[:_MOST_SAID] for sentence in said]
-    more = describe_count(len(told) - _MOST_SAID, "more run")
-    return (
-        first if len(told) <= _MOST_SAID else [*first, f"Gaps, jumps or steps are in {more}, too."]
-    )
+    if len(told) > _MOST_SAID:
+        more = describe_count(len(told) - _MOST_SAID, "more run")
+        first.append(f"Gaps, jumps or steps are in {more}, too.")
+    return first
+
+
+_OF_MOTION: Final = {
+    "jumps": "The path length{which} counts as driven: {note}.",
+    "sideways": "Speeds{which} leave out motion to the side: {note}.",
+    "unsigned": "Reported speeds{which} have no sign: {note}.",
+    "changes": "Most positions{which} repeat the one before: they change at {note}.",
+    "crept": "Rest{which}, judged over half a second, includes {note} of slow or brief motion.",
+    "gaps": "Rates and rest{which} leave out {note} without poses; the path length counts a"
+    " straight line there.",
+}
+"""Sentences by the notes of a run that they repeat."""
 
 
 def list_scatter(
@@ -422,16 +408,9 @@ def _format_runs(summaries: "Sequence[tl.compare.RunSummary]") -> str:
     told = (*reasons, *notes, *jumps, *rates, *tl.compare.list_unlocks(summaries))
     table = replace(table, notes=told)
     count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
-    return "\n".join(
-        [
-            console.fill_lines(
-                [f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."]
-            ),
-            console.fit_body(table),
-            "",
-            f"Which is best? turtlelog compare      All {count} metrics: --all, or --metric IDS",
-        ]
-    )
+    head = f"{describe_count(len(summaries), 'run')}: {_describe_ends(summaries)}."
+    following = f"Which is best? turtlelog compare      All {count} metrics: --all, or --metric IDS"
+    return "\n".join([console.fill_lines([head]), console.fit_body(table), "", following])
 
 
 _OF_ROW: Final = ("settling_time", "overshoot", "rms_error")
@@ -472,19 +451,15 @@ def _choose_columns(summaries: "Sequence[tl.compare.RunSummary]") -> tuple[str, 
     of_run = [name for one in summaries for name in tl.compare.list_usual_of_run(one)]
     kept = [name for name in of_run if _is_of_run(name) and name in names]
     declarations = [found.declaration for found in summaries]
-    ids = tl.compare.order_ids([*of_loops, *kept], declarations)
-    chosen: tuple[str, ...] = tl.compare.drop_absent(summaries, ids)
-    return chosen
+    return tl.compare.drop_absent(summaries, tl.compare.order_ids([*of_loops, *kept], declarations))
 
 
 def _describe_ends(summaries: "Sequence[tl.compare.RunSummary]") -> str:
-    """Return two ranges over the runs: final distances from the goal, and durations."""
     ends = [one.goal_end for one in summaries if one.goal_end is not None]
     lasting = f"after {_describe_range(summaries, 'run.duration')}"
-    if len(ends) == len(summaries) and all(
-        _find_value(one, "final.position_error") is not None for one in summaries
-    ):
+    errors = [_find_value(one, "final.position_error") for one in summaries]
+    if len(ends) == len(summaries) and None not in errors:
         far = _describe_range(summaries, "final.position_error")
-        reached = tl.compare.describe_reached(summaries)
-        return f"{f'{reached}; ' if reached else ''}the ends are {far} from the goal, {lasting}"
+        told = [tl.compare.describe_reached(summaries), f"the ends are {far} from the goal"]
+        return f"{'; '.join(filter(None, told))}, {lasting}"
     return f"they last {_describe_range(summaries, 'run.duration')}"

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from cyclopts import Group, Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.console import print_run_notes
+from turtlelog.cli.usage import parse_option
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.errors import LogError, RemoteError, TurtlelogError, UsageError
 from turtlelog.files.text_files import describe_missing
@@ -41,8 +42,7 @@ def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
     with suppress(ValueError):
         if 0.0 < float(text) < math.inf:
             return float(text)
-    expected = "a time above 0 in milliseconds"
-    raise UsageError(f"--step-budget-ms {text[:60]}: must be {expected}")
+    raise UsageError(f"--step-budget-ms {text[:60]}: must be a time above 0 in milliseconds")
 
 
 StepBudgetMs = Annotated[
@@ -61,8 +61,8 @@ def _read_size(_: Any, tokens: Sequence[Token]) -> int:
     """Return a size, and use this limit for every URL of the command."""
     most = parse_size(tokens[0].value)
     if most is None:
-        place = f"{tokens[0].keyword} {tokens[0].value[:60]}"
-        raise UsageError(f"{place}: must be a size, as in 500MB or 4GiB")
+        text = tokens[0].value[:60]
+        raise UsageError(f"{tokens[0].keyword} {text}: must be a size, as in 500MB or 4GiB")
     set_max_download(most)
     return most
 
@@ -119,11 +119,7 @@ class TopicOptions:
     max_download: MaxDownload = None
 
     def build_choice(self) -> "tl.log.ReadChoice":
-        """Return the options as a choice.
-
-        Raises:
-            UsageError: If a value is invalid.
-        """
+        """Return the options as a choice."""
         names = {one.name for one in fields(TopicOptions)} & {*tl.log.ReadOptions.__annotations__}
         values: dict[str, Any] = {name: getattr(self, name) for name in names}
         values |= {
@@ -148,11 +144,7 @@ class ReadingOptions(TopicOptions):
     goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
 
     def build_choice(self) -> "tl.log.ReadChoice":
-        """Return the options as a choice.
-
-        Raises:
-            UsageError: If a value is invalid.
-        """
+        """Return the options as a choice."""
         choice = super(ReadingOptions, self).build_choice()
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
 
@@ -171,19 +163,16 @@ def list_reading_words(options: ReadingOptions) -> list[str]:
 
 
 def _parse_wheels(text: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-        return parse_wheels(values)
-    except (ValueError, LogError) as err:
-        expected = "RADIUS,TRACK above 0 in metres, as in 0.033,0.16"
-        raise UsageError(f"--wheels {text[:60]}: must be {expected}") from err
+    def parse(text: str) -> tuple[float, ...]:
+        return parse_wheels(tuple(map(float, text.split(","))))
+
+    expected = "RADIUS,TRACK above 0 in metres, as in 0.033,0.16"
+    return parse_option("--wheels", text, parse, expected)
 
 
 def _parse_length(text: str) -> float:
-    try:
-        return parse_wheelbase(float(text))
-    except (ValueError, LogError) as err:
-        raise UsageError(f"--wheelbase {text[:60]}: must be a length above 0 in metres") from err
+    expected = "a length above 0 in metres"
+    return parse_option("--wheelbase", text, lambda text: parse_wheelbase(float(text)), expected)
 
 
 def _split_column(text: str) -> tuple[str, str]:
@@ -195,7 +184,7 @@ def _split_column(text: str) -> tuple[str, str]:
 
 def _parse_aim(text: str) -> tuple[float, ...]:
     try:
-        values = [float(part) for part in text.split(",")]
+        values = [*map(float, text.split(","))]
     except ValueError:
         values = []
     if len(values) not in {2, 3} or not all(map(math.isfinite, values)):
@@ -231,7 +220,7 @@ def find_files(paths: Sequence[Path], without: Path | None) -> "list[tl.sweep.Fo
 
 
 def read_runs(
-    paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
+    paths: Sequence[Path], topics: TopicOptions = TopicOptions(), *, allow_no_poses: bool = False
 ) -> "list[tl.Run]":
     """Return the runs of recordings, bags, other recorders' files and the paper's logs.
 
@@ -241,11 +230,10 @@ def read_runs(
 
 
 def iterate_runs(
-    paths: Sequence[Path], topics: TopicOptions | None = None, *, allow_no_poses: bool = False
+    paths: Sequence[Path], topics: TopicOptions = TopicOptions(), *, allow_no_poses: bool = False
 ) -> "Iterator[tl.Run]":
     """Yield runs as `read_runs` returns them, one by one, without keeping them."""
     require_files(paths)
-    topics = topics or TopicOptions()
     for path in watch_files(paths, len(paths)):
         yield read_chosen_run(path, topics, allow_no_poses=allow_no_poses)
 
@@ -270,36 +258,29 @@ def name_as_typed(file: Path, run: "tl.Run") -> "Iterator[None]":
         raise type(err)(f"{file}: {text.removeprefix(head)}") from err
 
 
-def split_names(text: str, option: str) -> list[str]:
-    """Return the names in an option, separated by commas."""
+def split_names(text: str | None, option: str) -> list[str] | None:
+    """Return the names in an option, separated by commas; None if the option is not given."""
+    if text is None:
+        return None
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise UsageError(f"{option} {text[:60]}: must be names separated by commas")
     return names
 
 
-class MetricsAsked:
-    """Base of options with `--metric`, which each command describes itself."""
-
-    __slots__ = ()
-    metric: str | None
-
-    def list_patterns(self) -> list[str] | None:
-        """Return the requested ids and patterns; None without a request."""
-        return None if self.metric is None else split_names(self.metric, "--metric")
-
-
 def require_there(paths: Sequence[Path]) -> None:
-    """Refuse missing files before drawing libraries are loaded.
-
-    Raises:
-        UsageError: If a word is neither a file nor a preset.
-    """
+    """Refuse words that are neither files nor presets, before drawing libraries are loaded."""
     for path in paths:
         file, _ = tl.log.split_topic(path)
-        is_known = isinstance(file, RemotePath) or file.exists() or str(path) in tl.PRESETS
-        if not is_known:
+        if not (isinstance(file, RemotePath) or file.exists() or str(path) in tl.PRESETS):
             raise UsageError(f"{path}: {describe_missing(path, tl.PRESETS)}")
+
+
+def refuse_given(given: Mapping[str, object], advice: str) -> None:
+    """Refuse the first of some options that is given, that is neither None nor False."""
+    for name, value in given.items():
+        if value is not None and value is not False:
+            raise UsageError(f"{name}: {advice}")
 
 
 def require_files(paths: Sequence[Path]) -> None:
@@ -318,11 +299,8 @@ PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
 def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
     """Refuse a file that could not be written, is an input, or has another suffix.
 
-    An existing file is accepted, and is replaced when the new file is complete.
-
-    Raises:
-        UsageError: If the file is refused.
-        LibraryError: If the library that writes such files is not installed.
+    An existing file is accepted, and is replaced when the new file is complete. A library that
+    writes such files must be installed.
     """
     if target is None:
         return
@@ -337,12 +315,7 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
 def require_pictures(
     plot: Path | None, rrd: Path | None, inputs: Sequence[Path], *, drawn: Sequence[Path], of: str
 ) -> None:
-    """Refuse pictures of a robot that could not be written, or pictures of several files.
-
-    Raises:
-        UsageError: If a picture is refused.
-        LibraryError: If the library that writes it is not installed.
-    """
+    """Refuse pictures of a robot that could not be written, or pictures of several files."""
     for name, target in (("--plot", plot), ("--rrd", rrd)):
         if target is not None and len(drawn) > 1:
             raise UsageError(f"{name}: draws one {of}, not {len(drawn)}")

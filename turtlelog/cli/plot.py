@@ -1,23 +1,23 @@
 """`turtlelog plot`: figures and tables for print."""
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import options
 from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
-from turtlelog.cli.list_names import complete_figures, complete_keys, complete_metrics
-from turtlelog.cli.map import TIMELESS, PageOptions, draw_table
+from turtlelog.cli.list_names import complete_figures, complete_metrics
+from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
 from turtlelog.cli.view import MovieOptions, film_runs, require_movie
-from turtlelog.cli.work import Jobs, require_jobs, show_progress
+from turtlelog.cli.work import Jobs, show_progress
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import ShowError, TurtlelogError, UsageError
+from turtlelog.errors import ShowError, UsageError
 from turtlelog.files.urls import RemotePath
 
 if TYPE_CHECKING:
@@ -26,63 +26,75 @@ if TYPE_CHECKING:
     Only = Collection[str] | Mapping[str, FigureKind]
 
 
-Kind = Literal["map", "curves", "tornado"]
+TIMELESS: Final = frozenset(
+    {
+        *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
+        *("gains", "luck", "strips"),
+    }
+)
+"""Figures that a time window cannot cut: they have no time axis, and no driven path."""
 
 
-@Parameter(name="*", group=Group("Tables of sweeps", sort_key=2))
+@Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ViewOptions:
-    """View of a sweep's table.
+class PageOptions:
+    """Page format of figures, and the shown part of the runs.
 
     Attributes:
-        kind: Maps over two keys (curves if only one varies), curves over one key with a line for
-            each value of a second, or the change of each metric along each key (tornado). Default:
-            map.
-        x: Key at the bottom.
-        y: Key at the side.
-        at: Fix a varied key at a value. Example: loop.transport_delay_ticks=4. Can be repeated.
+        kind: column is one of two columns of a paper, page the whole width, slide 16:9 with large
+            lettering. Figures with panels side by side always take the page. Default: column, and
+            page for the table of a sweep.
+        text_width: Width of the paper's text [mm], 120 to 1000; slides ignore it. Default: 181.
+        dpi: Resolution of PNGs [dots per inch], 50 to 600. Default: 300; for a slide 144, which is
+            1920 by 1080 pixels.
+        from_s: Begin time axes here, from the first sample [s].
+        to_s: End time axes here [s].
+        marks: Mark rise, settling time with its band, peak and overshoot, dead time and pause on
+            the curves that loops control, and cut single panels to the phase.
     """
 
-    kind: Kind | None = None
-    x: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
-    y: Annotated[str | None, Parameter(metavar="KEY", completer=complete_keys)] = None
-    at: Annotated[list[str] | None, Parameter(metavar="KEY=VALUE", completer=complete_keys)] = None
+    kind: Annotated[Literal["column", "page", "slide"] | None, Parameter(name="--for")] = None
+    text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
+    dpi: int | None = None
+    from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
+    to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
+    marks: Annotated[bool, Parameter(negative=())] = False
 
-    def list_words(self) -> list[str]:
-        """Return the options as given."""
-        given = (("--x", self.x), ("--y", self.y))
-        words = [word for name, text in given if text is not None for word in (name, text)]
-        return words + [word for text in self.at or [] for word in ("--at", text)]
+    @property
+    def is_usual(self) -> bool:
+        """Whether no option is given."""
+        return self == PageOptions()
 
+    def build_page(
+        self,
+        formats: Sequence[str],
+        names: Sequence[str] | None,
+        *,
+        usual: Literal["column", "page"] = "column",
+    ) -> "tl.draw.Page":
+        """Return the size, resolution and time range of the figures.
 
-def find_sweep_table(
-    files: Sequence[Path], view: ViewOptions, figures: Mapping[str, object]
-) -> Path | None:
-    """Return the table of a sweep among the files; None if there are recordings.
-
-    `figures` are the given options of figures of recordings.
-
-    Raises:
-        UsageError: If there are further files, or options of tables without a table, or of figures
-            with one.
-    """
-    tables = []
-    for path in files:
-        with suppress(TurtlelogError):
-            facts = tl.sweep.read_result_facts(path) if path.suffix.lower() == ".parquet" else None
-            tables += [path] if facts is not None and facts.get("kind") == "sweep" else []
-    if not tables and view == ViewOptions():
-        return None
-    if not tables:
-        what = f"{files[0]} is a recording; " if files else ""
-        need = "--kind, --x, --y and --at need one table written by turtlelog sweep"
-        raise UsageError(f"{what}{need}")
-    if len(files) > 1:
-        raise UsageError(f"{tables[0]} is the table of a sweep, which is plotted alone")
-    for name, value in figures.items():
-        if value is not None:
-            raise UsageError(f"{name}: leave it out, {tables[0]} is the table of a sweep")
-    return tables[0]
+        An option without effect is refused: no format has a resolution, a slide has no text, or no
+        figure has a time axis.
+        """
+        if self.text_width is not None and self.kind == "slide":
+            raise UsageError("--text-width: needs --for column or page, not slide")
+        for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
+            if bound_s is not None and not math.isfinite(bound_s):
+                raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
+            if bound_s is not None and names and TIMELESS.issuperset(names):
+                found = ", ".join(names)
+                raise UsageError(f"{option}: needs a figure over time, not {found}")
+        if self.dpi is not None and "png" not in formats:
+            raise UsageError(f"--dpi: is for png files, not {', '.join(formats)}")
+        return tl.draw.Page(
+            kind=self.kind or usual,
+            **({} if self.text_width is None else {"text_width_mm": self.text_width}),
+            dpi=self.dpi,
+            from_s=self.from_s,
+            to_s=self.to_s,
+            has_marks=self.marks,
+        )
 
 
 _DRAWABLE: Final = (
@@ -97,7 +109,7 @@ _OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AskedOptions(options.MetricsAsked):
+class AskedOptions:
     """Content of the figures attribution, gains, luck, strips and violation.
 
     Attributes:
@@ -112,17 +124,13 @@ class AskedOptions(options.MetricsAsked):
     expect: Annotated[str | None, Parameter(metavar="FORMULA")] = None
 
     def require_figures(self, names: Sequence[str]) -> None:
-        """Raise an error if an option belongs to a figure that is not drawn.
-
-        Raises:
-            UsageError: If an option has no figure, or a figure does not have its option.
-        """
-        if self.metric is not None and not {*names} & {*_OF_METRICS}:
-            expected = "--only attribution, gains, luck or strips"
-            raise UsageError(f"--metric: needs {expected}")
-        if self.expect is not None and "violation" not in names:
-            raise UsageError("--expect: needs --only violation")
-        if self.expect is None and "violation" in names:
+        """Refuse an option whose figure is not drawn, and a figure without its option."""
+        if {*names}.isdisjoint(_OF_METRICS):
+            needed = "needs --only attribution, gains, luck or strips"
+            options.refuse_given({"--metric": self.metric}, needed)
+        if "violation" not in names:
+            options.refuse_given({"--expect": self.expect}, "needs --only violation")
+        elif self.expect is None:
             raise UsageError("--only violation: needs --expect FORMULA")
 
     def bind(self, names: Sequence[str], runs: "Sequence[tl.Run]") -> "Only":
@@ -141,7 +149,7 @@ def _read_content(asked: AskedOptions, name: str, runs: "Sequence[tl.Run]") -> d
     """Return the requested content of a figure, which may take seconds; empty for the usual one."""
     match name:
         case "gains" | "strips":
-            return {"metrics": asked.list_patterns()}
+            return {"metrics": options.split_names(asked.metric, "--metric")}
         case "attribution":
             from turtlelog.draw.figures.explanation_figures import explain_for_figure
 
@@ -173,12 +181,12 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     output: Annotated[options.Place | None, Parameter(name=("--output", "-o"))] = None,
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
-    where: PageOptions | None = None,
-    asked: AskedOptions | None = None,
-    view: ViewOptions | None = None,
-    movie: MovieOptions | None = None,
+    where: PageOptions = PageOptions(),
+    asked: AskedOptions = AskedOptions(),
+    view: ViewOptions = ViewOptions(),
+    movie: MovieOptions = MovieOptions(),
     timeline: str = "sim_time",
-    topics: options.ReadingOptions | None = None,
+    topics: options.ReadingOptions = options.ReadingOptions(),
     jobs: Jobs = None,
     json: options.Json = False,
 ) -> None:
@@ -228,14 +236,13 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             most one per core.
         json: Print one JSON object instead of lines.
     """
-    jobs = require_jobs(jobs)
     options.require_there(files or [])
-    movie, asked, view = movie or MovieOptions(), asked or AskedOptions(), view or ViewOptions()
     given = {"--only": only, "--format": formats, "--movie": movie.movie}
     table = find_sweep_table(files or [], view, given)
     files = options.list_files(files or [])
     if table is not None:
-        draw_table(table, output, view, where or PageOptions(), asked.list_patterns(), json=json)
+        patterns = options.split_names(asked.metric, "--metric")
+        draw_table(table, output, view, where, patterns, json=json)
         return
     require_movie(movie, files)
     if movie.movie is None and timeline != "sim_time":
@@ -245,15 +252,15 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         film_runs(runs, movie, timeline=timeline)
         _tell(_build_answer(files, runs, {}, [], (), movie), runs, json=json)
         return
-    names = None if only is None else options.split_names(only, "--only")
+    names = options.split_names(only, "--only")
     is_file = output.suffix.lower() in options.PICTURES
     _require_output(output, names, formats, files)
     kinds = (
         [output.suffix[1:].lower()]
         if is_file
-        else options.split_names("pdf" if formats is None else formats, "--format")
+        else options.split_names(formats, "--format") or ["pdf"]
     )
-    page = (where or PageOptions()).build_page(kinds, names)
+    page = where.build_page(kinds, names)
     asked.require_figures(names or [])
     runs = _collect_runs(files, topics)
     kinds_of = None if names is None else asked.bind(names, runs)
@@ -286,7 +293,6 @@ def _tell_whole(names: Iterable[str], page: "tl.draw.Page") -> None:
 
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
-    """Return the files of a movie without figures."""
     if movie.movie is None:
         raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
     if not files:
@@ -354,7 +360,6 @@ def _build_answer(
 
 
 def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
-    """Print how the runs ended, the content of figures, and the written files."""
     if json:
         print_json(answer)
         return
@@ -365,7 +370,6 @@ def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
 
 
 def _describe_shown(answer: PlotAnswer, runs: "Sequence[tl.Run]") -> str:
-    """Return one sentence on the content of the figures and their runs."""
     names = tl.compare.name_runs(runs)
     whose = join_words(names) if 0 < len(names) <= _MOST_NAMED else describe_count(len(runs), "run")
     of = f" of {whose}" if runs else " of the ideal loop"
@@ -383,7 +387,7 @@ _MOST_NAMED: Final = 4
 """Largest number of runs in the first line."""
 
 
-def _collect_runs(words: Sequence[Path], topics: options.ReadingOptions | None) -> "list[tl.Run]":
+def _collect_runs(words: Sequence[Path], topics: options.ReadingOptions) -> "list[tl.Run]":
     """Return recordings, and runs of scenarios and presets, in their order."""
     scenarios = {
         word
@@ -416,7 +420,6 @@ _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 def _require_output(
     output: Path, names: list[str] | None, formats: str | None, files: Sequence[Path]
 ) -> None:
-    """Refuse a figure or a folder that cannot be written."""
     suffix = output.suffix.lower()
     if suffix in options.PICTURES:
         if names is not None and len(names) != 1:
@@ -462,7 +465,6 @@ def _draw_one(output: Path, runs: "Sequence[tl.Run]", **settings: Any) -> None:
 def _draw_all(
     output: Path, runs: "Sequence[tl.Run]", only: "Only | None", **settings: Any
 ) -> tuple[list[Path], list[Path]]:
-    """Return the figures and the tables that were written into a folder."""
     from turtlelog.draw.figures.writing import add_figures, add_tables, replace_together
 
     most = len(settings["formats"]) * len(tl.draw.FIGURES if only is None else only)

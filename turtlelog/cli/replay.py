@@ -74,10 +74,10 @@ def replay(
     file: Annotated[options.Place | None, Parameter(name="FILE")] = None,
     /,
     *,
-    mode: ReplayOptions | None = None,
-    changes: ScenarioOptions | None = None,
+    mode: ReplayOptions = ReplayOptions(),
+    changes: ScenarioOptions = ScenarioOptions(),
     output: options.Output = None,
-    topics: options.TopicOptions | None = None,
+    topics: options.TopicOptions = options.TopicOptions(),
     json: options.Json = False,
 ) -> int:
     """Replay a recording and show where the result departs from it.
@@ -106,7 +106,6 @@ def replay(
         json: Print one JSON object instead of tables.
     """
     options.require_there([] if file is None else [file])
-    mode = mode or ReplayOptions()
     _require_sound(mode, changes, output)
     # A word after --law is its KIND. The last word is FILE if there is no other word.
     words = [*(mode.law or ())]
@@ -163,9 +162,7 @@ def _replay(
         of_law = answer_law_replay(file, run, by_law)
         return of_law, _format_law(run, by_law, of_law, details=mode.details), by_law
     found = tl.replay_loop(run, scenario, **settings)
-    if output is not None:
-        tl.write_recording(found.run, output)
-        console.print_note(f"wrote {output}")
+    console.write_asked(output, lambda path: tl.write_recording(found.run, path))
     answer = build_loop(file, run, found, output)
     return answer, _format_loop(run, found, answer, details=mode.details), found
 
@@ -174,19 +171,16 @@ def _replay_commands(
     file: Path,
     run: "Run",
     mode: ReplayOptions,
-    changes: ScenarioOptions | None,
+    changes: ScenarioOptions,
     output: Path | None,
 ) -> tuple[CommandReplayAnswer, str]:
     """Drive a plant with the commands of a run without poses, and write the plant's path."""
-    compared = {"--law": mode.law, "--expect-equal": mode.expect_equal or None}
-    for name, value in {**compared, "--tolerance": mode.tolerance}.items():
-        if value is not None:
-            raise UsageError(f"{name}: leave it out, {file} holds commands alone: no poses")
+    compared = {"--law": mode.law, "--expect-equal": mode.expect_equal}
+    advice = f"leave it out, {file} holds commands alone: no poses"
+    options.refuse_given({**compared, "--tolerance": mode.tolerance}, advice)
     scenario = tl.Scenario() if mode.scenario is None else tl.load_scenario(mode.scenario)
     found = tl.replay.drive_commands(run, change_scenario(scenario, changes))
-    if output is not None:
-        tl.write_recording(found.run, output)
-        console.print_note(f"wrote {output}")
+    console.write_asked(output, lambda path: tl.write_recording(found.run, path))
     x_m, y_m = map(float, found.run.poses.xy_m[-1])
     answer = CommandReplayAnswer(
         file=str(file),
@@ -206,7 +200,6 @@ def _replay_commands(
 def _format_commands(
     file: Path, found: "tl.replay.CommandReplay", answer: CommandReplayAnswer
 ) -> str:
-    """Return the path length and the end of the plant, and the limits of this answer."""
     kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
     end, name = answer.end, escape_controls(file.name)
     sentences = [
@@ -222,25 +215,18 @@ def _format_commands(
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
     sentences.append("No poses were read: nothing tells whether the robot went there.")
-    lines = [console.fill_lines(sentences)]
-    if answer.output is None:
-        lines.append(f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap")
-    else:
-        lines.append(f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png")
-    return "\n".join(lines)
+    following = f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap"
+    if answer.output is not None:
+        following = f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png"
+    return f"{console.fill_lines(sentences)}\n{following}"
 
 
-def _require_sound(
-    mode: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
-) -> None:
-    """Refuse options that cannot be combined."""
-    by_law = mode.law is not None
-    if mode.plant and by_law:
+def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path | None) -> None:
+    if mode.plant and mode.law is not None:
         raise UsageError("--plant and --law: choose one")
-    if (mode.plant or by_law) and output is not None:
-        given_mode = "--plant" if mode.plant else "--law"
-        raise UsageError(f"--output: leave out {given_mode}, which makes no run")
-    changes = changes or ScenarioOptions()
+    given_mode = "--plant" if mode.plant else "--law"
+    if mode.plant or mode.law is not None:
+        options.refuse_given({"--output": output}, f"leave out {given_mode}, which makes no run")
     given = {
         "--scenario": mode.scenario,
         "--tolerance": mode.tolerance,
@@ -259,17 +245,17 @@ def _require_sound(
 
 
 def _choose_replayed(
-    run: "Run", mode: ReplayOptions, changes: ScenarioOptions | None, kind: str | None = None
+    run: "Run", mode: ReplayOptions, changes: ScenarioOptions, kind: str | None = None
 ) -> "Scenario | None":
     """Return the scenario to replay; None for the unchanged scenario of the recording."""
-    assigned = {} if changes is None else changes.parse_assignments()
+    assigned = changes.parse_assignments()
     for key in assigned if mode.law is not None else ():
         if key.partition(".")[0] not in _OF_LAW:
             raise UsageError(
                 f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
                 " from the recording"
             )
-    if changes is None and kind is None and mode.scenario is None:
+    if changes == ScenarioOptions() and kind is None and mode.scenario is None:
         return None
     named = kind or assigned.get("law.kind")
     if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
@@ -288,7 +274,6 @@ def _choose_replayed(
 
 
 def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
-    """Return the scenario before any change."""
     if name_or_path is None:
         return tl.scenario.restore_scenario(run)
     base = tl.load_scenario(name_or_path)
@@ -320,7 +305,6 @@ def _describe_software(run: "Run", changes: "Sequence[tl.run.SoftwareChange]") -
 def _format_law(
     run: "Run", found: "tl.replay.LawReplay", answer: LawReplayAnswer, *, details: bool
 ) -> str:
-    """Return whether a law commands as recorded, and its first difference."""
     law, first = escape_controls(found.scenario.law.kind), found.first_difference
     if first is None:
         head = f"{law} commands what was recorded{_describe_slack(found.signals)}"
@@ -367,7 +351,6 @@ def _format_declaration(found: "tl.replay.LawReplay | tl.replay.LoopReplay") -> 
 def _format_loop(
     run: "Run", found: "tl.replay.LoopReplay", answer: LoopReplayAnswer, *, details: bool
 ) -> str:
-    """Return whether the replay equals the recording, and its first difference."""
     first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
     name = escape_controls(Path(answer.file).name)
     if first is None:

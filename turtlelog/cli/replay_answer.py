@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import Any, Final
@@ -329,7 +330,33 @@ def tell_time(run: "tl.Run", time_ns: int) -> float:
 
 
 def build_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> PlantReplayAnswer:
-    """Return the answer."""
+    """Return the answer of a replay through the plant."""
+    at_s = partial(tell_time, run)
+    stretches = [
+        copy_fields(
+            SegmentAnswer,
+            segment,
+            start_s=at_s(segment.start_ns),
+            end_s=at_s(segment.end_ns),
+            max_abs_error=build_pose_error(segment.max_abs_error),
+            rounding=RoundingAnswer(position=segment.rounding_m, heading=segment.rounding_rad),
+        )
+        for segment in found.stretches
+    ]
+    jumps = [
+        copy_fields(
+            JumpAnswer,
+            jump,
+            at_s=at_s(jump.at_ns),
+            from_pose=_build_pose(jump.from_pose),
+            to_pose=_build_pose(jump.to_pose),
+        )
+        for jump in found.jumps
+    ]
+    gaps = [
+        copy_fields(GapAnswer, gap, start_s=at_s(gap.start_ns), end_s=at_s(gap.end_ns))
+        for gap in found.gaps
+    ]
     return PlantReplayAnswer(
         file=str(file),
         name=found.name,
@@ -339,34 +366,9 @@ def build_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> Pl
         first_difference=build_difference(run, found.first_difference),
         within_rounding=found.within_rounding,
         heading_bits=found.heading_bits,
-        stretches=tuple(
-            SegmentAnswer(
-                start_s=tell_time(run, segment.start_ns),
-                end_s=tell_time(run, segment.end_ns),
-                ticks=segment.ticks,
-                max_abs_error=build_pose_error(segment.max_abs_error),
-                rounding=RoundingAnswer(position=segment.rounding_m, heading=segment.rounding_rad),
-                within_rounding=segment.within_rounding,
-            )
-            for segment in found.stretches
-        ),
-        jumps=tuple(
-            JumpAnswer(
-                at_s=tell_time(run, jump.at_ns),
-                kind=jump.kind,
-                from_pose=_build_pose(jump.from_pose),
-                to_pose=_build_pose(jump.to_pose),
-            )
-            for jump in found.jumps
-        ),
-        gaps=tuple(
-            GapAnswer(
-                start_s=tell_time(run, gap.start_ns),
-                end_s=tell_time(run, gap.end_ns),
-                missing_ticks=gap.missing_ticks,
-            )
-            for gap in found.gaps
-        ),
+        stretches=tuple(stretches),
+        jumps=tuple(jumps),
+        gaps=tuple(gaps),
         commands=asdict(found.commands),
     )
 
@@ -378,17 +380,18 @@ def _build_pose(pose: "Sequence[float]") -> PoseAnswer:
 def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> str:
     """Return whether the plant reproduces the poses, with its segments and their breaks."""
     use = found.commands
-    and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
     stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
+    rounding = "one step of the 32 bits of a pose, for other platforms"
+    if tl.plants.find_plant(run).name != tl.plants.LAGGED:
+        velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
+        first_pose = f"the 32 bits of a segment's first pose{velocities}"
+        rounding = f"the largest error that {first_pose} can cause"
     first, *judged = judge_rounding(found)
     sentences = [
         f"{escape_controls(file.name)}: {first[0].lower()}{first[1:]}",
         *judged,
         f"Commands: {use.taken} taken, {use.unseen} that no pose shows{stops}.",
-        "Rounding: one step of the 32 bits of a pose, for other platforms."
-        if tl.plants.find_plant(run).name == tl.plants.LAGGED
-        else f"Rounding: the largest error that the 32 bits of a segment's first pose"
-        f"{and_of_velocities} can cause.",
+        f"Rounding: {rounding}.",
     ]
     if use.never_arrived:
         sentences.append(
@@ -405,28 +408,21 @@ def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> s
             f"No recorded command explains {unexplained} ticks: the recorded velocity was used"
             " there."
         )
+    table = fit_table(_tabulate_segments(run, found))
+    return "\n".join([fill_lines(sentences), "", table, *list_breaks(run, found)]).rstrip()
+
+
+def _tabulate_segments(run: "tl.Run", found: "tl.replay.PlantReplay") -> "tl.compare.Table":
     start, end = (tl.compare.Column(title=title, unit="s", digits=3) for title in ("from", "to"))
     ways = ("x [m]", "y [m]", "heading [deg]", "rounding [m]", "rounding [deg]")
-    rows = (
-        (
-            tell_time(run, segment.start_ns),
-            tell_time(run, segment.end_ns),
-            segment.ticks,
-            segment.max_abs_error.x_m,
-            segment.max_abs_error.y_m,
-            degrees(segment.max_abs_error.heading_rad),
-            segment.rounding_m,
-            degrees(segment.rounding_rad),
-        )
-        for segment in found.stretches
-    )
+    rows = []
+    for segment in found.stretches:
+        times_s = tell_time(run, segment.start_ns), tell_time(run, segment.end_ns)
+        error, rounding_deg = segment.max_abs_error, degrees(segment.rounding_rad)
+        errors = error.x_m, error.y_m, degrees(error.heading_rad)
+        rows.append((*times_s, segment.ticks, *errors, segment.rounding_m, rounding_deg))
     title = f"Largest differences between the plant and {run.name}"
-    parts = [
-        fill_lines(sentences),
-        "",
-        fit_table(build_table(title, (start, end, "ticks", *ways), rows)),
-    ]
-    return "\n".join([*parts, *list_breaks(run, found)]).rstrip()
+    return build_table(title, (start, end, "ticks", *ways), rows)
 
 
 def judge_rounding(found: "tl.replay.PlantReplay") -> list[str]:

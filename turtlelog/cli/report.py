@@ -26,7 +26,7 @@ def report(
     output: Annotated[options.Place, Parameter(name=("--output", "-o"))],
     spec: options.Place | None = None,
     explain: Literal["auto", "worst", "none"] = "auto",
-    topics: options.ReadingOptions | None = None,
+    topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
 ) -> int:
     """Write a report on runs as one file of HTML, which opens without a network.
@@ -52,8 +52,8 @@ def report(
     options.require_files(files)
     options.require_there(files)
     files = options.list_files(files)
-    inputs = [*files, *([] if spec is None else [spec])]
-    options.require_new_target(output, inputs, suffix=".html")
+    specs = [] if spec is None else [spec]
+    options.require_new_target(output, [*files, *specs], suffix=".html")
     runs = options.read_runs(files, topics)
     found = _explain(runs, explain)
     pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
@@ -61,7 +61,7 @@ def report(
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
-    words += options.list_reading_words(topics or options.ReadingOptions())
+    words += options.list_reading_words(topics)
     with show_progress("drawing"):
         tl.draw.write_report(
             runs,
@@ -152,15 +152,13 @@ def build_check_lines(
 
 
 def _explain(runs: "Sequence[tl.Run]", choice: str) -> "tl.draw.Explanation | None":
-    """Return the causes of the final error of the run to explain."""
     if choice == "none" or (choice == "auto" and len(runs) > 1):
         return None
-    name = "final.position_error"
     known = [run for run in runs if len(run.samples)]
-    misses_m = [tl.measure_run(run, only=[name])[name].value or 0.0 for run in known]
     if not known:
         return None
-    run = known[misses_m.index(max(misses_m))]
+    name = "final.position_error"
+    run = max(known, key=lambda run: tl.measure_run(run, only=[name])[name].value or 0.0)
     try:
         tl.explain.require_trust(run, trust_law=False)
         found = tl.identify_run(run)

@@ -84,10 +84,10 @@ def run(
     scenario: ScenarioWord = None,
     /,
     *,
-    changes: LawOptions | None = None,
-    source: RowOptions | None = None,
-    record: RecordOptions | None = None,
-    live: LiveOptions | None = None,
+    changes: LawOptions = LawOptions(),
+    source: RowOptions = RowOptions(),
+    record: RecordOptions = RecordOptions(),
+    live: LiveOptions = LiveOptions(),
     json: options.Json = False,
 ) -> int:
     """Simulate a scenario in closed loop, print how it ended and its metrics, record it.
@@ -108,12 +108,11 @@ def run(
             scenario is simulated again. Default: paper; with --law: textbook.
         json: Print one JSON object instead of tables.
     """
-    record, live, source = record or RecordOptions(), live or LiveOptions(), source or RowOptions()
     _require_sound(scenario, record, live, json=json)
     if live.watch:
         if source.table is not None:
             raise UsageError("--watch: leave out --from, whose table does not change")
-        return _watch(scenario, changes or LawOptions(), record, live)
+        return _watch(scenario, changes, record, live)
     chosen = _resolve(source.load(scenario, changes), changes, record)
     with _open_viewer(live) as (window, url):
         result = _run(chosen, record, live, url)
@@ -128,7 +127,6 @@ def run(
 def _require_sound(
     scenario: str | None, record: RecordOptions, live: LiveOptions, *, json: bool
 ) -> None:
-    """Refuse options that cannot be combined, and outputs that could not be written."""
     inputs = [] if scenario is None else [make_path(scenario)]
     options.require_new_target(record.output, inputs, suffix=".mcap")
     options.require_new_target(record.rrd, inputs, suffix=".rrd")
@@ -142,7 +140,7 @@ def _require_sound(
         raise UsageError("--watch: leave out --json, as there are many runs")
 
 
-def _resolve(chosen: "Scenario", changes: LawOptions | None, record: RecordOptions) -> "Scenario":
+def _resolve(chosen: "Scenario", changes: LawOptions, record: RecordOptions) -> "Scenario":
     """Return a scenario with its law's parameters, and print the notes on it."""
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
     for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(changes)):
@@ -362,11 +360,7 @@ _Texts = Mapping[Path, tuple[int, bytes] | None]
 
 
 def _list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
-    """Return the files that determine a run: the file of the scenario, and the file of the law.
-
-    Raises:
-        UsageError: If no such file is named, or a file is missing.
-    """
+    """Return the files that determine a run: of the scenario and of the law, at least one."""
     place = (kind or "").rpartition(":")[0]
     law_file = Path(place) if place.endswith(".py") else None
     files = tuple(file for file in (scenario_file, law_file) if file is not None)

@@ -11,7 +11,13 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.console import print_note, print_text
 from turtlelog.cli.list_names import complete_keys, complete_law, complete_preset
-from turtlelog.cli.options import MaxDownload, Place, TopicOptions, read_chosen_run
+from turtlelog.cli.options import (
+    MaxDownload,
+    Place,
+    TopicOptions,
+    read_chosen_run,
+    refuse_given,
+)
 from turtlelog.cli.usage import Whole
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path
@@ -61,12 +67,7 @@ class LawOptions(ScenarioOptions):
     max_download: MaxDownload = None
 
     def find_law_kind(self) -> str | None:
-        """Return the kind of law in --law or --set.
-
-        Raises:
-            UsageError: If the options name two laws, or a law together with --commands, which
-                replaces the law.
-        """
+        """Return the kind of law in --law or --set; refuse two laws, or one beside --commands."""
         kind = self.parse_assignments().get("law.kind")
         if self.law is not None and kind not in (None, self.law):
             raise UsageError(f"--law {self.law} and --set law.kind={kind}: choose one")
@@ -89,11 +90,10 @@ class RowOptions:
     table: Annotated[Place | None, Parameter(name="--from", metavar="FILE")] = None
     row: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
 
-    def load(self, scenario: str | None, options: LawOptions | None) -> "tl.Scenario":
+    def load(self, scenario: str | None, options: LawOptions) -> "tl.Scenario":
         """Return the scenario to run, with the options applied."""
         if self.table is None:
-            if self.row is not None:
-                raise UsageError("--row: needs --from TABLE")
+            refuse_given({"--row": self.row}, "needs --from TABLE")
             return load_changed_scenario(scenario, options)
         if scenario is not None:
             raise UsageError(f"--from: leave out the scenario {scenario}")
@@ -102,7 +102,7 @@ class RowOptions:
         return apply_options(tl.sweep.load_row_scenario(self.table, self.row), options)
 
 
-def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions | None = None) -> None:
+def scenario(scenario: ScenarioWord = None, /, *, changes: LawOptions = LawOptions()) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
     The code of a law of your own is not loaded: only the given keys are printed.
@@ -137,14 +137,13 @@ def is_recording(path: Path) -> bool:
     return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
 
 
-def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "tl.Scenario":
+def load_changed_scenario(name_or_path: str | None, options: LawOptions) -> "tl.Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
     The name of the scenario contains the changes. The code of a law is loaded only to set its
     gains. The law of a recording is never loaded, because the recording contains its gains.
     Default: `paper`; with --law `textbook`, whose loop has no effects.
     """
-    options = options or LawOptions()
     named = options.find_law_kind()
     name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
     path, declared = make_path(name_or_path), None
@@ -167,34 +166,30 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
 
 
 def apply_options(
-    base: "tl.Scenario", options: LawOptions | None, declared: "tl.Declaration | None" = None
+    base: "tl.Scenario", options: LawOptions, declared: "tl.Declaration | None" = None
 ) -> "tl.Scenario":
     """Return a scenario with the options applied and named."""
-    options, scenario, said = options or LawOptions(), base, []
+    scenario, said = base, []
     if options.law is not None:
         scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
         said = [_tell(f"law={options.law}")]
     return name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
 
 
-def list_given_keys(options: ScenarioOptions | None) -> list[str]:
+def list_given_keys(options: ScenarioOptions) -> list[str]:
     """Return the keys of a scenario that the options set by name."""
-    if options is None:
-        return []
-    return [
-        *options.parse_assignments(),
-        *([] if options.goal is None else _parse_goal(options.goal)),
-    ]
+    goal = {} if options.goal is None else _parse_goal(options.goal)
+    return [*options.parse_assignments(), *goal]
 
 
 def name_by_changes(
-    scenario: "tl.Scenario", base: str, options: ScenarioOptions | None, *more: str
+    scenario: "tl.Scenario", base: str, options: ScenarioOptions, *more: str
 ) -> "tl.Scenario":
     """Return a scenario that is named after its base and the changes.
 
     A name from --set is kept.
     """
-    said, options = [*more], options or ScenarioOptions()
+    said = [*more]
     said += [] if options.commands is None else [f"commands={options.commands.stem}"]
     said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
@@ -210,11 +205,10 @@ def _tell(text: str) -> str:
 
 def change_scenario(
     scenario: "tl.Scenario",
-    options: ScenarioOptions | None,
+    options: ScenarioOptions,
     declaration: "tl.Declaration | None" = None,
 ) -> "tl.Scenario":
     """Return a scenario with the options applied."""
-    options = options or ScenarioOptions()
     if options.commands is not None:
         run = read_chosen_run(options.commands, TopicOptions(), allow_no_poses=True)
         scenario, declaration = tl.scenario.replay_commands(scenario, run), None

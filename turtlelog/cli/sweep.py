@@ -55,16 +55,12 @@ class PlanOptions:
     latin: bool = False
 
     def build_plan(self) -> "tl.sweep.SweepPlan":
-        """Return the requested rows.
-
-        Raises:
-            UsageError: If options cannot be combined.
-            SweepError: If nothing varies, or a value cannot be read.
-        """
+        """Return the requested rows."""
         sampling = None
         if self.sample is not None:
-            seed = self.seed or 0
-            sampling = tl.sweep.Sampling(count=self.sample, seed=seed, is_latin=self.latin)
+            sampling = tl.sweep.Sampling(
+                count=self.sample, seed=self.seed or 0, is_latin=self.latin
+            )
         elif self.seed is not None:
             raise UsageError(
                 "--seed: needs --sample COUNT; --grid seed=0:9 varies that of the scenario"
@@ -76,7 +72,7 @@ class PlanOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SweepTableOptions(options.MetricsAsked):
+class SweepTableOptions:
     """Options for the written files.
 
     Attributes:
@@ -127,9 +123,9 @@ def sweep(
     /,
     *,
     table: SweepTableOptions,
-    plan: PlanOptions | None = None,
-    changes: LawOptions | None = None,
-    work: SweepOptions | None = None,
+    plan: PlanOptions = PlanOptions(),
+    changes: LawOptions = LawOptions(),
+    work: SweepOptions = SweepOptions(),
     json: options.Json = False,
 ) -> int:
     """Vary a scenario, simulate and measure every variant, and write one table.
@@ -152,8 +148,7 @@ def sweep(
             `identify`, or a recording. Default: paper; with --law: textbook.
         json: Print one JSON object instead of a line.
     """
-    begun, work = time.monotonic(), work or SweepOptions()
-    plan = plan or PlanOptions()
+    begun = time.monotonic()
     prepared = _prepare(base, table, plan, changes, work)
     rows = prepared.plan.row_count
     if rows > _MANY_ROWS and not work.yes:
@@ -186,16 +181,16 @@ def _prepare(
     base: str | None,
     table: SweepTableOptions,
     plan: PlanOptions,
-    changes: LawOptions | None,
+    changes: LawOptions,
     work: SweepOptions,
 ) -> "tl.sweep.Sweep":
     inputs = [] if base is None else [make_path(base)]
     options.require_new_target(table.output, inputs, suffix=".parquet")
-    rows, records, patterns = plan.build_plan(), table.build_records(work), table.list_patterns()
+    rows, records = plan.build_plan(), table.build_records(work)
     prepared = tl.sweep.prepare_sweep(
         load_changed_scenario(base, changes),
         rows,
-        metrics=patterns,
+        metrics=options.split_names(table.metric, "--metric"),
         records=records,
         trust_law=work.trust_law,
         step_budget_s=options.choose_step_budget(work.step_budget_ms),
@@ -283,17 +278,21 @@ def _describe_best(output: Path) -> str:
     for patterns in (*([name] for name in _TOLD), None):
         with suppress(SweepError):
             results = tl.sweep.read_swept_results(output, patterns)
-            metric = next((one for one in results.metrics if np.isfinite(one.values).any()), None)
-            if metric is not None:
-                ends = float(np.nanmin(metric.values)), float(np.nanmax(metric.values))
-                low, high = format_range(*ends, metric.unit)
-                if low == high:
-                    all_have = np.isfinite(metric.values).all()
-                    where = "every run" if all_have else "every run that has a value"
-                    return f"{metric.name} is {low} in {where}"
-                least = results.tell_row(int(np.nanargmin(metric.values)))
-                axes = [axis for axis in results.axes if len(axis) > 1]
-                is_one = any("seed" in axis.keys for axis in axes)
-                run = " in a single run," if is_one else ""
-                return f"{metric.name} is {low} to {high}, least{run} with {least}"
+            for metric in results.metrics:
+                if np.isfinite(metric.values).any():
+                    return _describe_range(results, metric)
     return "no metric has a value in any row"
+
+
+def _describe_range(results: "tl.sweep.SweptResults", metric: "tl.sweep.SweptMetric") -> str:
+    import numpy as np
+
+    values = metric.values
+    low, high = format_range(float(np.nanmin(values)), float(np.nanmax(values)), metric.unit)
+    if low == high:
+        where = "every run" if np.isfinite(values).all() else "every run that has a value"
+        return f"{metric.name} is {low} in {where}"
+    least = results.tell_row(int(np.nanargmin(values)))
+    is_one = any("seed" in axis.keys and len(axis) > 1 for axis in results.axes)
+    run = " in a single run," if is_one else ""
+    return f"{metric.name} is {low} to {high}, least{run} with {least}"

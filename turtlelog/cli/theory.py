@@ -1,8 +1,8 @@
 """`turtlelog theory`: expected behaviour of the ideal and the sampled loop."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
@@ -20,13 +20,9 @@ from turtlelog.cli.theory_gains import (
     find_kept,
 )
 from turtlelog.cli.theory_loops import LoopAnswer, PidAnswer, build_integrator, build_pid_loop
-from turtlelog.cli.usage import Whole
+from turtlelog.cli.usage import Whole, parse_option
 from turtlelog.errors import TheoryError, UsageError
 from turtlelog.files.urls import make_path
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 _MOST_GAINS: Final = 100
 
@@ -79,9 +75,9 @@ def theory(
     scenario: Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)] = None,
     /,
     *,
-    options: LoopOptions | None = None,
-    topics: ReadingOptions | None = None,
-    wishes: WishOptions | None = None,
+    options: LoopOptions = LoopOptions(),
+    topics: ReadingOptions = ReadingOptions(),
+    wishes: WishOptions = WishOptions(),
     details: bool = False,
     json: Json = False,
 ) -> None:
@@ -112,9 +108,8 @@ def theory(
         details: Also print the tables and sources that few people need.
         json: Print one JSON object instead of text.
     """
-    options = options or LoopOptions()
     try:
-        wanted = (wishes or WishOptions()).complete()
+        wanted = wishes.complete()
         if scenario is None:
             _answer_loop(options, wanted, details=details, json=json)
         else:
@@ -144,7 +139,6 @@ _OPTIONS: Final = {
 
 
 def _answer_loop(options: LoopOptions, wanted: WishOptions, *, details: bool, json: bool) -> None:
-    """Print the answer for P, PI, PD or PID control of an integrator, at each Kp."""
     if options.assignments:
         raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
     kps = _parse_gains("1,2,4,10" if options.kp is None else options.kp)
@@ -237,7 +231,7 @@ class DeclaredLoopAnswer:
     status: Literal["ok", "unknown"]
     reason: str | None
     sources: Mapping[str, str]
-    left_out: list[str]
+    left_out: Sequence[str]
     most_dead_time_s: float | None
     largest_step: float | None
     sampled: PidAnswer | None
@@ -257,13 +251,12 @@ class _FileAnswer:
 def _answer_file(
     word: str,
     options: LoopOptions,
-    topics: ReadingOptions | None,
+    topics: ReadingOptions,
     wanted: WishOptions,
     *,
     details: bool,
     json: bool,
 ) -> None:
-    """Print the answer for each loop of a scenario or a recording."""
     given = options.list_terms()
     timing = {"--period": options.period, "--dead-time": options.dead_time}
     given += [name for name, value in timing.items() if value]
@@ -280,29 +273,34 @@ def _answer_file(
         print_text(format_file(label, word, answers, groups, wanted, shows_all=details))
         return
     recommended = {loop: one for one in groups for loop in one.loops}
-    loops = []
-    for found, model in ((one.found, one.model) for one in answers if one.model):
-        gains = recommended.get(model.loop.name)
-        answer = DeclaredLoopAnswer(
-            loop=model.loop.name,
-            signal=model.loop.signal,
-            command=model.loop.command,
-            status="ok" if found else "unknown",
-            reason=model.reason or None,
-            sources=dict(model.sources),
-            left_out=list(model.left_out),
-            most_dead_time_s=model.most_dead_time_s,
-            largest_step=None if model.limits is None else model.limits.step,
-            sampled=None if found is None else build_pid_loop(found),
-            recommended=[] if gains is None else build_recommended(gains),
-            kept_kp=None if gains is None else find_kept(gains, model.loop.name),
-        )
-        loops.append(answer)
+    loops = [
+        _build_declared(one.found, model, recommended.get(model.loop.name))
+        for one, model in zip(answers, models, strict=True)
+    ]
     print_json(_FileAnswer(name=name, source=source, loops=loops))
 
 
+def _build_declared(
+    found: "tl.theory.PidLoop | None", model: "tl.theory.LoopModel", gains: Recommended | None
+) -> DeclaredLoopAnswer:
+    return DeclaredLoopAnswer(
+        loop=model.loop.name,
+        signal=model.loop.signal,
+        command=model.loop.command,
+        status="ok" if found else "unknown",
+        reason=model.reason or None,
+        sources=model.sources,
+        left_out=model.left_out,
+        most_dead_time_s=model.most_dead_time_s,
+        largest_step=None if model.limits is None else model.limits.step,
+        sampled=None if found is None else build_pid_loop(found),
+        recommended=[] if gains is None else build_recommended(gains),
+        kept_kp=None if gains is None else find_kept(gains, model.loop.name),
+    )
+
+
 def _read_models(
-    word: str, options: LoopOptions, topics: ReadingOptions | None
+    word: str, options: LoopOptions, topics: ReadingOptions
 ) -> "tuple[str, str, Sequence[tl.theory.LoopModel]]":
     """Return the name of a scenario or recording, its kind, and its loops."""
     path = make_path(word)
@@ -334,12 +332,8 @@ def _identify(run: "tl.Run") -> dict[str, Any]:
 
 
 def _parse_gains(text: str) -> list[float]:
-    try:
-        gains = [float(word) for word in text.split(",")]
-    except ValueError as err:
-        raise UsageError(
-            f"--kp {text[:60]}: must be gains with commas between, as in 1,2,4,10"
-        ) from err
+    expected = "gains with commas between, as in 1,2,4,10"
+    gains = parse_option("--kp", text, lambda text: [*map(float, text.split(","))], expected)
     if len(gains) > _MOST_GAINS:
         raise UsageError(f"--kp: takes at most {_MOST_GAINS} gains, not {len(gains)}")
     return gains

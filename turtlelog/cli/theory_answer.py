@@ -30,7 +30,7 @@ from turtlelog.cli.theory_loops import (
     tell_motion,
     tell_pole,
 )
-from turtlelog.display import format_short, join_words
+from turtlelog.display import describe_count, format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.theory import LoopModel, PidLoop, Recommendation, SampledLoop
@@ -52,17 +52,16 @@ def format_integrator(
     loops: "list[SampledLoop]", recommended: Recommended, wishes: WishOptions, *, shows_all: bool
 ) -> str:
     """Return the answer for P on 1/s."""
+    ideal = _IDEAL if loops[0].dead_time_ticks else f"{_IDEAL} or dead time"
     head = [
-        *_list_recommended(
-            recommended,
-            wishes,
-            ideal=_IDEAL if loops[0].dead_time_ticks else f"{_IDEAL} or dead time",
-        ),
+        *_list_recommended(recommended, wishes, ideal=ideal),
         *_summarise_gains(loops),
         f"Sampling period {_tell_period(loops[0])}, dead time {_tell_dead_time(loops[0])}.",
     ]
-    tables = [tabulate_recommended(recommended, wishes, shows_all=shows_all)]
-    tables.append(_tabulate_loops(loops))
+    tables = [
+        tabulate_recommended(recommended, wishes, shows_all=shows_all),
+        _tabulate_loops(loops),
+    ]
     if shows_all:
         tables += [_tabulate_limits(loops), _tabulate_ideal(loops), _tabulate_plant()]
     more = "The plant, the ideal loop, limits at other dead times, published rules: --details"
@@ -73,20 +72,16 @@ _RESPONSES: Final = {"impulse": "1", "step": "t", "ramp": "t^2 / 2"}
 
 
 def _tabulate_plant() -> "tl.compare.Table":
-    ends = {kind: tl.theory.find_plant_final_value(kind) for kind in tl.theory.PLANT_INPUTS}
-    endless = {
-        end.reason: [kind for kind in ends if ends[kind].reason == end.reason]
-        for end in ends.values()
-        if end.value is None
-    }
+    rows, endless = [], dict[str | None, list[str]]()
+    for kind in tl.theory.PLANT_INPUTS:
+        end = tl.theory.find_plant_final_value(kind)
+        if end.value is None:
+            endless.setdefault(end.reason, []).append(kind)
+        shown = end.status.value if end.value is None else f"{end.value:g}"
+        rows.append((kind, _RESPONSES[kind], shown))
     verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
-    rows = (
-        (kind, _RESPONSES[kind], end.status.value if end.value is None else f"{end.value:g}")
-        for kind, end in ends.items()
-    )
     notes = [f"BIBO stable: {_tell(verdict.stable)}; {verdict.reason}."]
-    for reason, kinds in endless.items():
-        notes.append(f"Final value theorem, {' and '.join(kinds)}: {reason}.")
+    notes += [f"Final value theorem, {' and '.join(endless[one])}: {one}." for one in endless]
     return build_table("The plant 1/s", ("input", "response", "final value"), rows, notes)
 
 
@@ -165,7 +160,7 @@ def _tell_period(loop: "SampledLoop") -> str:
 
 def _tell_dead_time(loop: "SampledLoop") -> str:
     ticks = loop.dead_time_ticks
-    return f"{ticks} tick{'' if ticks == 1 else 's'} ({1e3 * ticks * loop.period_s:.6g} ms)"
+    return f"{describe_count(ticks, 'tick')} ({1e3 * ticks * loop.period_s:.6g} ms)"
 
 
 def _tell_overshoot(loop: "SampledLoop") -> str:
@@ -192,13 +187,13 @@ def format_terms(
         *_list_motions(answers),
         *map(describe_plant, known[:1]),
     ]
-    parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
-    details = [tabulate_answers("Loop by loop", part) for part in parts] if shows_all else []
     tables = [
         tabulate_recommended(recommended, wishes, shows_all=shows_all),
         tabulate_gains(answers),
-        *details,
     ]
+    for first in range(0, len(answers), _MOST_COLUMNS) if shows_all else ():
+        part = answers[first : first + _MOST_COLUMNS]
+        tables.append(tabulate_answers("Loop by loop", part))
     more = [] if shows_all else ["Poles, published rules, and why rules give no gains: --details"]
     return _join(head, tables, [_UNLIMITED, *more])
 
@@ -233,12 +228,10 @@ def format_file(
     rest = [
         *list_sources(answers, shows_all=shows_all),
         *_list_run(word, answers, advice),
-        *(
-            []
-            if shows_all
-            else ["Poles and margins, published rules, sources of values: --details"]
-        ),
     ]
+    rest += (
+        [] if shows_all else ["Poles and margins, published rules, sources of values: --details"]
+    )
     tables = [tabulate_recommended(one, wishes, shows_all=shows_all) for one in groups]
     tables += [tabulate_answers(f"The loops of {name}", answers)] if shows_all else []
     said: dict[str, list[str]] = {}
@@ -283,15 +276,10 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
     yield f"{name}: {'; '.join(told)}."
     limited = [one.loop for one in advised if one.is_limited]
     ideal = [one.loop for one in advised if not one.is_limited]
-    if not limited:
-        yield f"This is for {wishes.describe(rule)}, {_IDEAL}."
-    elif not ideal:
-        yield f"This is for {wishes.describe(rule)}, {_LIMITED}."
-    else:
-        yield (
-            f"This is for {wishes.describe(rule)}, {_IDEAL} ({join_words(ideal)}), {_LIMITED}"
-            f" ({join_words(limited)})."
-        )
+    where = _LIMITED if limited else _IDEAL
+    if limited and ideal:
+        where = f"{_IDEAL} ({join_words(ideal)}), {_LIMITED} ({join_words(limited)})"
+    yield f"This is for {wishes.describe(rule)}, {where}."
 
 
 def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:
@@ -316,7 +304,6 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
 
 
 def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
-    """Return the motion of a loop with its own gains, as text."""
     if own is None or not (own.is_kept or own.is_limited) or own.given.motion is None:
         return tell_motion(loop)
     rests = own.given.motion.settling_time_s is not None
@@ -354,7 +341,6 @@ def _join(head: Sequence[str], tables: "Sequence[tl.compare.Table]", rest: Seque
 
 
 def _narrow(table: "tl.compare.Table") -> "tl.compare.Table":
-    """Return a table with fewer of the least important columns."""
     ranks = [0 if column.title in {"damping", "stable"} else None for column in table.columns]
     return tl.compare.narrow_table(table, find_width(), ranks)
 
@@ -387,11 +373,8 @@ def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
     groups: dict[str, list[str]] = {}
     for kp, found in known:
         motion = tell_motion(found)
-        alike = (
-            motion
-            if len(known) <= _MOST_SAID
-            else ", ".join(motion.split(" by ")[0].split(", ")[:2])
-        )
+        short = ", ".join(motion.split(" by ")[0].split(", ")[:2])
+        alike = motion if len(known) <= _MOST_SAID else short
         groups.setdefault(alike, []).append(kp)
     for motion, gains in groups.items():
         yield f"Kp = {', '.join(gains)}: {motion}."
@@ -427,7 +410,6 @@ _DEAD_TIMES: Final = 5
 
 
 def _intersect(first: _Ranges, second: _Ranges) -> _Ranges:
-    """Return the intervals that two lists of intervals have in common."""
     common = [(max(a, c), min(b, d)) for a, b in first for c, d in second]
     return tuple((low, high) for low, high in common if low < high)
 
@@ -441,7 +423,6 @@ def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:
 
 
 def _list_run(word: str, answers: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> Iterator[str]:
-    """Yield the command that tries the recommended gains."""
     loops = {one.title: one.model.loop for one in answers if one.model}
     words = []
     for one in advice:

@@ -29,17 +29,12 @@ class WishOptions:
     phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
 
     def complete(self) -> "WishOptions":
-        """Return the requirements; without any, those of theory.
-
-        Raises:
-            UsageError: If a number is out of its range.
-        """
+        """Return the requirements; without any, those of theory."""
         percent, degrees = self.overshoot, self.phase_margin
         if percent is not None and not 0.0 <= percent < 100.0:
             raise UsageError(f"--overshoot {percent}: must be percent from 0 to below 100")
         if degrees is not None and not 0.0 < degrees < 180.0:
-            expected = "degrees above 0 and below 180"
-            raise UsageError(f"--phase-margin {degrees}: must be {expected}")
+            raise UsageError(f"--phase-margin {degrees}: must be degrees above 0 and below 180")
         if percent is not None or degrees is not None:
             return self
         return WishOptions(
@@ -224,15 +219,11 @@ better."""
 
 def _list_figures(one: "tl.theory.Recommendation") -> tuple[float | None, ...]:
     """Return the values of the figures; None if unknown."""
-    motion, margins = one.motion, one.margins
-    overshoot = None if motion is None else motion.overshoot_percent
+    overshoot, settles_s = take_fields(one.motion, "overshoot_percent", "settling_time_s").values()
     if overshoot is not None and overshoot < NO_OVERSHOOT:
         overshoot = 0.0
-    settles_s = None if motion is None else motion.settling_time_s
-    factor = None if margins is None else margins.gain_margin
-    phase_rad = None if margins is None else margins.phase_margin_rad
-    phase_deg = None if phase_rad is None else math.degrees(phase_rad)
-    return overshoot, settles_s, factor, phase_deg
+    factor, phase_rad = take_fields(one.margins, "gain_margin", "phase_margin_rad").values()
+    return overshoot, settles_s, factor, None if phase_rad is None else math.degrees(phase_rad)
 
 
 _RULES: Final = ("overshoot", "phase-margin")
@@ -265,20 +256,21 @@ def find_kept(recommended: Recommended, loop: str = "") -> float | None:
     return given.gains.kp if given.gains and recommended.keeps(given) else None
 
 
+def take_fields(source: object, *names: str) -> dict[str, Any]:
+    """Return fields by name; each is None if the source has none."""
+    return {name: getattr(source, name, None) for name in names}
+
+
 def build_recommended(recommended: Recommended) -> list[RecommendedGains]:
     """Return recommended gains for JSON."""
-
-    def take(source: object, *names: str) -> dict[str, Any]:
-        return {name: getattr(source, name, None) for name in names}
-
     return [
         RecommendedGains(
             rule=one.rule,
             controller=one.controller,
             source=one.source,
-            **take(one.gains, "kp", "ki", "kd", "filter_s"),
-            **take(one.motion, "overshoot_percent", "settling_time_s"),
-            **take(one.margins, "gain_margin", "phase_margin_rad"),
+            **take_fields(one.gains, "kp", "ki", "kd", "filter_s"),
+            **take_fields(one.motion, "overshoot_percent", "settling_time_s"),
+            **take_fields(one.margins, "gain_margin", "phase_margin_rad"),
             reason=one.reason or None,
         )
         for one in recommended.found

@@ -13,6 +13,7 @@ from turtlelog.cli.theory_gains import (
     RecommendedGains,
     build_recommended,
     find_kept,
+    take_fields,
     tell_step,
 )
 from turtlelog.display import join_words
@@ -212,8 +213,6 @@ class PidAnswer:
 def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
     """Return a loop for JSON."""
     whole = loop.gains.kp * loop.process.gain
-    terms = {name: getattr(loop.gains, name) for name in ("kp", "ki", "kd", "filter_s")}
-    margins = {name: getattr(loop.margins, name, None) for name in _MARGINS}
     return copy_fields(
         PidAnswer,
         loop,
@@ -222,8 +221,8 @@ def build_pid_loop(loop: "tl.theory.PidLoop") -> PidAnswer:
         poles=_build_poles(loop.poles),
         overshoots=not loop.stable or _overshoots(loop),
         sampled_settling_time_s=loop.settling_time_s,
-        **terms,
-        **margins,
+        **take_fields(loop.gains, "kp", "ki", "kd", "filter_s"),
+        **take_fields(loop.margins, *_MARGINS),
     )
 
 
@@ -248,24 +247,17 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.T
 def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
     """Return a table with a row for each Kp; optional columns with only `-` or 0 are left out."""
     loops = [answer.found for answer in answers if answer.found]
-    columns, cells = [], []
+    columns: dict[str, list[str | float | None]] = {}
     for name, is_optional, write in _ROWS:
         texts = [write(loop) for loop in loops]
         if name in _NOT_BESIDE or (is_optional and set(texts) <= {"-", "0"}):
             continue
-        title, _, unit = name.removesuffix("]").partition(" [")
         if write is _tell_overshoot:
-            columns.append(tl.compare.Column(title="overshoot", unit="%"))
-            cells.append([_find_overshoot(loop) for loop in loops])
+            columns["overshoot [%]"] = [*map(_find_overshoot, loops)]
         else:
-            columns.append(tl.compare.Column(title=title, unit=unit))
-            cells.append([_read_cell(text) for text in texts])
-    rows = tuple(zip(*cells, strict=True))
-    return tl.compare.Table(
-        title=f"The sampled loop{', at its samples' if any(map(_moves_between, loops)) else ''}",
-        columns=tuple(columns),
-        rows=rows,
-    )
+            columns[name] = [*map(_read_cell, texts)]
+    where = ", at its samples" if any(map(_moves_between, loops)) else ""
+    return build_table(f"The sampled loop{where}", columns, zip(*columns.values(), strict=True))
 
 
 def describe_plant(loop: "tl.theory.PidLoop") -> str:
@@ -276,8 +268,8 @@ def describe_plant(loop: "tl.theory.PidLoop") -> str:
         if name in _OF_PLANT and not (is_optional and text == "0"):
             title, _, unit = name.removesuffix("]").partition(" [")
             said.append(f"{title} {text} {unit}".rstrip())
-    first, *others = said
-    return f"{', '.join((first[0].upper() + first[1:], *others))}."
+    told = ", ".join(said)
+    return f"{told[0].upper()}{told[1:]}."
 
 
 def _find_overshoot(loop: "tl.theory.PidLoop") -> str | float | None:
@@ -385,20 +377,17 @@ def _tell_overshoot(loop: "tl.theory.PidLoop") -> str:
 
 
 def _tell_range(loop: "tl.theory.PidLoop") -> str:
-    if not loop.stable_gains:
-        return "none"
-    return ", ".join(
+    ranges = (
         f"below {high:.4g}" if low == 0.0 else f"{low:.4g} to {high:.4g}"
         for low, high in loop.stable_gains
     )
+    return ", ".join(ranges) or "none"
 
 
-def _tell_margin(
-    read: "Callable[[tl.theory.Margins], float | None]", form: str, factor: float = 1.0
-) -> "Callable[[tl.theory.PidLoop], str]":
+def _tell_margin(name: str, form: str, factor: float = 1.0) -> "Callable[[tl.theory.PidLoop], str]":
     def write(loop: "tl.theory.PidLoop") -> str:
-        value = None if loop.margins is None else read(loop.margins)
-        return "-" if value is None else format(factor * value, form)
+        value = getattr(loop.margins, name, None)
+        return _tell_number(value if value is None else factor * value, form)
 
     return write
 
@@ -431,13 +420,9 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[tl.theory.PidLoop], str]], ...]]"
     ("slowest pole", False, lambda loop: tell_pole(loop.poles)),
     ("overshoots", False, _tell_overshoot),
     ("settles in [s]", False, lambda loop: _tell_number(loop.settling_time_s, ".3f")),
-    ("gain margin", False, _tell_margin(lambda found: found.gain_margin, ".2f")),
-    ("gain may fall to", True, _tell_margin(lambda found: found.gain_reduction, ".3f")),
-    (
-        "phase margin [deg]",
-        False,
-        _tell_margin(lambda found: found.phase_margin_rad, ".1f", 180.0 / math.pi),
-    ),
-    ("delay margin [ms]", False, _tell_margin(lambda found: found.delay_margin_s, ".4g", 1e3)),
+    ("gain margin", False, _tell_margin("gain_margin", ".2f")),
+    ("gain may fall to", True, _tell_margin("gain_reduction", ".3f")),
+    ("phase margin [deg]", False, _tell_margin("phase_margin_rad", ".1f", 180.0 / math.pi)),
+    ("delay margin [ms]", False, _tell_margin("delay_margin_s", ".4g", 1e3)),
 )
 """Rows of the table: name, whether the row is left out if all loops have 0, and format."""

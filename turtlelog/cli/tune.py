@@ -102,13 +102,12 @@ class RobustnessOptions:
     def count_runs(self) -> int:
         """Return the requested number of variants; 0 without a request."""
         if self.monte_carlo is None:
-            for name, is_given in (("--spread", self.spread), ("--robot", self.robot)):
-                if is_given:
-                    raise UsageError(f"{name}: needs --monte-carlo COUNT")
+            given = {"--spread": self.spread, "--robot": self.robot}
+            options.refuse_given(given, "needs --monte-carlo COUNT")
             return 0
         if not 1 <= self.monte_carlo <= _MOST_VARIANTS:
-            most = f"from 1 to {_MOST_VARIANTS:,}"
-            raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {most}")
+            bounds = f"from 1 to {_MOST_VARIANTS:,}"
+            raise UsageError(f"--monte-carlo {self.monte_carlo}: must be {bounds}")
         return self.monte_carlo
 
     def list_variations(self, scenario: "tl.Scenario", varied: list[str]) -> "list[Variation]":
@@ -150,10 +149,10 @@ def tune(
     base: ScenarioWord = None,
     /,
     *,
-    goal: GoalOptions | None = None,
-    robustness: RobustnessOptions | None = None,
-    changes: LawOptions | None = None,
-    work: TuneOptions | None = None,
+    goal: GoalOptions = GoalOptions(),
+    robustness: RobustnessOptions = RobustnessOptions(),
+    changes: LawOptions = LawOptions(),
+    work: TuneOptions = TuneOptions(),
     json: options.Json = False,
 ) -> int:
     """Search the best values of a scenario's keys, and show how far each value can move.
@@ -177,8 +176,6 @@ def tune(
             `identify`, or a recording. Default: paper; with --law: textbook.
         json: Print one JSON object instead of tables.
     """
-    goal, robustness = goal or GoalOptions(), robustness or RobustnessOptions()
-    work = work or TuneOptions()
     runs, wanted, seed = robustness.count_runs(), goal.parse_goal(), goal.choose_seed()
     options.require_new_target(
         work.output, [] if base is None else [make_path(base)], suffix=".toml"
@@ -220,12 +217,12 @@ def tune(
 
 
 def _parse_keys(
-    scenario: "tl.Scenario", vary: list[str], changes: LawOptions | None, *, trust_law: bool
+    scenario: "tl.Scenario", vary: list[str], changes: LawOptions, *, trust_law: bool
 ) -> "tuple[tl.Scenario, tuple[SearchedKey, ...]]":
     """Return the keys, and the scenario with a value for each, because laws may lack defaults."""
     given = list_given_keys(changes)
     for key in tl.sweep.tune.parse_searched_keys(vary, tl.scenario.flatten_scenario(scenario)):
-        if key.key == "kp" and changes is not None and changes.kp is not None:
+        if key.key == "kp" and changes.kp is not None:
             raise UsageError("--kp: the gains are tuned by --grid kp; leave one of them out")
         if key.key in given:
             raise UsageError(f"--set: {key.key} is tuned by --grid; leave one of them out")

@@ -14,7 +14,7 @@ from turtlelog.errors import ScenarioError
 if TYPE_CHECKING:
     from turtlelog.sweep.tune import Spread, TunedScenario
     from turtlelog.sweep.tune_candidates import SearchedKey
-    from turtlelog.sweep.tune_search import KeyRange
+    from turtlelog.sweep.tune_search import Jump, KeyRange
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,16 +37,6 @@ class RangeAnswer:
     largest_step: float
     low_end: str | None
     high_end: str | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JumpAnswer:
-    """Change of the objective between two close values of a key, the other keys at their best."""
-
-    key: str
-    low: float
-    high: float
-    change: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +95,7 @@ class TuneAnswer:
     is_flat: bool
     neighbourhood: list[RangeAnswer]
     slack: float | None
-    jump: JumpAnswer | None
+    jump: "Jump | None"
     largest_step: float | None
     spread: SpreadAnswer | None
 
@@ -135,9 +125,7 @@ def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAn
             for one in (found.around.ranges if found.around else ())
         ],
         slack=found.around.slack if found.around else None,
-        jump=copy_fields(JumpAnswer, found.around.jump)
-        if found.around and found.around.jump
-        else None,
+        jump=found.around.jump if found.around else None,
         spread=None
         if spread is None
         else copy_fields(
@@ -169,7 +157,6 @@ def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
 
 
 def _conclude(found: "TunedScenario") -> str:
-    """Return the best values and their result, or that no values fulfil the constraints."""
     tuned, best = found.tuned, found.tuned.best
     values = ", ".join(f"{key} = {format_number(value)}" for key, value in found.values.items())
     count, name = describe_count(tuned.evaluations, "candidate"), found.goal.objective.text

@@ -3,10 +3,10 @@
 import re
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set as Collection
+from collections.abc import Callable, Mapping, Sequence, Set as Collection
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar, get_args, get_origin
 
 from cyclopts import CycloptsError, Parameter, Token
 from cyclopts.exceptions import (
@@ -19,13 +19,15 @@ from cyclopts.exceptions import (
     UnusedCliTokensError,
 )
 
-from turtlelog.errors import UsageError, find_near, join_names, quote_name
+from turtlelog.errors import LogError, UsageError, find_near, join_names, quote_name
 
 if TYPE_CHECKING:
     from cyclopts.argument import Argument
     from cyclopts.help import HelpEntry, HelpPanel
     from rich.console import Console, ConsoleOptions
 
+
+Parsed = TypeVar("Parsed")
 
 _WIDEST: Final = 100
 """Longest line of help [characters]; longer lines are hard to read."""
@@ -113,18 +115,22 @@ def show_default(value: object) -> str | None:
     return None if value is False or value is None else str(value)
 
 
-def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
-    text = tokens[0].value
+def parse_option(option: str, text: str, parse: Callable[[str], Parsed], expected: str) -> Parsed:
+    """Return the value of an option, or refuse a text that is not as expected."""
     try:
-        return int(text)
-    except ValueError as err:
-        option = tokens[0].keyword
-        unit = " of ticks" if option == "--dead-time" else ""
-        raise UsageError(f"{option} {text[:60]}: must be a whole number{unit}") from err
+        return parse(text)
+    except (ValueError, LogError) as err:
+        raise UsageError(f"{option} {text[:60]}: must be {expected}") from err
 
 
-Whole = Annotated[int, Parameter(converter=_read_whole)]
-"""A whole number, because a plain int would truncate 1.5 to 1."""
+def read_whole(_: Any, tokens: Sequence[Token]) -> int:
+    """Return a whole number; a plain int would truncate 1.5 to 1."""
+    option = tokens[0].keyword or ""
+    unit = " of ticks" if option == "--dead-time" else ""
+    return parse_option(option, tokens[0].value, int, f"a whole number{unit}")
+
+
+Whole = Annotated[int, Parameter(converter=read_whole)]
 
 
 def _find_text(description: Any) -> str:
@@ -233,7 +239,6 @@ def _describe_unused(err: Any) -> str:
 
 
 def _show_usage(err: Any) -> str:
-    """Return the usage of a command in one line."""
     app = err.app
     for name in err.command_chain or ():
         if name in {command for command in app if not command.startswith("-")}:

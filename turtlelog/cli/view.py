@@ -86,10 +86,10 @@ def view(
     /,
     *,
     save: options.Place | None = None,
-    picture: PictureOptions | None = None,
-    window: WindowOptions | None = None,
-    movie: MovieOptions | None = None,
-    topics: options.ReadingOptions | None = None,
+    picture: PictureOptions = PictureOptions(),
+    window: WindowOptions = WindowOptions(),
+    movie: MovieOptions = MovieOptions(),
+    topics: options.ReadingOptions = options.ReadingOptions(),
 ) -> None:
     """Open recordings in the Rerun viewer; several recordings are overlaid for comparison.
 
@@ -102,8 +102,6 @@ def view(
             shown unchanged.
         save: Write this .rrd file and open no window.
     """
-    picture, window = picture or PictureOptions(), window or WindowOptions()
-    movie = movie or MovieOptions()
     options.require_files(files)
     outputs = [save, picture.snapshot, movie.movie]
     _require_one_way(files, outputs, window)
@@ -149,7 +147,6 @@ def view(
 
 
 def _tell(written: Sequence[Path], runs: "Sequence[tl.Run]") -> None:
-    """Print how the runs in a file ended, and the written files."""
     if written:
         ending = [fill_lines([tl.compare.describe_runs(runs)])] if runs else []
         print_text("\n".join([*ending, *list_written(written)]))
@@ -158,10 +155,9 @@ def _tell(written: Sequence[Path], runs: "Sequence[tl.Run]") -> None:
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
     if picture.at is not None and not abs(picture.at) < _LONGEST_S:
         raise UsageError(f"--at {picture.at:g}: must be seconds below {_LONGEST_S:g}")
-    if picture.at is not None and picture.snapshot is None:
-        raise UsageError("--at: needs --snapshot NAME.png")
-    if picture.size != _USUAL_SIZE and picture.snapshot is None:
-        raise UsageError("--size: needs --snapshot NAME.png")
+    if picture.snapshot is None:
+        given = {"--at": picture.at, "--size": picture.size != _USUAL_SIZE}
+        options.refuse_given(given, "needs --snapshot NAME.png")
     is_timed = picture.snapshot is not None or movie.movie is not None
     if picture.timeline != "sim_time" and not is_timed:
         raise UsageError("--timeline: needs --snapshot NAME.png or --movie NAME.mp4")
@@ -170,10 +166,9 @@ def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
 def _require_one_way(
     files: list[Path], outputs: Sequence[Path | None], window: WindowOptions
 ) -> None:
-    writes = any(output is not None for output in outputs)
-    if window.connect is not None and not window.follow:
-        raise UsageError("--connect: needs --follow")
-    if window.follow and (window.web or writes):
+    if not window.follow:
+        options.refuse_given({"--connect": window.connect}, "needs --follow")
+    if window.follow and (window.web or any(output is not None for output in outputs)):
         raise UsageError(
             "--follow: leave out --save, --snapshot, --movie and --web, which open no window"
         )
@@ -219,7 +214,7 @@ def _prepare_rrds(
     save: Path | None,
     picture: PictureOptions,
     folder: Path,
-    topics: options.ReadingOptions | None,
+    topics: options.ReadingOptions,
 ) -> tuple[list[Path], "list[tl.Run]"]:
     """Return the views, and their runs, if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
@@ -265,16 +260,14 @@ def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) ->
     if picture.at > end_s + _ROUNDING_S:
         raise UsageError(f"--at {picture.at}: must be at most {end_s:.3f} s, where it ends")
     if picture.at < start_s - _ROUNDING_S:
-        least = f"must be at least {start_s:.3f} s, where it begins"
-        raise UsageError(f"--at {picture.at}: {least}")
+        raise UsageError(f"--at {picture.at}: must be at least {start_s:.3f} s, where it begins")
     return picture.at
 
 
 def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     """Refuse a movie that cannot be written, before any file is read."""
     if movie.movie is None:
-        if movie.length is not None:
-            raise UsageError("--length: needs --movie NAME.mp4")
+        options.refuse_given({"--length": movie.length}, "needs --movie NAME.mp4")
         return
     suffix = movie.movie.suffix.lower()
     if suffix not in {".mp4", ".gif"}:

@@ -8,16 +8,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.console import print_note, print_run_notes
-from turtlelog.cli.usage import Whole
+from turtlelog.cli.usage import read_whole
 from turtlelog.errors import TurtlelogError, UsageError
-from turtlelog.processes import COMPILING
+from turtlelog.processes import COMPILING, FILE_S, choose_jobs
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -147,8 +148,14 @@ def watch_ticks(ticks: "Iterable[tl.simulate.Tick]", most_s: float) -> "Iterator
             yield tick
 
 
-Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
+def _read_jobs(kind: Any, tokens: Sequence[Token]) -> int:
+    count = read_whole(kind, tokens)
+    if count < 1:
+        raise UsageError(f"--jobs {count}: must be at least 1")
+    return count
 
+
+Jobs = Annotated[int | None, Parameter(name="--jobs", metavar="COUNT", converter=_read_jobs)]
 
 Found = TypeVar("Found")
 
@@ -169,14 +176,9 @@ class WorkOptions:
 
     @contextmanager
     def find_place(
-        self, files: Sequence[Path], *, file_s: float | None = None
+        self, files: Sequence[Path], *, file_s: float = FILE_S
     ) -> "Iterator[int | Executor]":
-        """Yield a number of processes, or the cluster.
-
-        Raises:
-            UsageError: If both options are given, or the number is invalid.
-            ProcessError: If the cluster cannot be used.
-        """
+        """Yield a number of processes, or the cluster."""
         if self.scheduler is None:
             yield count_jobs(self.jobs, files, file_s=file_s)
             return
@@ -220,31 +222,22 @@ def count_jobs(
     asked: int | None,
     files: Sequence[Path],
     *,
-    file_s: float | None = None,
+    file_s: float = FILE_S,
     count_read: "Callable[[Path], int] | None" = None,
 ) -> int:
     """Return the number of processes for files: the given number, or else from `choose_jobs`."""
-    from turtlelog.processes import FILE_S, choose_jobs  # not for help
-
-    cost_s = FILE_S if file_s is None else file_s
-    jobs = require_jobs(asked)
-    return choose_jobs(files, file_s=cost_s, count_read=count_read) if jobs is None else jobs
+    return asked or choose_jobs(files, file_s=file_s, count_read=count_read)
 
 
-def require_jobs(asked: int | None) -> int | None:
-    """Return the given number of processes, or refuse a number below 1."""
-    if asked is not None and asked < 1:
-        raise UsageError(f"--jobs {asked}: must be at least 1")
-    return asked
-
-
-def watch_files(found: "Iterable[Found]", count: int) -> "Iterator[Found]":
-    """Yield the result of each file, and show the number of finished ones."""
+def watch_files(
+    found: "Iterable[Found]", count: int, *, measure: "Callable[[Found], int]" = lambda _: 1
+) -> "Iterator[Found]":
+    """Yield results, and show the number of finished files; `measure` counts those of a result."""
     # A single file has no share to show.
     with show_progress("reading", count if count > 1 else None, "files") as progress:
-        for number, one in enumerate(found, start=1):
+        for one in found:
             yield one
-            progress.done = number
+            progress.done += measure(one)
 
 
 def tabulate(
@@ -253,11 +246,9 @@ def tabulate(
     table: "tl.sweep.RecordingTable",
     *,
     work: WorkOptions,
-    file_s: float | None = None,
+    file_s: float = FILE_S,
 ) -> "tl.sweep.TabulatedFiles":
     """Write the table of recordings."""
-    from turtlelog.processes import FILE_S
-
     why = tl.sweep.describe_former(output, table)
     if why is not None:
         print_note(f"{output}: every file is read, because {why}")
@@ -268,19 +259,12 @@ def tabulate(
                 output,
                 table,
                 jobs=place,
-                file_s=FILE_S if file_s is None else file_s,
-                watch=_watch,
+                file_s=file_s,
+                watch=partial(watch_files, measure=len),
             )
     except KeyboardInterrupt:
         print_note(f"{output}: what was read is kept: the same command goes on from there")
         raise
-
-
-def _watch(chunks: Iterator[Any], count: int) -> Iterator[Any]:
-    with show_progress("reading", count if count > 1 else None, "files") as progress:
-        for chunk in chunks:
-            yield chunk
-            progress.done += len(chunk)
 
 
 def summarise_table(done: "tl.sweep.TabulatedFiles") -> str:

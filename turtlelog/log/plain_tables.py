@@ -25,6 +25,7 @@ from turtlelog.log.planar_poses import (
     fits_degrees,
     lift_poses,
     separate_times,
+    sort_rows,
     wrap_far_headings,
 )
 from turtlelog.log.ros2.reported_motion import (
@@ -144,7 +145,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **_read_rotation(cells),
         **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
     }
-    time_ns, values, notes = _order_rows(cells.time_ns, values)
+    time_ns, values, notes = sort_rows(cells.time_ns, values)
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -234,26 +235,6 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
     names = [cells.chosen[name].name for name in _QUATERNION]
     cells.notes |= describe_order(x, y, z, w, names=names)
     return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
-
-
-def _order_rows(
-    time_ns: NDArray[np.int64], values: Mapping[str, Values]
-) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
-    """Return the rows sorted by time without duplicates, and notes on the changes."""
-    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
-    if late:
-        order = np.argsort(time_ns, kind="stable")
-        time_ns = time_ns[order]
-        values = {name: column[order] for name, column in values.items()}
-    twice = np.flatnonzero(time_ns[1:] == time_ns[:-1])
-    for column in values.values():
-        bits = column.view(np.int64)
-        twice = twice[bits[twice] == bits[twice + 1]]
-    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
-    if len(twice):
-        time_ns = np.delete(time_ns, twice + 1)
-        values = {name: np.delete(column, twice + 1) for name, column in values.items()}
-    return time_ns, dict(values), notes
 
 
 def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:

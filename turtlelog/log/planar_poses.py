@@ -261,6 +261,26 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     return moved, int((moved != time_ns).sum())
 
 
+def sort_rows(
+    time_ns: NDArray[np.int64], values: Mapping[str, Values]
+) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
+    """Return the rows sorted by time without duplicates, and notes on the changes."""
+    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
+    if late:
+        order = np.argsort(time_ns, kind="stable")
+        time_ns = time_ns[order]
+        values = {name: column[order] for name, column in values.items()}
+    twice = np.flatnonzero(time_ns[1:] == time_ns[:-1])
+    for column in values.values():
+        bits = column.view(np.int64)
+        twice = twice[bits[twice] == bits[twice + 1]]
+    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
+    if len(twice):
+        time_ns = np.delete(time_ns, twice + 1)
+        values = {name: np.delete(column, twice + 1) for name, column in values.items()}
+    return time_ns, dict(values), notes
+
+
 def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     """Return headings within a float32 step of [-pi, pi), and the number of changed headings.
 

@@ -78,16 +78,13 @@ def choose_scenario(
         scenario = override_scenario(scenario, {"law.kind": kind}, source="law")
         if find_part(law) is not None:
             scenario = replace(scenario, law=LawChoice(kind=kind, parameters=law.parameters))
-    plain = _list_changes({} if changes is None else changes)
-    return override_scenario(scenario, plain) if plain else scenario
-
-
-def _list_changes(changes: Any) -> dict[str, Any]:
+    if changes is None:
+        return scenario
     if not hasattr(changes, "keys"):
-        example = '{"law.kp_linear": 4.0}'
-        expected = f"values by key, as in {example}"
+        expected = 'values by key, as in {"law.kp_linear": 4.0}'
         raise ScenarioError(f"changes: expected {expected}, found {changes!r:.60}")
-    return {key: unwrap_number(changes[key]) for key in changes.keys()}  # noqa: SIM118
+    plain = {key: unwrap_number(changes[key]) for key in changes.keys()}  # noqa: SIM118
+    return override_scenario(scenario, plain) if plain else scenario
 
 
 def unwrap_number(value: Any) -> Any:
@@ -226,8 +223,7 @@ def replay_commands(scenario: Scenario, run: Run) -> Scenario:
         "law.speed_m_s": speeds,
         "law.turn_rate_rad_s": turn_rates,
     }
-    without_law = replace(scenario, law=LawChoice())
-    return override_scenario(without_law, values, source=run.name)
+    return override_scenario(replace(scenario, law=LawChoice()), values, source=run.name)
 
 
 def parse_assignments(assignments: Iterable[str], *, source: str = "changes") -> dict[str, Any]:

@@ -295,7 +295,6 @@ def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str
 
 
 def _find_value(table: Any, kind: Any, keys: list[str]) -> tuple[Any, Any]:
-    """Return the expected and the found value at a place of nested tables."""
     for key in keys:
         table = table.get(key) if isinstance(table, Mapping) else None
         kind = get_type_hints(_find_table(kind) or kind, include_extras=True)[key]

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import turtlelog as tl
-from turtlelog.cli.map import TIMELESS
+from turtlelog.cli.plot import TIMELESS
 from turtlelog.draw import Page, draw_figure
 from turtlelog.draw.figures.marked_panels import cut_time_axes, list_time_axes
 from turtlelog.errors import ShowError
