@@ -14,7 +14,7 @@ from turtlelog.compare import ALIGNMENTS
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.display import format_number
 from turtlelog.log import ReadChoice
-from turtlelog.log.file_access import TimeSource
+from turtlelog.log.read_choice import TimeSource
 from turtlelog.measure import (
     ANY_LOOP,
     METRICS,

@@ -12,9 +12,9 @@ import numpy as np
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
+from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree

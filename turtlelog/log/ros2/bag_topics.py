@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.file_access import match_topic
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
+from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import POSE64
 
 PATH: Final = "nav_msgs/msg/Path"
