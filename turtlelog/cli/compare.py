@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.compare_answer import ChoiceOptions, compare_across, list_needed
+from turtlelog.cli.compare_answer import ChoiceOptions, compare_across, list_compared
 from turtlelog.cli.compare_reference import (
     compare_with_reference,
     compare_with_robot,
@@ -300,7 +300,7 @@ def _find_pair(
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
     found = tl.compare.summarise_files(
         paths,
-        only=partial(list_needed, needed=needed, is_usual=False),
+        only=partial(list_compared, needed=needed, is_usual=False),
         topics=topics.build_choice(),
         jobs=count_jobs(jobs, paths),
     )

@@ -82,7 +82,7 @@ def compare_across(
         needed = tl.compare.list_needed_metrics(
             columns, where=choice.where, sort=choice.sort, source="--where"
         )
-        only = partial(list_needed, needed=needed, is_usual=not columns)
+        only = partial(list_compared, needed=needed, is_usual=not columns)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     code = console.print_errors(errors)
     # A single run is not compared with others.
@@ -115,7 +115,7 @@ def _summarise(
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
 
-def list_needed(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
+def list_compared(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
     """Return the needed metrics, also those that the law of a run lacks, and the usual ones."""
     # The usual metrics of a third-party bag are known when it is read.
     return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed

@@ -50,7 +50,7 @@ _WORDS: Final = {
 }
 
 
-def list_needed(run: "tl.Run", *, has_path: bool) -> tuple[str, ...]:
+def list_summary_metrics(run: "tl.Run", *, has_path: bool) -> tuple[str, ...]:
     """Return the ids of the metrics in the short answer for a run."""
     essential = tl.measure.list_essential_metrics(run)
     path = ["run.cross_track_max"] if has_path else []
@@ -160,7 +160,7 @@ def _find_value(summary: "tl.compare.RunSummary", name: str) -> float | None:
 def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
     """Return the end of a run, remarks, and its loops side by side.
 
-    The summary needs the metrics of `list_needed`; its file is empty if there is none.
+    The summary needs the metrics of `list_summary_metrics`; its file is empty if there is none.
     """
     essential = _drop_words(summary).metrics
     head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]

@@ -127,7 +127,7 @@ def choose_command_topic(
         # The robot's own commands have priority, and topics named as commands over all others.
         return int(name == len(_COMMAND_NAMES)), near, name, depth
 
-    chosen = bag_topics.require_one(bag_topics.list_first(fitting, rank), "command_topic")
+    chosen = bag_topics.require_one_topic(bag_topics.list_first(fitting, rank), "command_topic")
     return bag_topics.Pick(
         topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen)
     )
