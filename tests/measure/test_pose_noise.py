@@ -165,6 +165,19 @@ def test_creeping_that_counts_as_rest_is_told(speed: float, noise_m: float, *, t
     assert reason == "it drives no faster than 0.001 m/s, which counts as rest"
 
 
+@pytest.mark.parametrize("scale", [1e150, 1e200, 1e300])
+def test_notes_on_poses_do_not_depend_on_their_size(scale: float) -> None:
+    random = np.random.default_rng(3)
+    xy_m = random.normal(size=(1000, 2))
+    run = rest_half()
+    small, large = (
+        replace(run, poses=replace(run.poses, xy_m=factor * xy_m)) for factor in (1.0, scale)
+    )
+    assert find_scatter(large).path_m == pytest.approx(scale * (find_scatter(small).path_m or 0.0))
+    assert measure_noise(large.poses).position_m > scale * 0.5
+    assert describe_poses(large, tl.measure_run(large)).keys() >= {"path_without_scatter"}
+
+
 def test_noise_hides_no_rest_of_a_robot_that_drives_on() -> None:
     run = make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.5 * AT_10_HZ))
     assert read(scatter(run, 0.05), "run.rest_share") == 0.0
