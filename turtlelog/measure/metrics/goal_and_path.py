@@ -78,7 +78,7 @@ def get_heading_error(course: RunContext) -> float:
 
 @course_metric("final.heading_error", "deg")
 def _measure_heading_error(course: RunContext) -> Outcome:
-    """Magnitude of the last reference heading minus heading; for a moving bearing, of the goal's."""
+    """Magnitude of the reference heading, or the goal's for a moving bearing, minus the heading."""
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
         return math.nan, math.nan, _NO_HEADING if course.is_lawless_with_goal else _NO_BEARING
