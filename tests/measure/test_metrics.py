@@ -209,3 +209,13 @@ def test_metric_of_a_loop_that_no_law_may_have_is_none(loop: str) -> None:
 def test_pattern_that_only_a_loop_called_run_could_match_is_refused() -> None:
     with pytest.raises(MeasureError, match=r'no metric "run\.oversh\*"; did you mean run\.'):
         choose_metrics(["run.oversh*"], Declaration())
+
+
+def test_a_heading_that_the_law_does_not_use_is_no_reference_of_its_error() -> None:
+    changes = {"goal.heading_rad": 1.0}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("paper-kp4"), changes))
+    found = tl.measure_run(run, only=["final.*"])
+    plain = tl.measure_run(tl.simulate_run(tl.load_scenario("paper-kp4")), only=["final.*"])
+    for name in ("final.heading_error", "final.heading_error_at_15s"):
+        assert found[name].value == plain[name].value
+    assert read_value(found["final.goal_heading_error"]) > 70.0
