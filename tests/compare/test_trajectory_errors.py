@@ -312,9 +312,8 @@ def test_time_before_and_after_the_pairs_is_told_from_a_hundredth_on(
         told = [note for note in found.notes if note.startswith("The compared poses cover ")]
         assert bool(told) is is_told
         if told:
-            assert told == [
-                "The compared poses cover 49.5 s of the 50 s of truth: the errors leave the rest out."
-            ]
+            assert len(told) == 1
+            assert told[0].startswith("The compared poses cover 49.5 s of the 50 s of truth:")
 
 
 def test_the_whole_reference_ends_with_the_compared_times() -> None:

@@ -379,7 +379,7 @@ be told."""
 
 
 def _describe_gap(pairs: Trajectory, whole: Sequence[Trajectory]) -> Iterator[str]:
-    """Yield the trajectories that pairs cover in part, and the longest time inside without pairs."""
+    """Yield trajectories that pairs cover in part, and the longest time inside without pairs."""
     if pairs.clock == "frame":
         return
     time_ns = pairs.time_ns
