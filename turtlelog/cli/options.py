@@ -149,7 +149,7 @@ class ReadingOptions(TopicOptions):
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
 
 
-def list_reading_words(options: ReadingOptions) -> list[str]:
+def list_reading_words(options: TopicOptions) -> list[str]:
     """Return the words of a command that repeat these options, without defaults."""
     words: list[str] = []
     for one in fields(options):

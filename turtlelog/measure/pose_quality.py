@@ -420,7 +420,7 @@ def _describe_resolution(run: Run, metrics: "Mapping[str, Metric]") -> dict[str,
     time_s = run.poses.time_ns / 1e9
     if run.poses.measured_speed_m_s is None:
         time_s = space_poses(run).time_s
-    return {"rate_step": f"{1e3 * compute_median(subtract_neighbours(time_s)):.3g} ms"}
+    return {"rate_step": format_short(1e3 * compute_median(subtract_neighbours(time_s)), "ms")}
 
 
 def _describe_times(run: Run) -> dict[str, str]:

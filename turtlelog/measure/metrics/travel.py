@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, SAME, Axis, Rates
+from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.references import recall
 from turtlelog.run.angles import unwrap_headings
@@ -331,9 +331,7 @@ _PADDING: Final = 4
 """Cut-off frequency [Hz], amplitude threshold [1] and zero padding [powers of 2] of the source."""
 
 _LEAST_HZ: Final = 5.0
-_NEAR: Final = 1.01
-"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses. Clocks
-and times with few digits make a rate of 5 Hz appear up to a hundredth lower."""
+"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses."""
 
 _MOST_ROWS: Final = 20_000
 """Largest number of rows for computing smoothness: a quarter of an hour at 20 Hz."""
@@ -350,7 +348,7 @@ def _compute_arc_length(context: RunContext) -> Result:
     if rates is None:
         return ONE_POSE
     period_s = max(compute_median(subtract_neighbours(rates.edges_s)), 0.04)
-    if period_s > _NEAR / _LEAST_HZ:
+    if period_s > NEAR / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
         return Missing(Status.TOO_SHORT, reason)
     time_s, values = _take_longest(rates)
