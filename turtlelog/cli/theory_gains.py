@@ -154,7 +154,8 @@ def _tell_steps(model: "tl.theory.LoopModel") -> str:
     if model.limits is None:
         return ""
     unit = "rad" if model.loop.signal == "heading" else "m"
-    sizes = sorted(one.step for one in model.limits.list_steps())
+    gain = model.require()[1]["process"].gain
+    sizes = sorted(one.step for one in model.limits.list_steps(gain))
     low, high = (format_short(size, unit) for size in (sizes[0], sizes[-1]))
     return f"{len(sizes)} steps of {low} to {high}"
 

@@ -340,13 +340,11 @@ def _find_limits(loop: ControlLoop, parameters: _Parameters) -> StepLimits | Non
     is_own = most > found.rate_acceleration * read_number(parameters, f"{key}lag_s")
     if not is_own and min(found.acceleration, found.jerk) == inf:
         return None
-    if most == inf:
-        return found
-    slope = min(found.acceleration, found.rate_acceleration, math.sqrt(most * found.jerk))
-    reach = most * (most / slope + slope / found.jerk)
+    gain = read_number(parameters, f"{key}gain", 1.0)
+    reach = found.find_reach(gain)
     if loop.signal == "heading":
         reach = min(reach, math.pi)
-    return replace(found, step=reach, also=step) if reach > step else found
+    return replace(found, step=reach, also=step) if step < reach < inf else found
 
 
 def _find_step(loop: ControlLoop, parameters: _Parameters) -> float:
