@@ -46,8 +46,8 @@ def test_the_largest_step_is_in_json(call: Call, jerk: str, step: float | None) 
 
 def test_jitter_lowers_the_limit_of_stability(call: Call) -> None:
     text = " ".join(call("theory", "textbook", "--set", "loop.jitter_s=0.05").out.split())
-    assert "stable for Kp below 62.5 1/s" in text
-    assert "rotate (heading): jitter counts as its mean delay, 27.8 ms" in text
+    assert "stable for Kp below 59.53 1/s" in text
+    assert "rotate (heading): jitter counts as its mean delay, 19.7 ms" in text
     assert "leaves out" not in text
 
 

@@ -307,7 +307,7 @@ def _list_notes(recommended: Recommended, wishes: WishOptions, *, shows_all: boo
         most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
         yield f"They are for the most dead time, {most}."
     motions = [one.motion for one in (*recommended.given, *recommended.found) if one.motion]
-    if recommended.steps:
+    if recommended.steps and motions:
         yield (
             f"Overshoot and settling time are the largest of {recommended.steps},"
             " with all limits. Margins are for small steps."
