@@ -25,7 +25,7 @@ from turtlelog.theory import (
     measure_step_motion,
     recommend_gains,
 )
-from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
+from turtlelog.theory.loop_design import LoopDesign, find_p_without_overshoot
 
 Array = NDArray[np.float64]
 Robot = tuple[Process, float]

@@ -304,6 +304,8 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
 
 
 def _tell_given(loop: "PidLoop", own: _Advice | None) -> str:
+    if own is not None and own.is_limited and own.given.motion is None:
+        return f"{tell_motion(loop)} in small steps"
     if own is None or not (own.is_kept or own.is_limited) or own.given.motion is None:
         return tell_motion(loop)
     rests = own.given.motion.settling_time_s is not None

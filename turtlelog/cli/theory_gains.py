@@ -154,7 +154,8 @@ def _tell_steps(model: "tl.theory.LoopModel") -> str:
     if model.limits is None:
         return ""
     unit = "rad" if model.loop.signal == "heading" else "m"
-    sizes = sorted(one.step for one in model.limits.list_steps())
+    gain = model.require()[1]["process"].gain
+    sizes = sorted(one.step for one in model.limits.list_steps(gain))
     low, high = (format_short(size, unit) for size in (sizes[0], sizes[-1]))
     return f"{len(sizes)} steps of {low} to {high}"
 
@@ -306,7 +307,7 @@ def _list_notes(recommended: Recommended, wishes: WishOptions, *, shows_all: boo
         most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
         yield f"They are for the most dead time, {most}."
     motions = [one.motion for one in (*recommended.given, *recommended.found) if one.motion]
-    if recommended.steps:
+    if recommended.steps and motions:
         yield (
             f"Overshoot and settling time are the largest of {recommended.steps},"
             " with all limits. Margins are for small steps."

@@ -31,7 +31,7 @@ from turtlelog.sweep.sweep_table import (
 )
 from turtlelog.sweep.sweep_views import SweptView, fill_cells, find_usual_place, is_gain
 from turtlelog.theory import LoopModel, find_stable_gains, hides_stability, model_loops
-from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
+from turtlelog.theory.loop_design import LoopDesign, find_p_without_overshoot
 
 Values = NDArray[np.float64]
 

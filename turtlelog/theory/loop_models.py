@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import TheoryError
@@ -29,6 +30,8 @@ from turtlelog.theory.pid_loop import PidLoop, analyse_pid_loop, is_pid_stable
 from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import Process
 from turtlelog.theory.step_motion import StepLimits
+
+_Array = NDArray[np.float64]
 
 _SCENARIO: Final = "from the scenario"
 
@@ -340,13 +343,11 @@ def _find_limits(loop: ControlLoop, parameters: _Parameters) -> StepLimits | Non
     is_own = most > found.rate_acceleration * read_number(parameters, f"{key}lag_s")
     if not is_own and min(found.acceleration, found.jerk) == inf:
         return None
-    if most == inf:
-        return found
-    slope = min(found.acceleration, found.rate_acceleration, math.sqrt(most * found.jerk))
-    reach = most * (most / slope + slope / found.jerk)
+    gain = read_number(parameters, f"{key}gain", 1.0)
+    reach = found.find_reach(gain)
     if loop.signal == "heading":
         reach = min(reach, math.pi)
-    return replace(found, step=reach, also=step) if reach > step else found
+    return replace(found, step=reach, also=step) if step < reach < inf else found
 
 
 def _find_step(loop: ControlLoop, parameters: _Parameters) -> float:
@@ -385,24 +386,36 @@ def find_timing(parameters: _Parameters) -> LoopTiming | str:
         return "turtlesim stops by itself between two samples, 1 s after a command"
     delay_s += read_number(parameters, "loop.transport_delay_s")
     delay_s += read_number(parameters, "loop.transport_delay_ticks") * step_s
-    jitter_s = _find_mean_delay(read_number(parameters, "sensing.jitter_s"), step_s)
-    jitter_s += _find_mean_delay(read_number(parameters, "loop.jitter_s"), period_s)
-    delay_s += jitter_s
     queued = parameters.get("loop.queue_policy") == "one-per-tick"
-    if is_turtlesim:  # a command acts on the whole tick in which it arrives
-        delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
-    elif queued:  # a robot takes it at its next period
-        delay_s = step_s * math.ceil(delay_s / step_s - _WHOLE)
-    least_s, most_s = delay_s, delay_s + _find_most_age(parameters, step_s)
+
+    def find_effect(delay_s: _Array) -> _Array:
+        """Return the times after which commands with these delays act [s]."""
+        if is_turtlesim:  # a command acts on the whole tick in which it arrives
+            return step_s * np.floor(delay_s / step_s + _WHOLE)
+        # A robot with a queue takes it at its next period.
+        return step_s * np.ceil(delay_s / step_s - _WHOLE) if queued else delay_s
+
+    jitters_s = [read_number(parameters, key) for key in ("sensing.jitter_s", "loop.jitter_s")]
+    waits_s = most_wait_s = 0.0
     if queued and every == 1 and parameters.get("loop.trigger") != "timer":
         # One command leaves and one comes in each tick, so what waits first waits for good. No
         # pause makes it less: it drains commands while as many poses pile up, or a full queue.
         keys = ("start_backlog", "pose_queue", "command_queue")
         queues = [read_number(parameters, f"loop.{key}", 1.0) for key in keys]
-        least_s += (min(queues) - 1.0) * step_s
-        most_s += (queues[2] - 1.0) * step_s
+        waits_s, most_wait_s = (min(queues) - 1.0) * step_s, (queues[2] - 1.0) * step_s
+    if sum(jitters_s) <= waits_s:  # a late command only waits for less time
+        jitters_s = [0.0, 0.0]
+    poses_s, pose_shares = _spread_jitter(jitters_s[0], step_s)
+    commands_s, shares = _spread_jitter(jitters_s[1], period_s)
+    late_s = find_effect(delay_s + np.add.outer(poses_s, commands_s))
+    fixed_s, delay_s = float(find_effect(np.array(delay_s))), float(pose_shares @ late_s @ shares)
+    jitter_s = delay_s - fixed_s
     return LoopTiming(
-        period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s, jitter_s=jitter_s
+        period_s=period_s,
+        least_s=delay_s + waits_s,
+        most_s=delay_s + most_wait_s + _find_most_age(parameters, step_s),
+        step_s=step_s,
+        jitter_s=jitter_s,
     )
 
 
@@ -411,19 +424,19 @@ _MOST_WAITING: Final = 2000
 jitter, which is less than 3 % too much."""
 
 
-def _find_mean_delay(jitter_s: float, period_s: float) -> float:
-    """Return the mean delay of messages with uniform jitter that do not overtake each other [s].
+def _spread_jitter(jitter_s: float, period_s: float) -> tuple[_Array, _Array]:
+    """Return delays of messages with uniform jitter that do not overtake each other, and shares.
 
     The probability that a message and all earlier ones have arrived after x is the product of
-    min(1, (x + k T) / J) over k. The mean is the integral of its complement from 0 to J.
+    min(1, (x + k T) / J) over k.
     """
     if jitter_s > _MOST_WAITING * period_s or jitter_s == 0.0:
-        return jitter_s
+        return np.array([jitter_s]), np.ones(1)
     x_s = np.linspace(0.0, jitter_s, 1001)
     arrived = np.ones_like(x_s)
     for k in range(math.ceil(jitter_s / period_s)):
         arrived *= np.minimum(1.0, (x_s + k * period_s) / jitter_s)
-    return float(np.trapezoid(1.0 - arrived, x_s))
+    return 0.5 * (x_s[1:] + x_s[:-1]), np.diff(arrived)
 
 
 def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:

@@ -30,6 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import TheoryError
+from turtlelog.theory.loop_design import (
+    CLOSE_PERCENT,
+    TOO_SLOW,
+    LoopDesign,
+    find_p_without_any_overshoot,
+)
 from turtlelog.theory.pid_stability import (
     Margins,
     PidGains,
@@ -45,14 +51,7 @@ from turtlelog.theory.process import (
     require_period,
     require_positive,
 )
-from turtlelog.theory.step_motion import (
-    CLOSE_PERCENT,
-    TOO_SLOW,
-    LoopDesign,
-    StepLimits,
-    StepMotion,
-    find_p_without_any_overshoot,
-)
+from turtlelog.theory.step_motion import StepLimits, StepMotion
 
 _Array = NDArray[np.float64]
 
@@ -112,8 +111,9 @@ def recommend_gains(
         overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
         phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. Without this
             margin, the PD for an overshoot has a phase margin of 60 deg.
-        limits: Limits of command and rate, with the largest step. The overshoot of all steps up to
-            this size then meets the wish. Default: no limits.
+        limits: Limits of command and rate, with the largest step. The overshoot of all steps of
+            `StepLimits.list_steps` then meets the wish; between two of them, 5 % apart in size, it
+            may be larger by half. Default: no limits.
 
     Returns:
         The exact gains for the wanted values, then those of published rules.
@@ -139,14 +139,12 @@ def recommend_gains(
             problem = f"expected less than 100 %, found {percent!r}"
             raise TheoryError(problem, quantity="overshoot_percent")
         rules += [
-            ("overshoot", "P", _EXACT, partial(_find_p_of_overshoot, design, percent)),
-            ("overshoot", "PI", _EXACT, partial(_find_pi_of_overshoot, design, percent)),
-            (
-                "overshoot",
-                "PD",
-                _EXACT,
-                partial(_find_pd_of_overshoot, design, percent, margin_rad),
-            ),
+            ("overshoot", kind, _EXACT, partial(_search_steps, design, percent, find))
+            for kind, find in (
+                ("P", _find_p_of_overshoot),
+                ("PI", _find_pi_of_overshoot),
+                ("PD", partial(_find_pd_of_overshoot, margin_rad=margin_rad)),
+            )
         ]
     if phase_margin_rad is not None:
         rules += [
@@ -242,6 +240,8 @@ def _judge(
     if isinstance(gains, str):
         return replace(found, reason=gains)
     must_rest = design.limits is not None and rule != _GIVEN
+    if must_rest and design.is_slow:
+        return replace(found, reason=TOO_SLOW)
     motion = None if margins is None else design.measure(gains, must_rest=must_rest)
     if must_rest and motion and motion.settling_time_s is None:
         reason = "under the limits of acceleration, a step oscillates and does not settle"
@@ -296,6 +296,17 @@ _STEP: Final = 1.25  # factor from one gain to the next while the overshoot is t
 
 _PARTS: Final = 8
 """Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""
+
+
+def _search_steps(
+    design: LoopDesign, percent: float, find: Callable[[LoopDesign, float], PidGains | str]
+) -> PidGains | str:
+    """Return gains with which no simulated step overshoots more, or the reason for absence."""
+    while not isinstance(gains := find(design, percent), str):
+        if (harder := design.add_worst_step(gains, percent)) is design:
+            break
+        design = harder
+    return gains
 
 
 def _find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:

@@ -1,19 +1,14 @@
-"""Motion of a sampled loop after a step, also between samples, and the largest P without overshoot.
+"""Motion of a sampled loop after a step, also between samples.
 
 Without limits the loop is linear, and the size of the step does not matter. With limits, the motion
 is that of one step:
 
     command   low-pass, then clipped, then with limited acceleration and jerk, as a run's commands
     rate'     clip((clip(K command, +-bound) - rate) / tau, +-acceleration), as a robot model's rate
-
-P has no overshoot up to the Kp at which its two slowest poles meet on the real axis: the maximum of
--1 / L1(z) between the slowest lag's pole and 1, with the open loop L1 at Kp = 1. For an integrator,
-`sampled_loop` has this Kp in closed form. With limits, no step up to the largest may overshoot.
 """
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -21,16 +16,7 @@ from numpy.typing import NDArray
 
 from turtlelog.arithmetic import clip
 from turtlelog.effects.acceleration import Follower, follow_with_acceleration, follow_with_jerk
-from turtlelog.theory.pid_loop import find_stable_gains
-from turtlelog.theory.pid_stability import (
-    LoopShape,
-    Margins,
-    PidGains,
-    build_shape,
-    find_margins,
-    find_maximum,
-    is_stable,
-)
+from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import (
     INTEGRATOR,
     Process,
@@ -57,10 +43,14 @@ class StepMotion:
     settling_time_s: float | None
 
 
-_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25, 0.175, 0.125)
-"""Steps that are measured with limits, as shares of the largest step. The overshoot is largest for
-a step that just reaches the largest rate. Between two shares it is at most a tenth larger with a
-limit of acceleration; with a limit of jerk alone, it may be twice as large."""
+_BETWEEN: Final = 1.05
+"""Largest ratio of two neighbouring steps that are simulated with limits. The overshoot has peaks a
+tenth of a step wide; between two such steps it may still be larger by half."""
+
+_SMALLEST: Final = 0.25
+"""Smallest step that is simulated with limits, as a share of the smaller one of the largest step
+and the step that just reaches the largest rate. Still smaller steps overshoot less, down to
+the step without limits, which is simulated too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,10 +75,31 @@ class StepLimits:
     bound: float = math.inf
     rate_acceleration: float = math.inf
 
-    def list_steps(self) -> "list[StepLimits]":
-        """Return the limits for the steps that are measured, the largest step first."""
-        sizes = [share * self.step for share in _SHARES]
+    def list_steps(self, gain: float = 1.0) -> "list[StepLimits]":
+        """Return the limits for the steps that are measured, the largest step first.
+
+        Args:
+            gain: Gain of the plant.
+        """
+        low = _SMALLEST * min(self.find_reach(gain), self.step)
+        count = 1 + math.ceil(math.log(self.step / low) / math.log(_BETWEEN))
+        sizes = np.geomspace(self.step, low, count).tolist()
         return [replace(self, step=size) for size in (*sizes, self.also) if size > 0.0]
+
+    def find_reach(self, gain: float) -> float:
+        """Return the step that just reaches the largest rate; infinite without a largest rate."""
+        most = min(gain * self.command, self.bound)
+        if most == math.inf:
+            return most
+        slope = min(self.acceleration, self.rate_acceleration, math.sqrt(most * self.jerk))
+        return most * (most / slope + slope / self.jerk)
+
+    def compute_duration(self, gain: float) -> float:
+        """Return about how long the limits make the largest step last [s], with both its ramps."""
+        most = min(gain * self.command, self.bound)
+        slope = min(self.acceleration, self.rate_acceleration)
+        ramp_s = min(most / slope, math.sqrt(self.step / slope)) if slope < math.inf else 0.0
+        return self.step / most + 2.0 * (ramp_s + math.cbrt(self.step / self.jerk))
 
 
 class _Limiter:
@@ -119,7 +130,7 @@ class _Limiter:
         return command
 
 
-_LONGEST_MOTION: Final = 200_000
+LONGEST_MOTION: Final = 200_000
 """Longest motion that is followed between samples [samples]: about 0.3 s of computing."""
 
 _MOST_TURNS: Final = 20
@@ -176,7 +187,7 @@ def measure_step_motion(
     last = integral = derivative = filtered = 0.0
     quiet = outside = 0
     furthest_at, turns, is_below = -1, 0, True
-    for k in range(_LONGEST_MOTION):
+    for k in range(LONGEST_MOTION):
         error = 1.0 - motion.y
         outside = k if abs(error) > BAND else outside
         derivative = keep * derivative - slope * (motion.y - last)
@@ -277,175 +288,3 @@ class _Motion:
         y += w * time_s + lag_s * (v - w) * gap
         v += gap * (w - v)
         self.y, self._v, self.furthest = y, v, max(furthest, y)
-
-
-_MOST_SAMPLES: Final = 2000
-"""Largest sum of lag, low-pass and dead time [samples] for which overshoots are measured. Beyond
-this sum, the 10 to 40 responses of some ten thousand samples each take several seconds."""
-
-TOO_SLOW: Final = (
-    f"lag and dead time are longer than {_MOST_SAMPLES} samples, so no overshoot is measured"
-)
-"""Reason why a slow loop has no gains for an overshoot."""
-
-CLOSE_PERCENT: Final = 1e-6
-"""Tolerance of an overshoot [% of the step]; a smaller overshoot counts as none."""
-
-_CLOSE_PHASE: Final = 1e-9  # tolerance of a phase margin [rad]; rounding leaves 1e-12
-
-_LARGEST_OVERSHOOT: Final = 1e3
-"""Overshoot of a response that diverges [%]: every wanted overshoot is below 100 %."""
-
-_TRACE: Final = 1e-3
-"""Overshoot that counts as none in a search with limits [%]: the accuracy of limited motions."""
-
-_CLOSE_GAIN: Final = 1e-3
-"""Tolerance of the largest gain without overshoot under limits, as a share of the gain."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopDesign:
-    """A loop whose gains are to be found: its process with all dead time, its clock, its limits."""
-
-    process: Process
-    period_s: float
-    filter_s: float = 0.0
-    limits: StepLimits | None = None
-
-    @property
-    def sampled(self) -> SampledProcess:
-        """The process sampled with the period."""
-        return sample_process(self.process, self.period_s)
-
-    @property
-    def unit_gain(self) -> float:
-        """The Kp [1/s] for which K Kp T = 1."""
-        return 1.0 / (self.process.gain * self.period_s)
-
-    @property
-    def close(self) -> float:
-        """Tolerance of an overshoot [% of the step]."""
-        return CLOSE_PERCENT if self.limits is None else _TRACE
-
-    @property
-    def is_slow(self) -> bool:
-        """Whether the responses of the loop are too long to measure."""
-        process = self.process
-        slow_s = process.lag_s + process.low_pass_s + process.dead_time_s
-        return slow_s > _MOST_SAMPLES * self.period_s
-
-    def build_shape(self, gains: PidGains) -> LoopShape:
-        """Return the loop in dimensionless form."""
-        return build_shape(gains, self.sampled, self.period_s)
-
-    def measure(
-        self, gains: PidGains, *, to_rest: bool = True, must_rest: bool = False
-    ) -> StepMotion | None:
-        """Return the motion after a step; None if the loop is too slow or diverges.
-
-        With limits, the motion has the largest overshoot and the latest rest of all steps. If the
-        motion must come to rest, the first step that does not is the answer.
-        """
-        if self.is_slow:
-            return None
-        found = []
-        for limits in self._steps:
-            motion = self._follow(gains, limits, to_rest=to_rest)
-            if motion is None:
-                return None
-            if must_rest and motion.settling_time_s is None:
-                return motion
-            found.append(motion)
-        times_s = [motion.settling_time_s for motion in found]
-        known_s = [time_s for time_s in times_s if time_s is not None]
-        return StepMotion(
-            overshoot_percent=max(motion.overshoot_percent for motion in found),
-            settling_time_s=max(known_s) if len(known_s) == len(times_s) else None,
-        )
-
-    def measure_overshoot(self, gains: PidGains) -> float:
-        """Return the overshoot as a number that can be compared, also for a loop that diverges."""
-        motion = self.measure(gains, to_rest=False)
-        overshoot = _LARGEST_OVERSHOOT if motion is None else motion.overshoot_percent
-        return min(overshoot, _LARGEST_OVERSHOOT)
-
-    def overshoots(self, gains: PidGains) -> bool:
-        """Return whether any step overshoots visibly."""
-        motions = (self._follow(gains, limits, to_rest=False) for limits in self._steps)
-        return any(one is None or one.overshoot_percent > _TRACE for one in motions)
-
-    @property
-    def _steps(self) -> list[StepLimits | None]:
-        # The largest step first; a step without limits last.
-        return [*([] if self.limits is None else self.limits.list_steps()), None]
-
-    def _follow(
-        self, gains: PidGains, limits: StepLimits | None, *, to_rest: bool
-    ) -> StepMotion | None:
-        return measure_step_motion(
-            gains, period_s=self.period_s, process=self.process, to_rest=to_rest, limits=limits
-        )
-
-    def read_margins(self, gains: PidGains) -> Margins | None:
-        """Return the margins; None if the loop is unstable."""
-        shape = self.build_shape(gains)
-        return find_margins(shape, self.period_s) if is_stable(shape) else None
-
-    def has_margin(self, gains: PidGains, margin_rad: float) -> bool:
-        """Return whether the loop has a phase margin."""
-        margins = self.read_margins(gains)
-        if margins is None or margins.phase_margin_rad is None:
-            return False
-        return abs(margins.phase_margin_rad - margin_rad) < _CLOSE_PHASE
-
-    def find_crossover(self, gains: PidGains) -> float:
-        """Return the angle w T of the crossover of a loop with a phase margin."""
-        margins = self.read_margins(gains)
-        if margins is None or margins.crossover_rad_s is None:
-            raise AssertionError(gains)
-        return margins.crossover_rad_s * self.period_s
-
-    def find_ultimate_gain(self) -> float:
-        """Return the Kp [1/s] at which P becomes unstable."""
-        gains = PidGains(kp=self.unit_gain)
-        return find_stable_gains(gains, period_s=self.period_s, process=self.process)[-1][1]
-
-    def find_lag_ratio(self) -> float | None:
-        """Return the Kd / Kp that cancels the slowest lag; None if no such ratio exists."""
-        gaps = self.sampled.gaps
-        if not gaps:
-            return None
-        pole, whole_s = 1.0 - min(gaps), self.filter_s + self.period_s
-        ratio_s = whole_s * (pole - self.filter_s / whole_s) / (1.0 - pole)
-        return ratio_s if ratio_s > 0.0 else None
-
-
-def find_p_without_overshoot(design: LoopDesign) -> float:
-    """Return the largest Kp [1/s] of P without overshoot."""
-    sampled = design.sampled
-
-    def compute_loop_gain(gap: _Array) -> _Array:
-        z = 1.0 - gap
-        zeros = (1.0 - sampled.ahead * gap) * z + sampled.behind * gap
-        found = z ** (sampled.delay + 1) * gap / zeros
-        for lag in sampled.gaps:
-            found *= (lag - gap) / lag
-        return found
-
-    _, largest = find_maximum(compute_loop_gain, min([1.0, *sampled.gaps]))
-    return largest * design.unit_gain
-
-
-@lru_cache(maxsize=64)
-def find_p_without_any_overshoot(design: LoopDesign) -> float:
-    """Return the largest Kp [1/s] of P without overshoot of any step, also with limits."""
-    high = find_p_without_overshoot(design)
-    if design.limits is None or not design.overshoots(PidGains(kp=high)):
-        return high
-    low = 0.5 * high
-    while design.overshoots(PidGains(kp=low)):
-        low, high = 0.5 * low, low
-    while high - low > _CLOSE_GAIN * high:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if design.overshoots(PidGains(kp=middle)) else (middle, high)
-    return low

@@ -20,7 +20,7 @@ from turtlelog.draw.figures.page import STROKES, fix_style
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
-from turtlelog.theory.step_motion import LoopDesign, find_p_without_overshoot
+from turtlelog.theory.loop_design import LoopDesign, find_p_without_overshoot
 
 _MOST_LINES: Final = 3  # dead times with a line each; more become a band between their limits
 _MOST_LOOPS: Final = 4  # loops of several laws; with more, the figure would be higher than a page
