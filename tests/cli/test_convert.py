@@ -63,11 +63,12 @@ def test_a_folder_of_tables_holds_every_table(call: Call, kp4: Path, tmp_path: P
         assert len([*csv.reader(stream)]) == 1 + len(tl.read_recording(kp4).samples)
 
 
-def test_csv_tables_become_a_recording_with_the_same_rows(
+def test_csv_tables_without_facts_become_a_recording_with_the_same_rows(
     call: Call, kp4: Path, tmp_path: Path
 ) -> None:
     tables, again = tmp_path / "run7", tmp_path / "again.mcap"
     call("convert", kp4, "-o", tables, "--format", "csv")
+    (tables / "run.json").unlink()
     answer = call("convert", tables, "-o", again, "--json").json
     assert answer["name"] == "run7"
     assert answer["absent"] == [
@@ -81,14 +82,38 @@ def test_csv_tables_become_a_recording_with_the_same_rows(
             assert np.array_equal(values, found[name], equal_nan=values.dtype.kind == "f")
 
 
-def test_parquet_tables_become_the_recording_that_they_were(
-    call: Call, kp4: Path, tmp_path: Path
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_tables_become_the_recording_that_they_were(
+    call: Call, kp4: Path, tmp_path: Path, kind: str
 ) -> None:
     tables, again = tmp_path / "run7", tmp_path / "again.mcap"
-    call("convert", kp4, "-o", tables, "--format", "parquet")
+    call("convert", kp4, "-o", tables, "--format", kind)
     words = ("--own-topics", "--json")
     assert call("convert", tables, "-o", again, *words).json["absent"] == []
     assert again.read_bytes() == kp4.read_bytes()
+
+
+def test_samples_of_an_unknown_controller_give_no_error_at_the_end(
+    call: Call, tmp_path: Path
+) -> None:
+    """The recorded error is that of the rotation, 0.02 deg; the robot drives 15.5 deg beside it."""
+    run, tables, again = tmp_path / "wrap.mcap", tmp_path / "wrap", tmp_path / "again.mcap"
+    keys = ("start.heading_rad=2.6", "limits.turn_rate_rad_s=inf", "loop.transport_delay_ticks=8")
+    changes = [word for key in keys for word in ("--set", key)]
+    call("run", "textbook", "--kp", "8", "--goal", "2,4.5", *changes, "-o", run)
+    ids = ["final.heading_error", "final.cross_track", "final.position_error"]
+
+    def read_values(path: Path) -> list[float | None]:
+        found = tl.measure_run(tl.read_run(path), only=ids)
+        return [found[name].value for name in ids]
+
+    call("convert", run, "-o", tables, "--format", "csv")
+    assert read_values(tables) == read_values(run)
+    assert read_values(run)[0] == pytest.approx(15.527, abs=0.001)
+    (tables / "run.json").unlink()
+    assert read_values(tables) == [None, None, None]
+    assert call("convert", tables, "--goal", "2,4.5", "-o", again).code == 0
+    assert read_values(again) == [None, *read_values(run)[1:]]
 
 
 def test_poses_alone_become_a_recording_of_poses(call: Call, kp4: Path, tmp_path: Path) -> None:

@@ -81,11 +81,22 @@ def test_a_run_comes_back_from_parquet_with_its_types(tmp_path: Path) -> None:
 
 def test_a_folder_holds_a_file_per_table(tmp_path: Path) -> None:
     export_csv(simulate_short_run(), tmp_path / "out")
-    heads = {path.stem: [*read_csv(path)] for path in (tmp_path / "out").iterdir()}
+    heads = {path.stem: [*read_csv(path)] for path in (tmp_path / "out").glob("*.csv")}
     assert heads["commands"] == ["time_ns", "speed_m_s", "lateral_speed_m_s", "turn_rate_rad_s"]
     assert heads["poses"][:4] == ["time_ns", "x_m", "y_m", "heading_rad"]
     assert heads["events"] == ["time_ns", "kind", "text"]
     assert {"phase", "wanted_turn_rate_rad_s", "world_velocity_y_m_s"} <= {*heads["samples"]}
+
+
+def test_facts_beside_csv_are_read_back_and_refused_if_they_are_others(tmp_path: Path) -> None:
+    run = simulate_short_run()
+    written = export_csv(run, tmp_path / "out")
+    require_read_back(run, written, None)
+    with pytest.raises(LogError, match=r"run\.json: .* found other values in facts of the run"):
+        require_read_back(replace(run, goal_xy_m=(9.0, 9.0)), written, None)
+    (tmp_path / "out" / "run.json").write_text("[]")
+    with pytest.raises(LogError, match=r"run\.json: expected the facts of a run as turtlelog"):
+        import_tables(tmp_path / "out")
 
 
 def test_what_was_not_recorded_is_left_out(tmp_path: Path) -> None:

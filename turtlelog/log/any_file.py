@@ -129,10 +129,10 @@ _OWN_ROBOT: Final = POSE.name.split("/")[1]
 
 
 def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
-    """Return a run with the requested goal. A run with samples, which has its own, is refused."""
+    """Return a run with the requested goal. A run with samples and their own goal is refused."""
     if choice.goal is None:
         return run
-    if len(run.samples):
+    if len(run.samples) and "goal_xy_m" not in run.absent:
         raise LogError(f"{path}: goal: expected none beside the samples of a controller, found one")
     goal_xy_m, heading_rad = parse_goal_option(choice.goal)
     names = {"goal_xy_m"} | (set() if heading_rad is None else {"goal_heading_rad"})

@@ -50,9 +50,11 @@ from turtlelog.run import (
 )
 from turtlelog.run.columns import PAIRS
 from turtlelog.run.loops import DONE, PAUSE, Declaration, parse_declaration
-from turtlelog.run.tables import Table, iterate_arrow
+from turtlelog.run.tables import Table, iterate_arrow, list_facts
 
 _TABLE_SUFFIXES: Final = (".csv", ".parquet")
+_FACTS: Final = "run.json"
+"""File with the facts of the run beside its CSV tables, which Parquet tables hold themselves."""
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
 
@@ -77,7 +79,8 @@ def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple
     Args:
         run: Run to write.
         path: A name that ends in .csv is one file, which replaces an existing file; any other name
-            is a new folder with one file per table.
+            is a new folder with one file per table, and run.json with the name, goal, scenario and
+            declaration of the run.
         table: Table to write (`poses`, `commands`, `samples`, `events`). Default: `poses` for a
             file, all tables for a folder.
 
@@ -104,18 +107,21 @@ def _export(
 ) -> tuple[Path, ...]:
     if table is not None and table not in TABLES:
         raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
-    names = tuple(TABLES) if table is None else (table,)
+    files = [f"{name}{suffix}" for name in (TABLES if table is None else (table,))]
     try:
         if path.suffix.lower() == suffix:
             with replace_when_complete(path) as temporary:
                 write(run, table or "poses", temporary)
             return (path,)
         with create_folder(path) as folder:
-            for name in names:
-                write(run, name, folder / f"{name}{suffix}")
+            for file in files:
+                write(run, file.removesuffix(suffix), folder / file)
+            if suffix == ".csv":
+                (folder / _FACTS).write_bytes(msgspec.json.encode(list_facts(run)))
+                files.append(_FACTS)
     except UnicodeEncodeError as err:
         raise name_write_error(path, err) from err
-    return tuple(path / f"{name}{suffix}" for name in names)
+    return tuple(path / file for file in files)
 
 
 def _write_csv(run: Run, table: str, path: Path) -> None:
@@ -173,7 +179,8 @@ def holds_tables(path: Path) -> bool:
 def import_tables(path: str | Path) -> Run:
     """Return the run from exported CSV or Parquet tables: a folder, or the table of poses.
 
-    CSV files do not contain the scenario, the goal, the loops of the law and the stop reason.
+    A CSV file alone does not contain the scenario, the goal, the loops of the law and the stop
+    reason: they are in the run.json of its folder.
 
     Raises:
         LogError: If a table is invalid; one line with the file and the column.
@@ -185,6 +192,8 @@ def import_tables(path: str | Path) -> Run:
     for file in files:
         name, table, facts = _read_table(file)
         tables[name] = table
+    if (path / _FACTS).is_file():
+        facts = _read_facts(path / _FACTS)
     with name_file(path, expected="tables of a run"):
         if "poses" not in tables:
             found = ", ".join(tables) or "none"
@@ -199,6 +208,10 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
             _require_same(written[0], name, tabulate_run(run, name), tabulate_run(read, name))
         return
     for path in written:
+        if path.name == _FACTS:
+            if _read_facts(path) != list_facts(run):
+                raise describe_mismatch(path, "facts of the run")
+            continue
         name, table, _ = _read_table(path)
         _require_same(path, name, tabulate_run(run, name), table)
 
@@ -212,6 +225,11 @@ def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
             found = ", ".join(table)[:80] or "none"
             raise LogError(f"expected the columns of a table that turtlelog wrote, found {found}")
         return name, table, facts
+
+
+def _read_facts(path: Path) -> dict[str, str]:
+    with name_file(path, expected="the facts of a run as turtlelog writes them"):
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
 
 
 def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
@@ -379,7 +397,7 @@ def _parse_fact(facts: Mapping[str, str], name: str, kind: Any) -> Any:
         found = "no JSON"
     raise LogError(
         f"the metadata turtlelog.{name} are not as turtlelog writes them ({found}). Write the table"
-        " again: turtlelog convert RECORDING -o TABLE.parquet"
+        " again with turtlelog convert"
     )
 
 

@@ -328,7 +328,8 @@ def _read_heading_error(run: Run) -> Values | None:
     reference = read_heading_reference(run)
     if reference is not None:
         return subtract_headings(reference, run.poses.heading_rad)
-    recorded = run.samples.heading_error_rad
+    # The samples of an unknown controller do not tell whether it still updates its error.
+    recorded = None if "declaration" in run.absent else run.samples.heading_error_rad
     return None if recorded is None or not len(recorded) else hold_samples(run, recorded)
 
 
@@ -422,7 +423,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = display.NamedValues(
         "heading_error": _pose(
             "rad",
             "Reference heading minus heading while a heading loop acts, in [-pi, pi); without such"
-            " a loop, the error that the law recorded.",
+            " a loop, the error that a known law recorded.",
             _read_heading_error,
         ),
         "along_track": _pose(

@@ -209,7 +209,9 @@ drives laps, as no line leads to its goal. The direction of the line would be ch
 def find_goal_line(run: "Run") -> GoalLine | None:
     """Return the line from start to goal of a run, as `Run.goal_line`."""
     samples = run.samples
-    is_unknown = not len(samples) and (run.declaration.loops or run.goal_xy_m is None)
+    is_unknown = not len(samples) and bool(run.declaration.loops)
+    if run.goal_xy_m is None:  # an unknown controller may take its bearing from a wrong pose
+        is_unknown = not len(samples) or "declaration" in run.absent
     if is_unknown or not len(run.poses):
         return None
     first = run.goal_row if run.is_lawless else 0

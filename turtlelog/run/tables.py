@@ -89,7 +89,7 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
     return {name: units[0] for name, units in found.items() if units} | dict(states)
 
 
-def _list_facts(run: "Run") -> dict[str, str]:
+def list_facts(run: "Run") -> dict[str, str]:
     """Return the facts of a run that its tables do not contain, as texts or JSON by name."""
     # `scenario` contains the known parameters by dotted key, `declaration` the declaration of the
     # law.
@@ -123,7 +123,7 @@ def iterate_arrow(run: "Run", table: str, most_rows: int | None = None) -> Itera
             pa.field(name, kinds[values.dtype.kind], metadata=described.get(name))
             for name, values in columns.items()
         ],
-        metadata={f"turtlelog.{key}": text for key, text in _list_facts(run).items()},
+        metadata={f"turtlelog.{key}": text for key, text in list_facts(run).items()},
     )
     rows = max(1, len(columns["time_ns"]))
     step = most_rows or rows
@@ -136,7 +136,7 @@ def build_pandas(run: "Run", table: str) -> Any:
     """Return a table of a run as a `pandas.DataFrame`; `attrs` contain the units and the run."""
     columns = tabulate_run(run, table)
     frame = load_library("pandas").DataFrame(dict(columns))
-    frame.attrs = {"turtlelog": _list_facts(run), "units": list_units(run, table)}
+    frame.attrs = {"turtlelog": list_facts(run), "units": list_units(run, table)}
     return frame
 
 
@@ -149,7 +149,7 @@ def build_xarray(run: "Run", table: str) -> Any:
     }
     time_s = ("time_s", (columns["time_ns"] - run.start_ns) / 1e9, {"units": "s"})
     xarray = load_library("xarray")
-    return xarray.Dataset(described, coords={"time_s": time_s}, attrs=_list_facts(run))
+    return xarray.Dataset(described, coords={"time_s": time_s}, attrs=list_facts(run))
 
 
 class Tabular(ABC):
