@@ -302,7 +302,7 @@ class CommandUse:
 def place_commands(
     motion: RecordedMotion, run: Run, starts: frozenset[int]
 ) -> tuple[tuple[Velocity, ...], NDArray[np.bool_], CommandUse]:
-    """Return the plant's velocity in the tick of each pose, which are recorded, and use of commands.
+    """Return the plant's velocity in each pose's tick, whether it is a recorded one, and a summary.
 
     At the rows `starts`, the step from the previous pose shows no velocity.
     """
