@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 
 import turtlelog as tl
-from turtlelog.display import NamedValues, cut_name, format_html, format_range, parse_utc
+from turtlelog.display import NamedValues, cut_name, format_html, format_range, format_short, parse_utc
 from turtlelog.explain.answers import ValueSet
 from turtlelog.explain.scenario_from_log.identification import Certainty
 from turtlelog.laws.loading import LAWS
@@ -251,9 +251,31 @@ def test_a_name_of_24_letters_is_one_line_and_a_longer_one_or_a_sentence_may_wra
         ((0.00101, 0.00852), "m", ("1.01 mm", "8.52 mm")),
         ((0.0, 0.002), "m", ("0 m", "0.002 m")),
         ((11.2, 20.5), "s", ("11.2 s", "20.5 s")),
+        ((21.945, 21.955), "s", ("22 s", "22 s")),  # closer than 0.05 %
+        ((21.944, 21.956), "s", ("21.9 s", "22 s")),
+        ((9e-10, 0.0593), "m", ("below 1e-6 mm", "0.0593 m")),
+        ((1.1e-9, 0.0593), "m", ("1.1e-09 m", "0.0593 m")),
     ],
 )
 def test_both_ends_of_a_range_have_one_unit(
     ends: tuple[float, float], unit: str, texts: tuple[str, str]
 ) -> None:
     assert format_range(*ends, unit) == texts
+
+
+@pytest.mark.parametrize(
+    ("number", "unit", "text"),
+    [
+        (999.4, "ms", "999 ms"),
+        (999.5, "ms", "1000 ms"),
+        (9e-10, "m", "below 1e-6 mm"),
+        (1.1e-9, "m", "1.1e-06 mm"),
+        (-9e-10, "rad", "below 1e-7 deg"),
+        (0.0, "m", "0 m"),
+        (9e-10, "s", "9e-10 s"),
+    ],
+)
+def test_short_numbers_hide_rounding_and_show_whole_thousands(
+    number: float, unit: str, text: str
+) -> None:
+    assert format_short(number, unit) == text

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from math import degrees, isfinite
+from math import degrees, isclose, isfinite
 from typing import TYPE_CHECKING, Any, Final, TypeGuard, TypeVar
 
 from turtlelog.escapes import escape_controls
@@ -77,6 +77,8 @@ def format_number(number: float | None, unit: str = "") -> str:
 
 def format_short(number: float, unit: str = "") -> str:
     """Return a number with its unit in three digits; lengths below a centimetre are in mm."""
+    if 0.0 < abs(number) < ROUNDING and unit in _ROUNDED:
+        return _ROUNDED[unit]
     number, unit = show_angle(number, unit)
     if unit == "m" and 0.0 < abs(number) < _SHORT_M:
         number, unit = 1e3 * number, "mm"
@@ -84,10 +86,16 @@ def format_short(number: float, unit: str = "") -> str:
 
 
 def format_range(low: float, high: float, unit: str) -> tuple[str, str]:
-    """Return both ends of a range in one unit, the one that `format_short` gives the larger."""
+    """Return both ends of a range in one unit, the one that `format_short` gives the larger.
+
+    Ends that differ by less than the rounding to three digits are written alike.
+    """
+    low = high if isclose(low, high, rel_tol=_ALIKE) else low
     least, most = format_short(low, unit), format_short(high, unit)
-    if unit == "m" and least.endswith(" mm") != most.endswith(" mm"):
-        least, most = (f"{text:.3g} m" for text in (low, high))
+    if unit == "m" and "mm" in least and "mm" not in most and abs(low) >= ROUNDING:
+        least = f"{low:.3g} m"
+    elif unit == "m" and "mm" in most and "mm" not in least:
+        most = f"{high:.3g} m"
     return least, most
 
 
@@ -101,8 +109,19 @@ def describe_range(values: Sequence[tuple[float, str]], unit: str) -> str:
     return f"{least} ({lowest}) to {most} ({highest})"
 
 
+ROUNDING: Final = 1e-9
+"""Size below which a value is rounding [m, rad]: text with nine decimals ends there."""
+
+_ROUNDED: Final = {"m": "below 1e-6 mm", "rad": "below 1e-7 deg"}
+
+_ALIKE: Final = 5e-4
+"""Half a unit of the third digit, as a fraction of the largest such number [1]. Closer ends may
+still be rounded to different texts: 21.94999 and 21.95001 to 21.9 and 22."""
+
 _SHORT_M: Final = 0.01
-_WHOLE: Final = 1e3
+_WHOLE: Final = 999.5
+"""Number that `.3g` rounds to a power of ten."""
+
 _LONG: Final = 1e6
 """Largest whole number that is written in full where `.3g` would write a power of ten."""
 

@@ -315,3 +315,23 @@ def test_the_runs_that_reach_the_goal_are_named(
         tl.write_recording(run, tmp_path / f"{name}.mcap")
     answer = call("compare", *(tmp_path / f"{name}.mcap" for name in names))
     assert told in answer.out.splitlines()
+
+
+def test_a_worse_robot_is_explained_by_what_its_log_contains(call: Call, tmp_path: Path) -> None:
+    """`explain` needs samples of a controller, which the logs of other programs lack."""
+    files = [tmp_path / name for name in ("good.csv", "bad.csv")]
+    for file, short_m in zip(files, (0.0, 0.5), strict=True):
+        rows = (f"{0.05 * n},{min(0.05 * n, 4.0 - short_m)},0,0\n" for n in range(100))
+        file.write_text("t,x,y,heading\n" + "".join(rows))
+    answer = call("compare", *files, "--goal", "4,0", "--metric", "final.position_error")
+    question, command = answer.out.partition("Why is bad worse? ")[1:]
+    assert question
+    assert command.split("\nFor other")[0].replace("\\\n  ", "").split() == [
+        *("turtlelog", "compare", str(files[0]), str(files[1])),
+        *("--why", "final.position_error"),
+    ]
+    bounds = tmp_path / "bounds.toml"
+    bounds.write_text('format = 1\n[checks.speed]\nexpect = "run.path_length <= 1"\n')
+    failed = call("check", bounds, files[1])
+    assert failed.code == 1
+    assert "turtlelog explain" not in failed.out

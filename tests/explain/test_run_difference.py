@@ -161,6 +161,15 @@ def test_changes_below_the_resolution_are_no_reason(*, speed: float, is_told: bo
     assert ("no change adds more than the resolution" in text) is not is_told
 
 
+@pytest.mark.parametrize(("tolerance_rad", "is_told"), [(0.0015, False), (0.01, True)])
+def test_a_wider_tolerance_does_not_hide_itself(tolerance_rad: float, *, is_told: bool) -> None:
+    """It is judged by what the narrower one allows, 6.7 mm."""
+    first = get_preset("textbook")
+    found = explain(first, change(first, law__heading_tolerance_rad=tolerance_rad))
+    assert ("the tolerance adds" in found.sentences[0]) is is_told
+    assert found.resolution.size == pytest.approx(0.00669, abs=1e-5)
+
+
 def test_without_a_value_the_smallest_set_of_changes_is_the_answer() -> None:
     wild = change(KP2, law__kp_angular=200.0, law__kp_linear=200.0, law__pause_ticks=10)
     found = explain(KP2, wild, metric="translate.settling_time")

@@ -256,6 +256,15 @@ def test_a_property_is_named_beyond_the_resolution(alone: float, *, is_named: bo
     assert any("float32. Without it" in text for text in sentences) == is_named
 
 
+def test_the_tolerance_is_not_judged_by_the_resolution_that_it_makes() -> None:
+    changes = {"resolution": Resolution(size=2.0, reason="the heading tolerance")}
+    sentences = write_sentences(describe(**changes, **take_out("tolerance", 0.1)))
+    assert sentences[-1].startswith("Design parameter: tolerance. Without it")
+    changes = {"resolution": Resolution(size=2.0, reason="one sample period")}
+    sentences = write_sentences(describe(**changes, **take_out("tolerance", 0.1)))
+    assert not any("tolerance" in text for text in sentences)
+
+
 def test_a_property_without_which_something_never_ends_has_no_value() -> None:
     ending = "the rotation no longer ends within 60 s"
     sentences = write_sentences(describe(**take_out("tolerance", 5.7, ending)))

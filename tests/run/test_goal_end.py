@@ -66,6 +66,20 @@ def test_a_robot_that_a_limit_stops_on_its_way_through_the_goal_has_not_arrived(
     assert end.verdict == verdict
 
 
+@pytest.mark.parametrize(("share", "verdict"), [(0.0199, "reached"), (0.0201, "allowed")])
+def test_a_wide_tolerance_moves_no_goal(share: float, verdict: str) -> None:
+    """The position tolerance of 1 mm counts along both axes."""
+    distance_m = float(np.hypot(2.0 - 5.5444446, 10.0 - 5.5444446))
+    wide = {**RUN.parameters, "law.heading_tolerance_rad": 0.1}
+    error_m = share * distance_m + 0.001 * 2.0**0.5
+    end = find_goal_end(end_at(error_m, stop_reason="standstill", parameters=wide))
+    assert end is not None
+    assert (end.verdict, end.is_away) == (verdict, verdict == "allowed")
+    if end.is_away:
+        told = "ended 0.116 m from the goal (its tolerances allow 0.57 m) after 20.5 s"
+        assert end.describe() == told
+
+
 def test_a_law_without_tolerances_does_not_judge_by_itself() -> None:
     end = find_goal_end(end_at(6.2, stop_reason="within_tolerance", parameters={}))
     assert end is not None

@@ -86,7 +86,7 @@ def find_doubt(run: Run) -> str | None:
     is_broken = run.stop_reason in {LAW_FAILED, STEP_BUDGET}
     if end is not None and end.verdict == "reached" and not is_broken:
         return None
-    is_bad = end is not None and (end.verdict == "missed" or end.turned_rad is not None)
+    is_bad = end is not None and (end.is_away or end.turned_rad is not None)
     if not is_bad and ending is not RunEnding.CUT:
         return None
     how = f"ended after {run.duration_s:.3g} s" if end is None else end.describe()

@@ -314,15 +314,15 @@ def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool)
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{were} read off a run: look at observed = true in {spec.source}"
     measured = next((one for one in counted.failures if one.value is not None), None)
-    if measured is not None:
+    if measured is not None and (advice := _advise(measured, spec)):
         has_cause = any(one.why for one in counted.failures)
         question = "Within the run:" if has_cause else "Why?"
-        yield f"{question} {_advise(measured, spec)}"
+        yield f"{question} {advice}"
     if not shows_all and counted.verdicts.total() > 1:
         yield "All checks with their margins: --all"
 
 
-def _advise(failed: "CheckResult", spec: "Spec") -> str:
+def _advise(failed: "CheckResult", spec: "Spec") -> str | None:
     file = shlex.quote(failed.file)
     formulas = (check.formula for check in spec.checks if check.name == failed.check)
     is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)
@@ -332,7 +332,8 @@ def _advise(failed: "CheckResult", spec: "Spec") -> str:
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
     option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
-    return f"{console.name_explain(failed.file, console.read_law(failed.file))}{option}"
+    command = console.advise_explain(failed.file)
+    return command and f"{command}{option}"
 
 
 def count_checks(counted: CountedResults, *, shows_all: bool) -> "tl.compare.Table":

@@ -308,17 +308,20 @@ def _list_next(
     known = [one.key for one in ranking.differences if not one.is_unknown]
     if known:
         yield f"Varied on purpose? --varied {','.join(known[:_MOST_SAID])}"
-    worst = {
-        table.columns[column].title: row
-        for (row, column), mark in table.marks.items()
-        if mark == "worst"
-    }
+    marks = table.marks.items()
+    best, worst = (
+        {table.columns[column].title: row for (row, column), mark in marks if mark == end}
+        for end in ("best", "worst")
+    )
     if worst:
         metric = min(worst, key=_rank)
-        row = worst[metric]
+        first, last = (summaries[rows[metric]] for rows in (best, worst))
         option = "" if metric == "final.position_error" else f" --metric {metric}"
-        command = console.name_explain(summaries[row].file, summaries[row].law)
-        yield f"Why is {names[row]} worse? {command}{option}"
+        command = f"{console.name_explain(last.file, last.law)}{option}"
+        if last.is_lawless:  # `explain` needs samples of a controller
+            files = " ".join(console.quote_file(one.file) for one in (first, last))
+            command = f"turtlelog compare {files} --why {metric}"
+        yield f"Why is {names[worst[metric]]} worse? {command}"
     yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."
 
 

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -14,7 +14,7 @@ import turtlelog as tl
 from turtlelog.cli import console
 from turtlelog.cli.options import Place, ReadingOptions, refuse_given, require_pictures
 from turtlelog.cli.work import show_progress
-from turtlelog.display import LATEST_S, describe_count, format_short, join_words
+from turtlelog.display import LATEST_S, ROUNDING, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
 
 if TYPE_CHECKING:
@@ -233,15 +233,7 @@ def _describe(one: "TrajectoryComparison") -> list[str]:
 
 
 def _format(statistics: "ErrorStatistics | None", unit: str) -> str:
-    if statistics is None:
-        return "-"
-    if 0.0 < statistics.rmse < _TINY:
-        return "below 1e-6 mm" if unit == "m" else "below 1e-7 deg"
-    return format_short(statistics.rmse, unit)
-
-
-_TINY: Final = 1e-9
-"""Size below which errors are rounding [m, rad]: text with nine decimals ends there."""
+    return "-" if statistics is None else format_short(statistics.rmse, unit)
 
 
 def _describe_alignment(one: "TrajectoryComparison") -> str:
@@ -252,7 +244,7 @@ def _describe_alignment(one: "TrajectoryComparison") -> str:
     moved_m = float(np.linalg.norm(one.alignment.translation_m))
     scaled = f", scales it by {one.alignment.scale:.5g}" if one.align.startswith("sim") else ""
     turned, moved = (
-        format_short(0.0 if value < _TINY else value, unit)
+        format_short(0.0 if value < ROUNDING else value, unit)
         for value, unit in ((turn_rad, "rad"), (moved_m, "m"))
     )
     return f"turns the estimate by {turned} about the origin{scaled} and moves it by {moved}"

@@ -201,11 +201,13 @@ def name_explain(file: object, law: object) -> str:
     return f"turtlelog explain {quote_file(file)}{trust}"
 
 
-def read_law(file: Path | str) -> object:
-    """Return the kind of the law that a recording names; None for any other file."""
+def advise_explain(file: Path | str) -> str | None:
+    """Return the command that explains a file; None if it has no samples of a controller."""
     with suppress(TurtlelogError):
-        return tl.log.read_file_info(file).parameters.get("law.kind")
-    return None
+        found = tl.log.read_file_info(file)
+        lacks = "samples" in found.absent
+        return None if lacks else name_explain(file, found.parameters.get("law.kind"))
+    return name_explain(file, None)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -477,7 +477,7 @@ def _list_next(
         yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {console.name_explain(files[0], console.read_law(files[0]))}"
+        yield f"Why? {console.advise_explain(files[0])}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis

@@ -197,7 +197,7 @@ def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[st
 def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
     """Yield the place of a missed end, and the final heading error."""
     end = summary.goal_end
-    if end is not None and end.verdict == "missed" and (place := end.describe_place()):
+    if end is not None and end.is_away and (place := end.describe_place()):
         yield place
     heading = summary.metrics.get("final.heading_error")
     if heading is not None and heading.value is not None and end is not None:
@@ -207,7 +207,7 @@ def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
 
 
 def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
-    if summary.goal_end is not None and summary.goal_end.verdict == "missed":
+    if summary.goal_end is not None and summary.goal_end.is_away:
         command = console.name_explain(summary.file or "FILE.mcap", summary.law)
         yield f"Why? {'' if summary.file else 'Record the run with -o FILE.mcap, then: '}{command}"
 

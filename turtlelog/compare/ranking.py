@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.compare.table import Mark
-from turtlelog.display import describe_count, format_number, format_short, join_words
+from turtlelog.display import describe_count, format_number, format_range, join_words
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import Metric, find_metric_kind
 from turtlelog.measure.step_response import SETTLING_BAND
@@ -438,7 +438,7 @@ def mark_metric(
     low, high = min(known.values(), default=0.0), max(known.values(), default=0.0)
     # Values that the answer prints alike are equally good: nobody reads a difference between them.
     unit = list_summary_units(summaries, name)[0] if known else ""
-    if format_short(low, unit) == format_short(high, unit):
+    if len({*format_range(low, high, unit)}) == 1:
         return {}
     best, worst = (low, high) if better == "lower" else (high, low)
     marks: dict[int, Mark] = {row: "best" for row, value in known.items() if value == best}

@@ -394,7 +394,9 @@ def _write_others(found: Attribution) -> list[str]:
     mean = "" if found.seeds is None else " in the mean"
     for one in found.others:
         change = math.inf if one.alone is None else abs(one.alone - found.divided)
-        least = max(found.resolution.size, NAMED * abs(found.divided))
+        # The tolerance is not judged by the resolution that it makes.
+        makes = one.cause == "tolerance" and "tolerance" in found.resolution.reason
+        least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
         if change <= least or not answers.is_clear(change, one.standard_error):
             continue
         is_design = one.cause not in found.effects and one.alone is not None and not one.ending

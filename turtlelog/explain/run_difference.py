@@ -128,7 +128,8 @@ def explain_difference(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=max(resolutions, key=lambda one: one.size, default=none),
+        # The smaller one: a wider tolerance is a change itself, which it must not hide.
+        resolution=min(resolutions, key=lambda one: one.size, default=none),
     )
     one, other = scenarios
     if one is None or other is None:

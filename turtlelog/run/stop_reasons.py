@@ -78,6 +78,11 @@ _STAYS_S: Final = 1.0
 
 _ROUNDING_M: Final = 1e-9  # distance below which an error is rounding of numbers of 64 bits [m]
 
+_NEAR: Final = 0.02
+"""Largest distance of an end at the goal as a share of the distance from the start, beside the
+position tolerance: the band of settling. A wider heading tolerance allows ends away from the
+goal."""
+
 _SMALL: Final = 0.01
 """Share of the error below which a part of it, across or along the line to the goal, is left out:
 squares add, so it changes the error by less than 0.01 %."""
@@ -88,7 +93,8 @@ class GoalEnd:
     """End of a run at its goal.
 
     Attributes:
-        verdict: `reached`, `missed`, or `ended` if the run has no tolerances to judge the error by.
+        verdict: `reached`; `missed`; `allowed` if only a wide heading tolerance allows the error;
+            or `ended` if the run has no tolerances to judge the error by.
         error_m: Metric `final.position_error` [m].
         allowed_m: Final position error that the tolerances of the law allow [m]; 0 without them.
         left_m: Distance of the end to the left of the line from start to goal [m]; 0 without a
@@ -100,13 +106,18 @@ class GoalEnd:
             tolerances but the heading is not; otherwise None.
     """
 
-    verdict: Literal["reached", "missed", "ended"]
+    verdict: Literal["reached", "missed", "allowed", "ended"]
     error_m: float
     allowed_m: float
     left_m: float
     short_m: float
     duration_s: float
     turned_rad: float | None = None
+
+    @property
+    def is_away(self) -> bool:
+        """Whether the run ended away from its goal, allowed or not."""
+        return self.verdict in {"missed", "allowed"}
 
     def describe(self) -> str:
         """Return a sentence without a subject: verdict, distance to the goal and duration."""
@@ -122,6 +133,8 @@ class GoalEnd:
         # In the same unit as the error, so that both compare at a glance.
         unit = size.rpartition(" ")[2]
         allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"
+        if self.verdict == "allowed":
+            return f"ended {size} from the goal (its tolerances allow {allowed}) {after}"
         return f"missed the goal by {size} (allowed: {allowed}) {after}"
 
     def describe_place(self) -> str:
@@ -144,20 +157,21 @@ def find_goal_end(run: "Run") -> GoalEnd | None:
     """Return how a run ended at its goal; None without poses or a goal to reach."""
     if run.goal_xy_m is None or not run.declaration.uses_goal or not len(run.poses):
         return None
-    error_m, allowed_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), 0.0
+    error_m, allowed_m, near_m = math.dist(run.goal_xy_m, run.poses.xy_m[-1]), 0.0, 0.0
     heading_rad = run.parameters.get("law.heading_tolerance_rad")
     position_m = run.parameters.get("law.position_tolerance_m")
     if isinstance(heading_rad, float | int) and isinstance(position_m, float | int):
         distance_m = math.dist(run.goal_xy_m, run.poses.xy_m[0])
         allowed_m = allow_position(heading_rad, position_m, distance_m)
+        near_m = _CORNER * position_m + _NEAR * distance_m
     # A law that reads late or wrong poses stops where it believes the goal to be.
     is_seen = run.poses.sensed_xy_m is None
     is_own_end = run.stop_reason == WITHIN_TOLERANCE and is_seen and error_m <= _CORNER * allowed_m
     is_within = is_own_end or (error_m <= allowed_m and _stays(run, error_m, allowed_m))
     turned_rad = None if is_own_end or not is_within else _find_turned(run)
-    verdict: Literal["reached", "missed", "ended"] = "ended"
+    verdict: Literal["reached", "missed", "allowed", "ended"] = "ended"
     if is_within and turned_rad is None:
-        verdict = "reached"
+        verdict = "reached" if error_m <= near_m else "allowed"
     elif error_m > allowed_m and run.stop_reason in MAY_MISS and allowed_m:
         verdict = "missed"
     left_m, short_m = _find_place(run, allowed_m)

@@ -198,15 +198,19 @@ def collect_parts(
     look: Callable[[decode.Piece], object] = lambda _: None,
 ) -> dict[str, list[decode.Rows]]:
     """Return the rows of topics with messages, in parts; `look` is called with each piece."""
-    wholes = _set_aside(source, selection, count_rows(source, selection))
-    parts: dict[str, list[decode.Rows]] = {}
+    expected = count_rows(source, selection)
+    wholes = _set_aside(source, selection, expected)
+    stores: dict[str, _RowStore] = {}
     for piece in iterate_pieces(source, selection, wholes=wholes):
         look(piece)
         for topic, found in piece.rows.items():
-            parts.setdefault(topic, []).append(found)
-    for topic, columns in wholes.items():
-        if columns.has_rows:
-            parts[topic] = [columns.finish(), *parts.get(topic, [])]
+            if topic not in stores:
+                promised = expected.get(topic, 0) if source.is_indexed else 0
+                stores[topic] = _RowStore(0 if topic in wholes else promised)
+            stores[topic].take(found)
+    parts = {topic: [columns.finish()] for topic, columns in wholes.items() if columns.has_rows}
+    for topic, store in stores.items():
+        parts[topic] = [*parts.get(topic, []), *store.parts]
     return parts
 
 
@@ -234,14 +238,13 @@ def build_columns(
 ) -> Mapping[str, TopicColumns]:
     """Return rows of topics as columns, in order of topic names and of log time.
 
-    Rows with equal times keep their order. `types` are the message types. The parts are emptied: a
-    column's parts are freed before those of the next are joined.
+    Rows with equal times keep their order. `types` are the message types.
     """
     topics = {}
     for topic, found in sorted(parts.items()):
         rows = found[0]
         if len(found) > 1:
-            rows = {name: np.concatenate([part.pop(name) for part in found]) for name in [*rows]}
+            rows = {name: np.concatenate([part[name] for part in found]) for name in rows}
         times, stored = rows[decode.LOG_TIME], None
         if len(times) > 1 and (times[1:] < times[:-1]).any():
             stored = np.argsort(times, kind="stable")
@@ -267,6 +270,44 @@ def _select_topics(
         start_ns=0 if start_ns is None else start_ns,
         end_ns=decode.EVER if end_ns is None else end_ns,
     )
+
+
+class _RowStore:
+    """Rows of one topic, part by part. If their number is known, each row is copied once."""
+
+    def __init__(self, expected: int) -> None:
+        self._expected, self._used = expected, 0
+        self._whole: decode.Rows = {}
+        self._others: list[decode.Rows] = []
+
+    def take(self, part: decode.Rows) -> None:
+        """Append rows."""
+        end = self._used + len(part[decode.LOG_TIME])
+        # In JSON, one block may have floats where another has whole numbers.
+        is_new = any(
+            name in self._whole and self._whole[name].dtype != values.dtype
+            for name, values in part.items()
+        )
+        if self._others or is_new or end > self._expected:
+            self._others.append(part)
+            return
+        if not self._whole and end == self._expected:
+            self._whole, self._used = part, end
+            return
+        if not self._whole:
+            self._whole = {
+                name: np.empty((self._expected, *values.shape[1:]), values.dtype)
+                for name, values in part.items()
+            }
+        for name, values in part.items():
+            self._whole[name][self._used : end] = values
+        self._used = end
+
+    @property
+    def parts(self) -> list[decode.Rows]:
+        """All rows, as a single part if the expected number was right."""
+        whole = [decode.pick_rows(self._whole, slice(self._used))] if self._used else []
+        return [*whole, *self._others]
 
 
 def iterate_pieces(
