@@ -10,7 +10,14 @@ from typing import Any, Final
 import pytest
 
 import turtlelog as tl
-from turtlelog.display import NamedValues, cut_name, format_html, format_range, format_short, parse_utc
+from turtlelog.display import (
+    NamedValues,
+    cut_name,
+    format_html,
+    format_range,
+    format_short,
+    parse_utc,
+)
 from turtlelog.explain.answers import ValueSet
 from turtlelog.explain.scenario_from_log.identification import Certainty
 from turtlelog.laws.loading import LAWS

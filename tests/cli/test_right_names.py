@@ -51,6 +51,8 @@ def test_an_imu_is_called_an_imu(call: Call, tmp_path: Path) -> None:
     [
         ([say_pose(row, 0.0) for row in range(20)], "an IMU, which turns in one place"),
         ([say_pose(row, 0.001 * row) for row in range(20)], "a robot (not turtlesim)"),
+        ([say_pose(row, 0.0, "/imu0") for row in range(20)], "an IMU, which turns in one place"),
+        ([say_pose(row, 0.0, "/imud") for row in range(20)], "a robot (not turtlesim)"),
         ([say_pose(row, 0.0, "/pose") for row in range(20)], "a robot (not turtlesim)"),
         ([say_pose(row, 0.0, "/simulator/pose") for row in range(20)], "a robot (not turtlesim)"),
         (
@@ -61,7 +63,7 @@ def test_an_imu_is_called_an_imu(call: Call, tmp_path: Path) -> None:
             "an IMU, which turns in one place",
         ),
     ],
-    ids=["imu", "moves", "robot", "simulator", "transforms"],
+    ids=["imu", "moves", "number", "other", "robot", "simulator", "transforms"],
 )
 def test_poses_of_an_imu_are_no_robot_s_as_long_as_they_stay(
     call: Call, tmp_path: Path, poses: list[Said], kind: str

@@ -321,7 +321,7 @@ def _describe_kind(run: "tl.Run") -> str:
     )
 
 
-_IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\\d)])")
+_IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\d)])")
 
 
 def _describe_run(run: "tl.Run", kind: str) -> str:

@@ -133,6 +133,15 @@ def test_commands_tell_which_of_two_paths_is_likely_wrong(commanded: float, wron
     assert told.partition(": ")[2].startswith(wrong)
 
 
+def test_other_poses_are_offered_where_the_poses_may_be_wrong() -> None:
+    for speed, commanded, is_offered in ((1.0, 0.5, False), (1.0, 1.0, True), (1.0, None, True)):
+        held = None if commanded is None else (TIME_NS, np.full(COUNT, commanded))
+        paths = measure_paths(TIME_NS, drive(reported=speed), held)
+        told = describe_paths(paths, "/amcl_pose")
+        assert told is not None
+        assert told.endswith("; others: /amcl_pose") == is_offered
+
+
 def test_real_robots_agree_with_themselves() -> None:
     for name in ("tb3", "neato_wall", "sim_time"):
         assert PATH_NOTE not in tl.read_run(find_shared("robots", name)).notes

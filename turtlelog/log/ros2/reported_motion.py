@@ -119,17 +119,23 @@ def thin_rows(time_ns: TimesNs, stride_ns: int) -> NDArray[np.int64]:
     return np.flatnonzero(np.diff(strides, prepend=-1) > 0)
 
 
-def describe_paths(paths: Paths) -> str | None:
-    """Return a sentence on paths that differ, and on the likely error; None if the paths agree."""
+def describe_paths(paths: Paths, others: str | None = None) -> str | None:
+    """Return a sentence on paths that differ, and on the likely error; None if the paths agree.
+
+    Where the poses may be wrong, it names `others`, the other topics with poses.
+    """
+    more = "" if others is None else f"; others: {others}"
     if paths.is_still:
-        return _describe_still(paths)
+        still = _describe_still(paths)
+        return still and f"{still}{more}"
     if paths.by_speed is None or max(paths.by_poses, paths.by_speed) < _LEAST_M:
         return None
     if not _differ(paths.by_poses, paths.by_speed):
         return None
     by_poses, by_speed = (format_short(one, "m") for one in (paths.by_poses, paths.by_speed))
     found = f"the path is {by_poses} by the poses and {by_speed} by the reported speed"
-    return f"{found}: {_blame(paths, paths.by_speed)}"
+    blamed, is_speed = _blame(paths, paths.by_speed)
+    return f"{found}: {blamed}{'' if is_speed else more}"
 
 
 def _describe_still(paths: Paths) -> str | None:
@@ -145,25 +151,24 @@ def _describe_still(paths: Paths) -> str | None:
     return None
 
 
-def _blame(paths: Paths, by_speed: float) -> str:
+def _blame(paths: Paths, by_speed: float) -> tuple[str, bool]:
+    """Return what is likely wrong, and whether it is the reported speed."""
     if paths.in_jumps and not _differ(paths.by_poses - paths.in_jumps, by_speed):
         jumps = format_short(paths.in_jumps, "m")
-        return f"the poses are more likely wrong, whose jumps add {jumps}"
+        return f"the poses are more likely wrong, whose jumps add {jumps}", False
     if paths.by_poses > by_speed and not _differ(paths.by_strides, by_speed):
         strides = format_short(paths.by_strides, "m")
-        return (
-            "the poses are more likely wrong from one to the next, where they scatter; over 0.2 s"
-            f" each they add up to {strides}"
-        )
+        found = "the poses are more likely wrong from one to the next, where they scatter; over"
+        return f"{found} 0.2 s each they add up to {strides}", False
     if paths.by_commands is not None and paths.by_commands >= _LEAST_M:
         off_m = [abs(one - paths.by_commands) for one in (paths.by_strides, by_speed)]
         if max(off_m) > _NEARER * min(off_m):
             asked = format_short(paths.by_commands, "m")
             if off_m[0] > off_m[1]:
                 # Slipping wheels turn as commanded, and the odometry reports that.
-                return f"the poses are wrong or the wheels slip, as commands ask for {asked}"
-            return f"the reported speed is more likely wrong, as commands ask for {asked}"
-    return "nothing tells which is wrong"
+                return f"the poses are wrong or the wheels slip, as commands ask for {asked}", False
+            return f"the reported speed is more likely wrong, as commands ask for {asked}", True
+    return "nothing tells which is wrong", False
 
 
 def _differ(one_m: float, other_m: float) -> bool:
@@ -455,7 +460,6 @@ def note_motion(
         speed, lateral = commands.columns["speed"], commands.columns["lateral_speed"]
         driven = commands.time_ns, np.hypot(speed, lateral)
     reported = poses.columns if SPEED in columns else columns
-    if paths := describe_paths(measure_paths(poses.time_ns, reported, driven)):
-        is_of_poses = others is not None and "poses" in paths
-        notes[PATH_NOTE] = f"{paths}; others: {others}" if is_of_poses else paths
+    if paths := describe_paths(measure_paths(poses.time_ns, reported, driven), others):
+        notes[PATH_NOTE] = paths
     return notes
