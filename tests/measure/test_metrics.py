@@ -10,7 +10,7 @@ from tests.sequential import ROTATE
 from turtlelog.errors import MeasureError
 from turtlelog.measure import choose_metrics
 from turtlelog.measure.metrics.goal_and_path import PAPER_WINDOW_S
-from turtlelog.run.loops import Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 PAPER = Path(__file__).parents[2].parent / "shared" / "paper"
 
@@ -204,6 +204,18 @@ def test_metric_of_a_loop_that_no_law_may_have_is_none(loop: str) -> None:
     with pytest.raises(MeasureError, match=r'\Ano metric "\S+"; ') as caught:
         choose_metrics([f"{loop}.overshoot"], Declaration())
     assert f"mean {loop}.overshoot" not in str(caught.value)
+
+
+@pytest.mark.parametrize("pattern", ["*dead_time", "rot*dead_time"])
+def test_star_may_stand_for_a_loop_and_its_dot(pattern: str) -> None:
+    loop = ControlLoop(
+        name="rotate", signal="heading", command="turn_rate", reference="goal_bearing"
+    )
+    declaration = Declaration(loops=(loop,), phases={"rotate": ("rotate",)})
+    assert choose_metrics([pattern], declaration) == ("rotate.dead_time",)
+    assert choose_metrics([pattern], Declaration()) == ()  # of another law
+    with pytest.raises(MeasureError, match=r"no metric"):
+        choose_metrics([pattern.removesuffix("e")], Declaration())
 
 
 def test_pattern_that_only_a_loop_called_run_could_match_is_refused() -> None:
