@@ -346,8 +346,8 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
     the reference than it began. Four verdicts are undecided. `passing`: the response ends while it
     passes the reference. `slow`: the response has not come near the reference. `unknown`: the
     swings are too few or change too little. `irregular`: the swings go on, but their durations
-    differ as by noise or random disturbances, in a stable or an unstable loop. The durations of a heading that
-    turned by more than `most` differ without disturbances, because its error wraps.
+    differ as by noise or random disturbances, in a stable or an unstable loop. The durations of a
+    heading that turned by more than `most` differ anyway, because its error wraps.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.
