@@ -72,6 +72,16 @@ def test_a_run_passes_what_was_read_off_it_and_a_fifth_more_does_not(name: str) 
     )
 
 
+@pytest.mark.parametrize(("limit_m_s", "share"), [(0.24, 0.87463), (0.23, 0.91289)])
+def test_a_share_gets_no_bound_that_it_cannot_exceed(limit_m_s: float, share: float) -> None:
+    run = simulate("paper-kp10", limits__speed_m_s=limit_m_s)
+    lines = format_first_spec(run, reference="good.mcap").splitlines()
+    (line,) = [line for line in lines if "translate.saturated_share <=" in line]
+    told = f"# translate.saturated_share <= ...: not read off, as no share exceeds 1; here {share}"
+    bound = f'expect = "translate.saturated_share <= 0.97"  # here {share}'
+    assert line == (bound if share < 0.9 else told)
+
+
 def test_of_a_run_that_was_cut_nothing_is_read_off_that_it_does_not_pass() -> None:
     for run in (simulate(max_duration_s=3.0), dataclasses.replace(simulate(), stop_reason=None)):
         text = format_first_spec(run, reference="good.mcap")

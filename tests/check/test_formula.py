@@ -210,6 +210,23 @@ def test_the_reason_names_what_has_no_value() -> None:
     assert check("always(1 / x > 0.1)").reason == "a number has no value"
 
 
+@pytest.mark.parametrize(
+    ("text", "is_told"),
+    [
+        ("x < 3.5 until x > 3.5", True),
+        ("x < 3.5 until[3, 4] x > 3.5", True),
+        ("x < 3.5 until[3.1, 4] x > 3.5", False),  # begins before the window
+        ("x < 3.5 until x > 5", False),
+        ("x < 2.5 until x > 3.5", False),
+    ],
+)
+def test_sides_of_until_that_only_meet_are_told(text: str, is_told: bool) -> None:  # noqa: FBT001
+    found = check(text)
+    assert found.holds is False
+    told = "its left side ends when its right side begins, but must hold then too"
+    assert found.reason == (told if is_told else "")
+
+
 def test_what_has_no_distance_has_an_infinite_margin() -> None:
     found = check("kind == 'p' and x < 5", kind="p")
     assert found.margin == 5.0

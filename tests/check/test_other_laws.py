@@ -65,19 +65,21 @@ def test_a_state_stands_in_formulas_over_time() -> None:
 
 def test_a_phase_is_looked_at_with_the_pause_after_it() -> None:
     one, pause, two = RUN.find_phase_spans()
-    assert find_window(RUN, "one") == (one.start_ns, pause.end_ns)
-    assert find_window(RUN, "pause") == (pause.start_ns, pause.end_ns)
+    assert find_window(RUN, "one") == (one.start_ns, pause.end_ns - 1)
+    assert find_window(RUN, "pause") == (pause.start_ns, pause.end_ns - 1)
     assert find_window(RUN, "two") == (two.start_ns, RUN.end_ns)
     holds = "always(phase == 'one' and speed == 0)"
     assert judge(RUN, holds=holds, phase="two").verdict == "FAIL"
+    assert judge(RUN, holds="always(phase == 'one')", phase="one").verdict == "PASS"
     # The first sample of the next phase shares its time with the end of the pause.
-    assert judge(RUN, holds="always[0, 3.5](phase == 'one')", phase="one").verdict == "PASS"
+    span_ns = (one.start_ns, pause.end_ns)
+    assert not tl.check_formula(RUN, "always(phase == 'one')", window_ns=span_ns)
 
 
 def test_the_windows_of_the_papers_law_are_as_ever() -> None:
     rotate, pause, translate = PAPER.find_phase_spans()
-    assert find_window(PAPER, "rotate") == (rotate.start_ns, pause.end_ns)
-    assert find_window(PAPER, "pause") == (pause.start_ns, pause.end_ns)
+    assert find_window(PAPER, "rotate") == (rotate.start_ns, pause.end_ns - 1)
+    assert find_window(PAPER, "pause") == (pause.start_ns, pause.end_ns - 1)
     assert find_window(PAPER, "translate") == (translate.start_ns, PAPER.end_ns)
 
 

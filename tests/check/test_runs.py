@@ -78,9 +78,16 @@ def test_a_phase_begins_after_the_first_sample_but_times_count_from_there() -> N
     assert result.first_violation_s == (spans[-1].start_ns - run.start_ns) / 1e9
 
 
-def test_rotate_covers_its_pause() -> None:
-    assert judge(holds="eventually(phase == 'translate')", phase="rotate").verdict == "PASS"
-    assert judge(holds="always(speed == 0)", phase="pause").verdict == "FAIL"
+def test_rotate_covers_its_pause_and_ends_before_the_next_phase() -> None:
+    assert judge(holds="always(phase == 'rotate' and speed == 0)", phase="rotate").verdict == "PASS"
+    assert judge(holds="eventually(phase == 'translate')", phase="rotate").verdict == "FAIL"
+    assert judge(holds="always(speed == 0)", phase="pause").verdict == "PASS"
+
+
+def test_a_formula_of_one_moment_passes_with_this_reason() -> None:
+    said = "judged at 0.000 s alone; always(...) asks of every time"
+    assert judge(holds="speed <= 0.5").reason == said
+    assert judge(holds="always(speed <= 1)").reason == judge(holds="speed > 0.5").reason == ""
 
 
 @pytest.mark.parametrize("text", ["rotate.decay_ratio < 9", "not rotate.decay_ratio < 9"])

@@ -53,6 +53,23 @@ def test_what_fails_exits_with_1_and_says_where(call: Call, spec: Path, kp10: Pa
     ]
 
 
+def test_a_failure_without_a_number_tells_its_time(call: Call, kp4: Path) -> None:
+    until = "phase == 'rotate' until phase == 'translate'"
+    answer = call("check", kp4, "--expect", until)
+    assert answer.flat.startswith(f"FAIL: {kp4}: {until} fails, first violated at ")
+    assert "its left side ends when its right side begins" in answer.flat
+    words = ("--expect", until, "--expect", "rotate.decay_ratio < 9", "--expect", "law.kind == 'a'")
+    assert " and 2 more), 1 of them without a value" in call("check", kp4, *words).flat
+
+
+def test_a_pass_of_one_moment_says_so(call: Call, kp4: Path) -> None:
+    told = "speed <= 0.5: judged at 0.000 s alone; always(...) asks of every time."
+    words = ("check", kp4, "--expect", "run.duration > 0", "--expect")
+    assert call(*words, "speed <= 0.5").flat.count(told) == 1
+    assert call(*words, "speed <= 0.5", "--all").flat.count(told) == 1
+    assert "judged" not in call(*words, "always(speed <= 1)").flat
+
+
 def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
     answer = call("check", spec, kp4, kp10, "--json")
     assert answer.code == 1

@@ -245,7 +245,13 @@ def test_the_verdict_comes_first_and_all_fits_a_screen(
 )
 def test_the_first_line_counts_what_was_judged(verdicts: list[str], first: str) -> None:
     results = [
-        CheckResult(file="a.mcap", check=f"c{number}", verdict=Verdict(verdict), reason="because")
+        CheckResult(
+            file="a.mcap",
+            check=f"c{number}",
+            verdict=Verdict(verdict),
+            reason="because",
+            is_decided=verdict != "FAIL",
+        )
         for number, verdict in enumerate(verdicts)
     ]
     assert format_results(results, files=1).splitlines()[0] == first

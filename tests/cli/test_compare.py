@@ -328,7 +328,7 @@ def test_a_worse_robot_is_explained_by_what_its_log_contains(call: Call, tmp_pat
     assert question
     assert command.split("\nFor other")[0].replace("\\\n  ", "").split() == [
         *("turtlelog", "compare", str(files[0]), str(files[1])),
-        *("--why", "final.position_error"),
+        *("--goal=4,0", "--why", "final.position_error"),
     ]
     bounds = tmp_path / "bounds.toml"
     bounds.write_text('format = 1\n[checks.speed]\nexpect = "run.path_length <= 1"\n')

@@ -51,7 +51,7 @@ def test_identify_finds_a_robot_of_known_truth(call: Call, bag: Path) -> None:
 
 
 def test_the_first_line_is_how_late_the_robot_follows(call: Call, bag: Path) -> None:
-    text = call("identify", bag).out
+    text = call("identify", bag, "--time=log").out
     lines = text.splitlines()
     first = (
         r"robot\.mcap: total delay of speed ([\d.]+) ms \(.*\),"
@@ -68,7 +68,7 @@ def test_the_first_line_is_how_late_the_robot_follows(call: Call, bag: Path) -> 
     assert "correlate" not in text
     detailed = " ".join(call("identify", bag, "--details").out.split())
     assert "commands and motion correlate best at" in detailed
-    assert f"identify {bag} --scenario robot.toml" in words
+    assert f"identify {bag} --time=log --scenario robot.toml" in words
     assert lines[-1] == "A second opinion on the delays: --details"
     assert len(lines) <= 40
     assert max(map(len, [line for line in lines if str(bag) not in line])) <= 80

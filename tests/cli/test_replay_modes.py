@@ -104,6 +104,20 @@ def test_what_if_writes_a_recording_that_says_what_it_is(
     assert call("replay", target, "--expect-equal").code == 0
 
 
+@pytest.mark.parametrize(
+    ("gain", "told"),
+    [
+        ("5", "by 8.52 mm (allowed: 6.69 mm) after 11.3 s, not after 11.2 s as recorded."),
+        ("3.9999", "by 8.52 mm (allowed: 6.69 mm) after 11.2 s, almost as recorded."),
+        ("4.0000001", "by 8.52 mm (allowed: 6.69 mm) after 11.2 s, as recorded."),
+    ],
+)
+def test_an_error_that_reads_the_same_is_not_called_another(
+    call: Call, kp4: Path, gain: str, told: str
+) -> None:
+    assert told in call("replay", kp4, "--set", f"law.kp_linear={gain}").flat
+
+
 def test_what_if_answers_in_json(call: Call, kp10: Path) -> None:
     words = ["--set", "name=short", "--set", "max_duration_s=1", "--kp", "4", "--goal", "3,4"]
     answer = call("replay", kp10, *words, "--json").json

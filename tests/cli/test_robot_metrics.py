@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -213,6 +214,16 @@ def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(
     assert f"Dead time and time constants: turtlelog identify {robot}" in lines
     assert len(lines) <= 40
     assert max(map(len, [line for line in lines if str(robot) not in line])) <= 80
+
+
+def test_advised_commands_repeat_the_options_for_reading(call: Call, robot: Path) -> None:
+    """Takes some 3 s: the robot is identified."""
+    reading = ["--time=log", "--goal=-1,2"]
+    *_, identify, measure = call("metrics", robot, *reading).out.splitlines()
+    assert identify.endswith(f": turtlelog identify {robot} --time=log")  # it takes no goal
+    assert measure.endswith(f": turtlelog metrics {robot} --time=log --goal=-1,2 --all")
+    answer = call(*shlex.split(identify.partition(": turtlelog ")[2]))
+    assert answer.code != 2
 
 
 def test_the_table_of_a_bag_without_commands_says_what_would_add_them(

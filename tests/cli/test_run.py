@@ -285,11 +285,15 @@ def test_a_wall_in_the_way_is_told(call: Call, tmp_path: Path) -> None:
         *("--law", "sequential-pid", "--set", "law.ki_linear=2", "--set", "law.ki_angular=2"),
         *("--set", "law.anti_windup=none"),
     ]
-    wall = "The turtle hit the wall at x = 1.132 m, y = 11.089 m, at 18.0 s: the wall stopped it"
+    wall = "The turtle hit the wall at x = 1.132 m, y = 11.089 m, at 18.0 s: the wall held it back"
     recording = tmp_path / "wall.mcap"
     assert wall in call("run", "textbook", *changes, "-o", recording).flat
     assert wall in call("metrics", recording).flat
     assert wall in call("explain", recording).flat
+    # It slides on along the wall, and meets it again.
+    slides = ["--kp", "20", "--set", "goal.x_m=11.05", "--set", "goal.y_m=9"]
+    told = "at 7.3 s, the first of 49 contacts: the wall held it back."
+    assert told in call("run", "paper", *slides, "--set", "start.heading_rad=0.3").flat
     # A robot in a world without walls goes on.
     plant = ["--set", "plant.kind=lagged", "--set", "plant.speed_lag_s=0"]
     assert "wall" not in call("run", "textbook", *changes, *plant).flat

@@ -300,6 +300,22 @@ def test_time_without_pairs_is_told_from_a_hundredth_of_the_duration_on(
     assert len(found.whole_reference) == 1000
 
 
+@pytest.mark.parametrize(("lost", "is_told"), [(10, True), (9, False)])
+def test_time_before_and_after_the_pairs_is_told_from_a_hundredth_on(
+    *, lost: int, is_told: bool
+) -> None:
+    """Of 50 s, 0.50 or 0.45 s are lost, some at either end."""
+    truth = make_trajectory(1001)
+    part = replace(take_poses(truth, np.arange(4, 1001 - (lost - 4))), name="part")
+    for pair in ((part, truth), (replace(truth, name="truth"), replace(part, name="part"))):
+        found = compare(*pair)
+        told = [note for note in found.notes if note.startswith("The compared poses cover ")]
+        assert bool(told) is is_told
+        if told:
+            assert len(told) == 1
+            assert told[0].startswith("The compared poses cover 49.5 s of the 50 s of truth:")
+
+
 def test_the_whole_reference_ends_with_the_compared_times() -> None:
     truth = make_trajectory(200)
     found = compare(take_poses(truth, np.arange(20, 120, 2)), truth)

@@ -41,7 +41,7 @@ ANSWERS: Final = {
     "list": "list_names:ListAnswer",
     "check": "check_answers:CheckAnswer",
     "plot": "plot:PlotAnswer",
-    "plot TABLE": "map:MapAnswer",
+    "plot TABLE": "plot_table:MapAnswer",
     "report": "report:ReportAnswer",
     "convert": "convert:ConvertAnswer",
     "convert --recover": "convert:RecoverAnswer",

@@ -125,8 +125,27 @@ class Weaving:
         )
 
 
+class Counting7:
+    """Counts its calls, from run to run if `keeps`, and drives faster up to each seventh."""
+
+    calls: ClassVar = 0
+    keeps: ClassVar = True
+
+    def __init__(self) -> None:
+        if not self.keeps:
+            type(self).calls = 0
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        type(self).calls += 1
+        return Decision(speed_m_s=0.1 * (self.calls % 7), turn_rate_rad_s=0.0)
+
+
+class Restarting7(Counting7):
+    keeps = False
+
+
 class Tiring(Weaving):
-    """Turns less each time that it is made, from the fourth time on: it is not deterministic."""
+    """Turns less each time that it is made, from the fifth time on: it is not deterministic."""
 
     made: ClassVar = 0
 
@@ -137,5 +156,5 @@ class Tiring(Weaving):
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
         found = super().step(time_ns, pose)
-        less = max(0, self._number - 3) * 0.01
+        less = max(0, self._number - 4) * 0.01
         return replace(found, turn_rate_rad_s=found.turn_rate_rad_s - less)

@@ -356,6 +356,17 @@ def test_of_a_law_that_is_not_deterministic_nothing_is_claimed() -> None:
     assert "its law is not deterministic" in found.notes[-1]
 
 
+@pytest.mark.parametrize(("kind", "is_known"), [("Counting7", False), ("Restarting7", True)])
+def test_a_law_that_counts_its_calls_is_not_deterministic(kind: str, *, is_known: bool) -> None:
+    """All runs of 126 samples are alike, as the law has a period of seven calls."""
+    values = {"law.kind": f"{OTHERS}:{kind}", "max_duration_s": 2.0}
+    run = simulate_run(override_scenario(get_preset("textbook"), values))
+    assert len(run.samples) == 126
+    found = identify_run(run, trust_law=True)
+    assert found.is_recorded is is_known
+    assert ("its law is not deterministic" in found.notes[-1]) is not is_known
+
+
 def test_where_the_first_samples_are_lost_the_start_backlog_is_open() -> None:
     run = simulate_strange(loop__start_backlog=3, loop__transport_delay_ticks=3)
     kept = {

@@ -78,6 +78,22 @@ def test_noise_alone_names_no_cause(seed: int) -> None:
     assert "no cause is certain" in found.sentences[0] or found.withheld
 
 
+@pytest.mark.parametrize(
+    ("part", "idle"), [("dead time", ("turn_rate.dead_time_s",)), ("noise", ())]
+)
+def test_what_the_intervals_of_two_robots_allow_is_not_called_different(
+    part: str, idle: tuple[str, ...]
+) -> None:
+    pair = draw_robot_pair(part, 3, has_same_commands=True)
+    often = take_rows(pair.second.commands, np.repeat(np.arange(len(pair.second.commands)), 2)[:-1])
+    time_ns = often.time_ns.copy()
+    time_ns[1::2] += np.diff(often.time_ns[::2]) // 2  # repeated halfway to the next
+    second = replace(pair.second, commands=replace(often, time_ns=time_ns))
+    found = explain_difference(pair.first, second, metric="run.largest_gap")
+    assert name_told(found) == ["commands"]
+    assert found.idle == idle
+
+
 def test_equal_logs_do_not_differ() -> None:
     run = draw_robot_pair("noise", 3, has_same_commands=True).first
     found = explain_difference(run, run, metric=METRIC)

@@ -22,7 +22,7 @@ from tests.identify.robots import (
 from tests.known import known
 from turtlelog.identify import RobotScenario, build_robot_scenario
 from turtlelog.identify.axis_motion import AXES
-from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
+from turtlelog.identify.robot_noise import measure_disturbance_noise, measure_sensing_noise
 from turtlelog.run import Run
 
 LOG = Log(
@@ -166,7 +166,7 @@ def test_noise_that_may_hide_is_bounded() -> None:
     sensing, rates = (2e-3, 4e-3), (5e-3, 1e-2)
     still = drive_with_noise(1, sensing=sensing)
     model = tl.identify_robot(still)
-    speed, turn_rate = (known(measure_rate_noise(model, axis, [still])) for axis in AXES)
+    speed, turn_rate = (known(measure_disturbance_noise(model, axis, [still])) for axis in AXES)
     pushed = drive_with_noise(1, rates=rates)
     poses = known(measure_sensing_noise(tl.identify_robot(pushed), [pushed]))
     hidden = speed.hidden, turn_rate.hidden, poses.position.hidden, poses.heading.hidden

@@ -12,7 +12,7 @@ from tests.log.runs import assert_same, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log import export_csv, export_tum
 from turtlelog.log.any_file import read_file_info, read_run, read_trajectory
-from turtlelog.log.file_access import ReadChoice
+from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.table_files import require_same_poses
 from turtlelog.measure import measure_run
 from turtlelog.measure.signals import find_no_commands

@@ -201,12 +201,12 @@ def test_a_robot_that_stands_answers_no_step() -> None:
     assert read(run, "run.rest_share") == 1.0
 
 
-@pytest.mark.parametrize(("hz", "is_seen"), [(5.0, True), (4.0, False)])
+@pytest.mark.parametrize(("hz", "is_seen"), [(5.0, True), (4.97, True), (4.9, False)])
 def test_a_rise_takes_five_poses_a_second(hz: float, *, is_seen: bool) -> None:
     run = drive(np.arange(0.0, 20.0, 1.0 / hz), lag_s=0.3)
     metric = measure(run, "run.speed_rise_time")
     assert (metric.value is not None) == is_seen
-    assert is_seen or metric.reason == "poses at 4 Hz, and it takes 5 Hz"
+    assert is_seen or metric.reason == "poses at 4.9 Hz, and it takes 5 Hz"
 
 
 def test_commands_at_1_hz_are_held() -> None:

@@ -199,6 +199,19 @@ def test_rest_between_poses_of_a_robot_that_moved_is_not_guessed(
     assert is_known or reason.endswith(f"up to {stop_s * is_stop.sum():.2g} s of rest")
 
 
+@pytest.mark.parametrize("step_s", [0.01, 0.02, 0.05])
+@pytest.mark.parametrize(("size_m", "size_rad"), [(0.0025, 0.0), (0.0, 0.005)])
+def test_what_swings_beyond_the_threshold_does_not_rest(
+    size_m: float, size_rad: float, step_s: float
+) -> None:
+    """At 2 Hz it is back at its place after half a second."""
+    time_s = np.arange(0.0, 20.0, step_s)
+    for share, rests in ((0.95, 1.0), (1.1, 0.0)):
+        side = share * np.cos(4.0 * np.pi * time_s)
+        run = make_driven_run(time_s, speed=(side, size_m * side), turn=(side, size_rad * side))
+        assert read(run, "run.rest_share") == rests
+
+
 def test_rest_reaches_up_to_its_edges() -> None:
     run = drive(steps=[(5.0, 0.3), (10.0, 0.0)], lag_s=0.0, dead_s=0.0)
     assert read(run, "run.rest_time") == pytest.approx(14.95, abs=0.1)

@@ -10,7 +10,7 @@ from tests.sequential import ROTATE
 from turtlelog.errors import MeasureError
 from turtlelog.measure import choose_metrics
 from turtlelog.measure.metrics.goal_and_path import PAPER_WINDOW_S
-from turtlelog.run.loops import Declaration
+from turtlelog.run.loops import ControlLoop, Declaration
 
 PAPER = Path(__file__).parents[2].parent / "shared" / "paper"
 
@@ -206,6 +206,28 @@ def test_metric_of_a_loop_that_no_law_may_have_is_none(loop: str) -> None:
     assert f"mean {loop}.overshoot" not in str(caught.value)
 
 
+@pytest.mark.parametrize("pattern", ["*dead_time", "rot*dead_time"])
+def test_star_may_stand_for_a_loop_and_its_dot(pattern: str) -> None:
+    loop = ControlLoop(
+        name="rotate", signal="heading", command="turn_rate", reference="goal_bearing"
+    )
+    declaration = Declaration(loops=(loop,), phases={"rotate": ("rotate",)})
+    assert choose_metrics([pattern], declaration) == ("rotate.dead_time",)
+    assert choose_metrics([pattern], Declaration()) == ()  # of another law
+    with pytest.raises(MeasureError, match=r"no metric"):
+        choose_metrics([pattern.removesuffix("e")], Declaration())
+
+
 def test_pattern_that_only_a_loop_called_run_could_match_is_refused() -> None:
     with pytest.raises(MeasureError, match=r'no metric "run\.oversh\*"; did you mean run\.'):
         choose_metrics(["run.oversh*"], Declaration())
+
+
+def test_a_heading_that_the_law_does_not_use_is_no_reference_of_its_error() -> None:
+    changes = {"goal.heading_rad": 1.0}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("paper-kp4"), changes))
+    found = tl.measure_run(run, only=["final.*"])
+    plain = tl.measure_run(tl.simulate_run(tl.load_scenario("paper-kp4")), only=["final.*"])
+    for name in ("final.heading_error", "final.heading_error_at_15s"):
+        assert found[name].value == plain[name].value
+    assert read_value(found["final.goal_heading_error"]) > 70.0

@@ -52,6 +52,23 @@ def test_noisy_rest_has_the_threshold_of_any_rest(speed: float, share: float) ->
     assert read(scatter(run, 0.005), "run.rest_share") == pytest.approx(share, abs=0.06)
 
 
+@pytest.mark.parametrize("noise_m", [0.0014, 0.0016, 0.0025, 0.004, 0.006])
+def test_noisy_poses_each_second_show_driving_to_and_fro_and_rest(noise_m: float) -> None:
+    time_s = np.arange(900.0) + np.random.default_rng(2).uniform(-0.2, 0.2, 900)
+    way = 2.0 * np.abs(np.mod(0.05 * np.minimum(time_s, 600.0) + 1.0, 2.0) - 1.0)
+    run = make_driven_run(time_s, speed=(np.zeros(900), way))
+    assert read(scatter(run, noise_m), "run.rest_time") == pytest.approx(300.0, abs=6.0)
+
+
+def test_noisy_poses_beside_gaps_show_no_rest_of_a_robot_that_drives_on() -> None:
+    time_s = np.arange(0.0, 600.0, 0.05)
+    time_s = time_s[np.mod(time_s, 20.0) > 4.0]
+    xy_m = np.column_stack([2.0 * np.sin(0.2 * time_s), np.sin(0.4 * time_s)])
+    run = rest_half(time_s)
+    run = scatter(replace(run, poses=replace(run.poses, xy_m=xy_m)), 0.01)
+    assert read(run, "run.rest_share") == 0.0
+
+
 def test_the_size_of_noise_is_found_while_the_robot_turns() -> None:
     heading_rad = 0.5 * AT_10_HZ
     xy_m = np.column_stack([np.sin(heading_rad), -np.cos(heading_rad)])
@@ -146,6 +163,19 @@ def test_creeping_that_counts_as_rest_is_told(speed: float, noise_m: float, *, t
     assert (crept is not None) is told
     reason = tell(make_driven_run(AT_10_HZ, speed=(np.zeros(1000), 0.001 * AT_10_HZ)), SMOOTH)[1]
     assert reason == "it drives no faster than 0.001 m/s, which counts as rest"
+
+
+@pytest.mark.parametrize("scale", [1e150, 1e200, 1e300])
+def test_notes_on_poses_do_not_depend_on_their_size(scale: float) -> None:
+    random = np.random.default_rng(3)
+    xy_m = random.normal(size=(1000, 2))
+    run = rest_half()
+    small, large = (
+        replace(run, poses=replace(run.poses, xy_m=factor * xy_m)) for factor in (1.0, scale)
+    )
+    assert find_scatter(large).path_m == pytest.approx(scale * (find_scatter(small).path_m or 0.0))
+    assert measure_noise(large.poses).position_m > scale * 0.5
+    assert describe_poses(large, tl.measure_run(large)).keys() >= {"path_without_scatter"}
 
 
 def test_noise_hides_no_rest_of_a_robot_that_drives_on() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests.log.runs import find_shared, simulate_preset
 from turtlelog.log.ros2 import read_bag
 from turtlelog.plants import Turtle
@@ -104,7 +105,7 @@ def test_a_turtlesim_from_before_humble_is_known_by_its_heading_of_32_bits() -> 
     # What is left of the position is the first pose's rounding: one start within half a 32-bit
     # step of it, the same throughout, reproduces every pose to the last bit.
     motion = read_motion(run)
-    velocities, _ = place_commands(motion, run, frozenset())
+    velocities, *_ = place_commands(motion, run, frozenset())
     turtle = Turtle(x_m=0.0, y_m=0.0, heading_rad=motion.heading_rad[0], keeps_32_bits=True)
     driven_m = np.zeros((len(motion.time_ns), 2))
     way_m = np.zeros(2)
@@ -122,9 +123,36 @@ def test_a_turtlesim_from_before_humble_is_known_by_its_heading_of_32_bits() -> 
     assert (np.abs((lowest_m + highest_m) / 2.0 - motion.xy_m[0]) < half_step_m[0]).all()
 
 
+def simulate_pushed(**changes: float) -> Run:
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    return tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), keys))
+
+
+def test_recorded_speeds_have_no_sign() -> None:
+    """A robot that drifts and comes back slowly passes through speeds that no step shows."""
+    run = simulate_pushed(
+        law__kp_angular=8.0,
+        law__kp_linear=8.0,
+        loop__transport_delay_ticks=5,
+        disturbance__speed_m_s=-0.02,
+    )
+    found = replay_plant(run)
+    assert found.max_abs_error.y_m > 1e-5
+    assert found.within_rounding
+    assert found.stretches[0].rounding_m < 2e-4
+
+
+@pytest.mark.parametrize(("speed_m_s", "ticks"), [(3.9e-4, 62), (4.1e-4, 0)])
+def test_a_faster_step_shows_its_direction(speed_m_s: float, ticks: int) -> None:
+    run = simulate_pushed(disturbance__speed_m_s=-speed_m_s, max_duration_s=1.0)
+    (stretch,) = replay_plant(run).stretches
+    assert stretch.within_rounding
+    assert stretch.rounding_m - 2.0 * ticks * TICK_S * speed_m_s == pytest.approx(0.0, abs=2e-5)
+
+
 def keep_heading_in_32_bits(run: Run) -> Run:
     """Return a run as turtlesim before Humble would have driven it."""
-    velocities, _ = place_commands(read_motion(run), run, frozenset())
+    velocities, *_ = place_commands(read_motion(run), run, frozenset())
     (x_m, y_m), heading_rad = run.poses.xy_m[0], float(run.poses.heading_rad[0])
     turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=heading_rad, keeps_32_bits=True)
     states = [turtle.state[:3]]

@@ -274,7 +274,9 @@ def label_time(runs: Sequence[Run]) -> str:
     return f"time from the first {' or '.join(dict.fromkeys(run.first_row for run in runs))} [s]"
 
 
-def find_range(curves: Iterable[Values], levels: Sequence[Level]) -> tuple[float, float] | None:
+def find_plot_range(
+    curves: Iterable[Values], levels: Sequence[Level]
+) -> tuple[float, float] | None:
     """Return the range of a plot that includes curves and level lines, with a margin.
 
     For commands, the range ends slightly beyond their extremes, whether these are limits or not.

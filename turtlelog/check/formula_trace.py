@@ -73,14 +73,18 @@ def find_loss(run: Run) -> str | None:
 
 
 def find_window(run: Run, phase: str) -> tuple[int, int] | None:
-    """Return the first segment of a phase with its pause [ns]; None if the phase never occurs."""
+    """Return the first segment of a phase with its pause [ns]; None if the phase never occurs.
+
+    It ends before the time of the next phase, whose first sample holds at this time.
+    """
     spans = run.find_phase_spans()
     for index, span in enumerate(spans):
         if span.phase != phase:
             continue
         after = spans[index + 1 : index + 2]
         is_paused = bool(after) and after[0].phase == PAUSE
-        return span.start_ns, after[0].end_ns if is_paused else span.end_ns
+        last = after[0] if is_paused else span
+        return span.start_ns, max(span.start_ns, last.end_ns - (last is not spans[-1]))
     return None
 
 

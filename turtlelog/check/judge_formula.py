@@ -20,7 +20,13 @@ from turtlelog.check.formula_trace import (
     read_signals,
 )
 from turtlelog.check.result import CheckResult, Grown, Verdict, find_metric_violation
-from turtlelog.check.robustness import CriticalPart, find_violation, read_margin, walk_formula
+from turtlelog.check.robustness import (
+    CriticalPart,
+    find_violation,
+    is_relieved,
+    read_margin,
+    walk_formula,
+)
 from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError, ExpressionError, UndecidedError
 from turtlelog.escapes import escape_controls
@@ -40,6 +46,7 @@ from turtlelog.run.loops import Declaration
 _NO_VALUE: Final = "no value: "
 _TOO_SHORT: Final = "the recording ends before the formula's window does"
 _BEYOND: Final = "its window begins after the end, where the last values hold"
+_UNTIL: Final = "its left side ends when its right side begins, but must hold then too"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +71,8 @@ class FormulaResult:
             beginning; None for no value.
         is_covered: Whether the trace covers all windows of the formula. A run that was cut off
             never covers a window without an end.
-        reason: One clause if the verdict is unknown, or if no time of the trace violates it.
+        reason: One clause if the verdict is unknown, if no time of the trace violates it, or if the
+            sides of `until` do not overlap.
     """
 
     formula: str
@@ -160,7 +168,7 @@ def check_formula(
         margin_s=(critical.time_ns - trace.start_ns) / 1e9,
         values=decisive if failed_ns is None else values,
         decided_by=expressions.format_expression(critical.node),
-        reason="" if holds or failed_ns is not None else _BEYOND,
+        reason="" if holds else _explain_violation(expression, trace, failed_ns),
         **sides,
     )
 
@@ -251,6 +259,15 @@ def _explain_unknown(expression: expressions.Expression, trace: FormulaTrace) ->
             return f"{_TOO_SHORT}, and {trace.ending.value}{advice}"
     missing = [name for name, value in trace.constants.items() if value is None]
     return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
+
+
+def _explain_violation(
+    expression: expressions.Expression, trace: FormulaTrace, failed_ns: int | None
+) -> str:
+    """Return a clause on a violation beyond the trace, or of sides of `until` that do not meet."""
+    if failed_ns is None:
+        return _BEYOND
+    return _UNTIL if is_relieved(expression, trace, failed_ns) else ""
 
 
 def _measure_reach(node: expressions.Node, *, is_cut: bool) -> float:
@@ -397,6 +414,11 @@ class _Judge:
             # informative.
             value_s, failed_s = None, None if found.holds else self._find_moment(found.limit)
         told = self._describe(found)
+        nodes = expressions.iterate_nodes(check.formula.root)
+        is_timed = any(isinstance(n, expressions.Temporal | expressions.Until) for n in nodes)
+        if found.holds and not is_timed and window_ns[0] < window_ns[1] and value_s is not None:
+            reason = f"judged at {begun_s:.3f} s alone; always(...) asks of every time"
+            told = replace(told, reason=reason)
         has_others = any(name in SIGNALS and name not in COMMANDED for name in names)
         if begun_s > 0.0 and not told.reason and not check.phase and has_others:
             told = replace(told, reason=f"judged from the first command on, at {begun_s:.3f} s")

@@ -346,6 +346,19 @@ def find_violation(part: Part) -> int | None:
     return part.find_violation() if part.margins.values[0] < 0 else None
 
 
+def is_relieved(expression: Expression, trace: FormulaTrace, failed_ns: int) -> bool:
+    """Return whether the right side of an `until` begins at the time at which its left side ends.
+
+    This violates the formula, because the sides must hold together at one time.
+    """
+    root = expression.root
+    if not isinstance(root, Until) or failed_ns < trace.start_ns + _convert_window(root)[0]:
+        return False
+    reader = PartReader(expression, trace, exact=True, unknown=-math.inf)
+    left, right = (reader.visit(side, 1) for side in (root.left, root.right))
+    return _read(left, failed_ns) < 0 < _read(right, failed_ns)
+
+
 def read_margin(whole: Part) -> float:
     """Return the margin of a formula at the beginning."""
     return float(whole.margins.values[0])

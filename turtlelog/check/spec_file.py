@@ -37,7 +37,7 @@ from turtlelog.files.text_files import (
 )
 from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
-from turtlelog.log.file_access import TimeSource, parse_goal_option, parse_wheelbase, parse_wheels
+from turtlelog.log.read_choice import TimeSource, parse_goal_option, parse_wheelbase, parse_wheels
 from turtlelog.scenario import describe_unknown_key
 
 _KINDS: Final = ("signals", "metrics")

@@ -14,7 +14,7 @@ from turtlelog.compare import ALIGNMENTS
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
 from turtlelog.display import format_number
 from turtlelog.log import ReadChoice
-from turtlelog.log.file_access import TimeSource
+from turtlelog.log.read_choice import TimeSource
 from turtlelog.measure import (
     ANY_LOOP,
     METRICS,
@@ -197,6 +197,10 @@ def _list_check(metric: Metric, value: float, kind: MetricKind, tick_s: float) -
     base = value if kind.floor is None or is_higher else max(value, kind.floor)
     operator = ">=" if is_higher else "<="
     bound, spare = choose_bound(base, metric.unit, up=not is_higher, tick_s=tick_s)
+    if metric.id.endswith("_share") and not is_higher and bound >= 1.0:
+        yield ""
+        yield f"# {metric.id} <= ...: not read off, as no share exceeds 1; here {value:.5g}"
+        return
     formula = f'expect = "{metric.id} {operator} {bound:.10g}"'
     yield from _write_check(f'"{metric.id}"', formula, format_number(value, metric.unit), spare)
 

@@ -95,6 +95,7 @@ class CountedResults:
         of_checks: Number of each verdict, by check.
         nearest: For each check, the result nearest to its limit, or furthest beyond it.
         failures: First failed results.
+        told: First checks that pass with a reason, and their reasons.
         valueless: Number of checks that failed because a value is missing.
         failing: Number of failed checks in each of the first failing files.
         failing_files: Number of files with a failed check.
@@ -107,6 +108,7 @@ class CountedResults:
         self.of_checks: dict[str, Counter[Verdict]] = {}
         self.nearest: dict[str, CheckResult] = {}
         self.failures: list[CheckResult] = []
+        self.told: dict[tuple[str, str], None] = {}
         self.valueless = 0
         self.failing: dict[str, int] = {}
         self.failing_files = 0
@@ -123,9 +125,11 @@ class CountedResults:
             nearest = self.nearest.setdefault(result.check, result)
             if result.margin < (nearest.margin or 0.0):
                 self.nearest[result.check] = result
+        if result.verdict == "PASS" and result.reason and len(self.told) < _MOST_NAMES:
+            self.told[result.check, result.reason] = None
         if result.verdict != "FAIL":
             return
-        self.valueless += result.value is None
+        self.valueless += result.value is None and not result.is_decided
         self.failing_files += result.file != self._latest
         self._latest = result.file
         if result.file in self.failing or len(self.failing) < _MOST_NAMES:
@@ -276,6 +280,7 @@ def _list_facts(counted: CountedResults, spec: "Spec | None", files: int) -> Ite
     several = counted.verdicts.total() > 1
     if several and counted.verdict == "PASS" and (nearest := counted.find_smallest()) is not None:
         yield f"Nearest to its limit: {escape_controls(nearest.check)}, {_tell_value(nearest)}."
+    yield from (f"{escape_controls(check)}: {reason}." for check, reason in counted.told)
     if spec is not None and (observed := _count_observed(counted, spec)):
         were = "1 failed limit was" if observed == 1 else f"{observed} failed limits were"
         yield f"{were} read off a run, not required: observed = true in {spec.source}"
@@ -290,6 +295,9 @@ def _count_observed(counted: CountedResults, spec: "Spec") -> int:
 
 
 def _tell_value(result: "CheckResult", *, with_limit: bool = True) -> str:
+    if result.value is None and result.is_decided:  # by a text or truth value
+        at_s = result.first_violation_s
+        return "its value is no number" if at_s is None else f"first violated at {at_s:.3f} s"
     if result.value is None:
         return "it has no value"
     value = f"value {format_short(result.value, result.unit)}"
@@ -411,6 +419,8 @@ def list_verdict_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") 
     meant = {} if spec is None else _read_reasons(spec)
     found: dict[tuple[str, str, str], list[str]] = {}
     for result in results:
+        if result.verdict == "PASS":  # the head tells its reason
+            continue
         # Name, value and limit explain a failure by a plain bound.
         is_named = result.expected.startswith(result.check)
         is_plain = not (result.reason or result.decided_by or meant.get(result.check))

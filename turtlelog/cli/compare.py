@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.compare_answer import ChoiceOptions, compare_across, list_needed
+from turtlelog.cli.compare_answer import ChoiceOptions, compare_across, list_compared
 from turtlelog.cli.compare_reference import (
     compare_with_reference,
     compare_with_robot,
@@ -280,7 +280,9 @@ def _compare_why(
             WhyAnswer(first=first, second=second, condition=against.first, explanation=found)
         )
     elif kind == "txt":
-        console.print_text(format_why(found, pair, lead=told))
+        console.print_text(
+            format_why(found, [*pair, *options.list_reading_words(topics)], lead=told)
+        )
     else:
         console.print_tables([tabulate_why(found)], kind)
     console.write_asked(plot, lambda path: tl.draw.write_difference_figure(found, path))
@@ -300,7 +302,7 @@ def _find_pair(
     needed = tl.compare.list_needed_metrics([], where=condition, sort=None, source="--first")
     found = tl.compare.summarise_files(
         paths,
-        only=partial(list_needed, needed=needed, is_usual=False),
+        only=partial(list_compared, needed=needed, is_usual=False),
         topics=topics.build_choice(),
         jobs=count_jobs(jobs, paths),
     )
@@ -339,9 +341,15 @@ _MOST_NAMED: Final = 3
 
 
 def format_why(
-    found: "tl.explain.ExplainedDifference", files: tuple[Path, Path], *, lead: Sequence[str] = ()
+    found: "tl.explain.ExplainedDifference",
+    words: Sequence[object],
+    *,
+    lead: Sequence[str] = (),
 ) -> str:
-    """Return the causes of a difference: the answer, a line for each change, and its conditions."""
+    """Return the causes of a difference: the answer, a line for each change, and its conditions.
+
+    `words`: both files, and options for reading them.
+    """
     head, *rest = found.sentences
     rows = []
     for one in found.contributions:
@@ -351,7 +359,7 @@ def format_why(
         settings = shorten("; ".join(_list_settings(one)), _LONGEST, placeholder=" ...")
         rows.append((one.name, size, settings, undone))
     table = ["", *console.align_rows(rows), ""] if rows else []
-    following = f"turtlelog compare --reference {' '.join(map(console.quote_file, files))}"
+    following = f"turtlelog compare --reference {console.quote_file(*words)}"
     ends = console.fill_lines([*rest, f"Signal by signal: {following}"])
     return "\n".join([console.fill_lines([head, *lead]), *table, ends])
 

@@ -82,12 +82,12 @@ def compare_across(
         needed = tl.compare.list_needed_metrics(
             columns, where=choice.where, sort=choice.sort, source="--where"
         )
-        only = partial(list_needed, needed=needed, is_usual=not columns)
+        only = partial(list_compared, needed=needed, is_usual=not columns)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     code = console.print_errors(errors)
     # A single run is not compared with others.
     if not errors or len(summaries) > 1:
-        _print_across(summaries, choice, kind)
+        _print_across(summaries, choice, kind, options.list_reading_words(topics))
     return code
 
 
@@ -115,13 +115,15 @@ def _summarise(
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
 
-def list_needed(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
+def list_compared(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
     """Return the needed metrics, also those that the law of a run lacks, and the usual ones."""
     # The usual metrics of a third-party bag are known when it is read.
     return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed
 
 
-def _print_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
+def _print_across(
+    summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str, reading: Sequence[str]
+) -> None:
     count, title = len(summaries), ""
     notes: tuple[str, ...] = ()
     if choice.where is not None:
@@ -140,7 +142,9 @@ def _print_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind
         console.print_json(_build_answer(summaries, only=only, notes=notes, ranking=ranking))
         return
     if kind == "txt":
-        console.print_text(_format_across(summaries, ranking, only=only, title=title, notes=notes))
+        console.print_text(
+            _format_across(summaries, ranking, only=only, title=title, notes=notes, reading=reading)
+        )
         return
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes, ranking=ranking)
     console.print_tables([table], kind)
@@ -157,6 +161,7 @@ def _format_across(
     only: Sequence[str],
     title: str,
     notes: Sequence[str],
+    reading: Sequence[str],
 ) -> str:
     """Return the best run by each metric, then a row for every run."""
     summaries, changes = tl.compare.shorten_names(summaries)
@@ -185,7 +190,7 @@ def _format_across(
     head = [*_name_best(table), title]
     head += [f"{reached[0].upper()}{reached[1:]}."] if reached else []
     following = [f"More metrics (--metric IDS): {', '.join(left_out)}."] if left_out else []
-    following += _list_next(summaries, names, table, ranking)
+    following += _list_next(summaries, names, table, ranking, reading)
     return "\n".join(
         [
             console.fill_lines(head),
@@ -303,7 +308,11 @@ def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
 
 
 def _list_next(
-    summaries: "Sequence[RunSummary]", names: Sequence[str], table: "Table", ranking: "Ranking"
+    summaries: "Sequence[RunSummary]",
+    names: Sequence[str],
+    table: "Table",
+    ranking: "Ranking",
+    reading: Sequence[str],
 ) -> Iterator[str]:
     known = [one.key for one in ranking.differences if not one.is_unknown]
     if known:
@@ -319,7 +328,7 @@ def _list_next(
         option = "" if metric == "final.position_error" else f" --metric {metric}"
         command = f"{console.name_explain(last.file, last.law)}{option}"
         if last.is_lawless:  # `explain` needs samples of a controller
-            files = " ".join(console.quote_file(one.file) for one in (first, last))
+            files = console.quote_file(first.file, last.file, *reading)
             command = f"turtlelog compare {files} --why {metric}"
         yield f"Why is {names[worst[metric]]} worse? {command}"
     yield "For other columns: --metric IDS. For every metric: --json, or turtlelog metrics."

@@ -187,9 +187,9 @@ def _fill(line: str, indent: int, width: int) -> str:
     return f"{end}\n".join(filled)
 
 
-def quote_file(file: object) -> str:
-    """Return a file as a word of a command that a user can type."""
-    return escape_controls(shlex.quote(str(file)))
+def quote_file(*files: object) -> str:
+    """Return files, and options for reading them, as words of a command that a user can type."""
+    return escape_controls(shlex.join(map(str, files)))
 
 
 def name_explain(file: object, law: object) -> str:

@@ -82,8 +82,9 @@ def identify(
     if json:
         console.print_json(build_identify_answer(files, model, scenario, robot))
     else:
+        words = options.list_reading_words(topics)
         console.print_text(
-            format_robot(model, files, robot=robot, scenario=scenario, shows_details=details)
+            format_robot(model, files, words, robot=robot, scenario=scenario, shows_details=details)
         )
     if robot is not None:
         text = robot.text
@@ -227,6 +228,7 @@ _NEAR: Final = 0.05
 def format_robot(
     model: "tl.RobotModel",
     files: Sequence[Path],
+    reading: Sequence[str] = (),
     *,
     robot: "tl.identify.RobotScenario | None" = None,
     scenario: Path | None = None,
@@ -255,7 +257,8 @@ def format_robot(
             notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
             told = f"The scenario {scenario}:\n{notes}"
         parts += ["", told]
-    return "\n".join([*parts, "", *_list_next(model, files, scenario, shows_details=shows_details)])
+    words = [*map(str, files), *reading]
+    return "\n".join([*parts, "", *_list_next(model, words, scenario, shows_details=shows_details)])
 
 
 def describe_gain(axis: "tl.identify.AxisModel") -> str:
@@ -468,20 +471,20 @@ def _list_nav2(known: "Sequence[tl.identify.AxisModel]") -> list[str]:
 
 
 def _list_next(
-    model: "tl.RobotModel", files: Sequence[Path], scenario: Path | None, *, shows_details: bool
+    model: "tl.RobotModel", words: Sequence[str], scenario: Path | None, *, shows_details: bool
 ) -> Iterator[str]:
-    words = " ".join(map(console.quote_file, files))
     if scenario is not None:
         target = console.quote_file(scenario)
         yield f"Next: turtlelog theory {target}"
         yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {console.advise_explain(files[0])}"
+        yield f"Why? {console.advise_explain(words[0])}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis
-        yield f"Simulate it and find gains: turtlelog identify {words} --scenario robot.toml"
+        command = f"turtlelog identify {console.quote_file(*words)} --scenario robot.toml"
+        yield f"Simulate it and find gains: {command}"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):
         more = "" if scenario is None else ", and the source of each number"
         yield f"A second opinion on the delays{more}: --details"

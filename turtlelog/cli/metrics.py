@@ -14,7 +14,12 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.metrics_answer import list_needed, list_scatter, print_chosen, print_essential
+from turtlelog.cli.metrics_answer import (
+    list_scatter,
+    list_summary_metrics,
+    print_chosen,
+    print_essential,
+)
 from turtlelog.cli.usage import Whole, parse_option
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
@@ -165,7 +170,7 @@ def metrics(
     files = options.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()
-    essential = partial(list_needed, has_path=measuring.reference_path is not None)
+    essential = partial(list_summary_metrics, has_path=measuring.reference_path is not None)
     errors: list[TurtlelogError] = []
     with _name_options(), folders.find_place(files) as place:
         summarised = tl.compare.summarise_files(
@@ -199,7 +204,7 @@ def metrics(
                 _refuse_patterns(patterns, [found.declaration for found in held])
             if is_short:
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
-                print_essential(held, kind)
+                print_essential(held, kind, options.list_reading_words(topics))
             else:
                 print_chosen(held, kind)
     return console.print_errors(errors)

@@ -50,7 +50,7 @@ _WORDS: Final = {
 }
 
 
-def list_needed(run: "tl.Run", *, has_path: bool) -> tuple[str, ...]:
+def list_summary_metrics(run: "tl.Run", *, has_path: bool) -> tuple[str, ...]:
     """Return the ids of the metrics in the short answer for a run."""
     essential = tl.measure.list_essential_metrics(run)
     path = ["run.cross_track_max"] if has_path else []
@@ -64,12 +64,18 @@ def _list_of_words(declaration: "tl.Declaration") -> tuple[str, ...]:
     return tuple(name for name in known if name.rpartition(".")[2] in _OF_WORDS)
 
 
-def print_essential(summaries: "Sequence[tl.compare.RunSummary]", kind: str) -> None:
-    """Print the essential metrics: sentences for one run, a row per run for several."""
+def print_essential(
+    summaries: "Sequence[tl.compare.RunSummary]", kind: str, reading: Sequence[str]
+) -> None:
+    """Print the essential metrics: sentences for one run, a row per run for several.
+
+    `reading`: words of options that further commands on the same file need, too.
+    """
     if kind != "txt":
         print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
     elif len(summaries) == 1:
-        console.print_text(format_run(summaries[0], tl.compare.label_file(summaries[0].file)))
+        who = tl.compare.label_file(summaries[0].file)
+        console.print_text(format_run(summaries[0], who, reading=reading))
     elif summaries:
         console.print_text(_format_runs(summaries))
 
@@ -157,10 +163,16 @@ def _find_value(summary: "tl.compare.RunSummary", name: str) -> float | None:
     return None if metric is None else metric.value
 
 
-def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[str] = ()) -> str:
+def format_run(
+    summary: "tl.compare.RunSummary",
+    who: str,
+    *,
+    facts: Sequence[str] = (),
+    reading: Sequence[str] = (),
+) -> str:
     """Return the end of a run, remarks, and its loops side by side.
 
-    The summary needs the metrics of `list_needed`; its file is empty if there is none.
+    The summary needs the metrics of `list_summary_metrics`; its file is empty if there is none.
     """
     essential = _drop_words(summary).metrics
     head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]
@@ -189,7 +201,7 @@ def format_run(summary: "tl.compare.RunSummary", who: str, *, facts: Sequence[st
             console.fit_body(table),
             "",
             *([console.fill_lines(notes, indent=2)] if notes else []),
-            *_list_next(summary, count),
+            *_list_next(summary, count, reading),
         ]
     )
 
@@ -282,20 +294,22 @@ def _is_of_run(name: str) -> bool:
     return name.partition(".")[0] in {"final", "run"}
 
 
-def _list_next(summary: "tl.compare.RunSummary", count: int) -> list[str]:
+def _list_next(summary: "tl.compare.RunSummary", count: int, reading: Sequence[str]) -> list[str]:
     is_told = any(_list_why(summary))
     if not summary.file:
         return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
-    file = console.quote_file(summary.file)
+    file = console.quote_file(summary.file, *reading)
     more = f"All {count} metrics with their ids: turtlelog metrics {file} --all"
+    goalless = (word for word in reading if not word.startswith("--goal="))
+    robot = console.quote_file(summary.file, *goalless)  # these commands take no goal
     if is_told:
         return [more]
     if not summary.is_lawless:
         return [f"Why? {console.name_explain(summary.file, summary.law)}", more]
     if "poses" in summary.lacks:
-        return [f"Where they lead: turtlelog replay {file}", more]
+        return [f"Where they lead: turtlelog replay {robot}", more]
     if "commands" not in summary.lacks:
-        return [f"Dead time and time constants: turtlelog identify {file}", more]
+        return [f"Dead time and time constants: turtlelog identify {robot}", more]
     return [more]
 
 

@@ -19,7 +19,7 @@ from turtlelog.errors import LogError, RemoteError, TurtlelogError, UsageError
 from turtlelog.files.text_files import describe_missing
 from turtlelog.files.urls import RemotePath, make_path, parse_size, set_max_download
 from turtlelog.libraries import load_library
-from turtlelog.log.file_access import parse_wheelbase, parse_wheels
+from turtlelog.log.read_choice import parse_wheelbase, parse_wheels
 
 
 def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
@@ -149,7 +149,7 @@ class ReadingOptions(TopicOptions):
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
 
 
-def list_reading_words(options: ReadingOptions) -> list[str]:
+def list_reading_words(options: TopicOptions) -> list[str]:
     """Return the words of a command that repeat these options, without defaults."""
     words: list[str] = []
     for one in fields(options):

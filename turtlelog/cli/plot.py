@@ -13,7 +13,7 @@ import turtlelog as tl
 from turtlelog.cli import options
 from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.list_names import complete_figures, complete_metrics
-from turtlelog.cli.map import ViewOptions, draw_table, find_sweep_table
+from turtlelog.cli.plot_table import ViewOptions, draw_table, find_sweep_table
 from turtlelog.cli.view import MovieOptions, film_runs, require_movie
 from turtlelog.cli.work import Jobs, show_progress
 from turtlelog.display import describe_count, join_words

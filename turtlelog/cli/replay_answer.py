@@ -383,7 +383,8 @@ def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> s
     stops = f"; the plant stopped by itself {use.stops} times" if use.stops else ""
     rounding = "one step of the 32 bits of a pose, for other platforms"
     if tl.plants.find_plant(run).name != tl.plants.LAGGED:
-        velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
+        unsigned = ", and of velocities used as recorded, without a sign,"
+        velocities = unsigned if use.unexplained_ticks else ""
         first_pose = f"the 32 bits of a segment's first pose{velocities}"
         rounding = f"the largest error that {first_pose} can cause"
     first, *judged = judge_rounding(found)

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.metrics_answer import format_run, list_needed
+from turtlelog.cli.metrics_answer import format_run, list_summary_metrics
 from turtlelog.cli.scenario import (
     LawOptions,
     RowOptions,
@@ -271,7 +271,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 
         ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
         return collect_run(scenario, watch_ticks(ticks, scenario.max_duration_s))
-    from turtlelog.log.recording.live_run import hold_stop, interrupt_on_quit
+    from turtlelog.processes import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())
@@ -342,7 +342,7 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
     name = base if changes and len(run.name) > _LONGEST else run.name
     facts = [f"Changed: {changes}"] if name != run.name else []
     facts += [f"{describe_count(len(run.samples), 'sample')}. {run.events[-1].text}"]
-    needed = list_needed(run, has_path=False)
+    needed = list_summary_metrics(run, has_path=False)
     summary = tl.compare.summarise_run(
         run, file="" if file is None else str(file), metrics=tl.measure_run(run, only=needed)
     )

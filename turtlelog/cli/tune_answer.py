@@ -14,7 +14,7 @@ from turtlelog.errors import ScenarioError
 if TYPE_CHECKING:
     from turtlelog.sweep.tune import Spread, TunedScenario
     from turtlelog.sweep.tune_candidates import SearchedKey
-    from turtlelog.sweep.tune_search import Jump, KeyRange
+    from turtlelog.sweep.tune_search import KeyRange, ObjectiveJump
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +95,7 @@ class TuneAnswer:
     is_flat: bool
     neighbourhood: list[RangeAnswer]
     slack: float | None
-    jump: "Jump | None"
+    jump: "ObjectiveJump | None"
     largest_step: float | None
     spread: SpreadAnswer | None
 

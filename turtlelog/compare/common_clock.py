@@ -248,7 +248,7 @@ def find_deciding_values(
     return _find_nearest_held(reference, grid, values, tolerance, half_width)
 
 
-def find_range(reference: Signal, grid: Grid, half_width: int) -> tuple[Values, Values]:
+def find_window_range(reference: Signal, grid: Grid, half_width: int) -> tuple[Values, Values]:
     """Return the least and the largest reference value in the window around each row."""
     if reference.kind.resampling == "hold":
         return _find_ranges(reference.values, *_find_window(reference, grid, half_width))
@@ -283,7 +283,7 @@ def find_limit(reference: Signal, nearest: Values, tolerance: Tolerance) -> Valu
 def _find_nearest_on_line(reference: Signal, grid: Grid, values: Values, half_width: int) -> Values:
     if not half_width:
         return np.interp(grid.at, reference.time_ns, reference.values)
-    low, high = find_range(reference, grid, half_width)
+    low, high = find_window_range(reference, grid, half_width)
     if reference.kind.compared_as == "angle":
         # The run's angles may be counted from another turn: take the turn next to the window.
         middle = (low + high) / 2.0

@@ -320,7 +320,7 @@ def trace_tube(
     half_width = _find_half_width(tolerance, clock)
     low, high = nearest, nearest
     if half_width:
-        low, high = common_clock.find_range(theirs, grid, half_width)
+        low, high = common_clock.find_window_range(theirs, grid, half_width)
     to_run_ns = common_clock.find_zero_ns(run, alignment, reference)
     return SignalTube(
         time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,

@@ -349,7 +349,7 @@ def _list_notes(
             f"Only {used} of {fewer} poses have a partner within {settings.most_apart_s:g} s: the"
             " errors are of these alone. A larger --max-difference takes more."
         )
-    yield from _describe_gap(pair.reference)
+    yield from _describe_gap(pair.reference, (estimate, reference))
     off_m = pair.reference.xyz_m - pair.reference.xyz_m.mean(axis=0)
     spread_m = float(np.sqrt((off_m**2).sum(axis=1).mean()))
     rmse_m = trajectory_errors.summarise_errors(absolute.position_m).rmse
@@ -374,18 +374,29 @@ def _list_notes(
 
 
 _SEEN: Final = 0.01
-"""Smallest share of the compared time that a gap without pairs must have to be told."""
+"""Smallest share of the compared time, or of a trajectory's, that time without pairs must have to
+be told."""
 
 
-def _describe_gap(reference: Trajectory) -> Iterator[str]:
-    """Yield the longest segment of time without compared poses."""
-    time_ns = reference.time_ns
+def _describe_gap(pairs: Trajectory, whole: Sequence[Trajectory]) -> Iterator[str]:
+    """Yield trajectories that pairs cover in part, and the longest time inside without pairs."""
+    if pairs.clock == "frame":
+        return
+    time_ns = pairs.time_ns
+    covered_s = np.ptp(time_ns) / 1e9
+    for one in whole:
+        lasting_s = np.ptp(one.time_ns) / 1e9
+        if lasting_s - covered_s >= _SEEN * lasting_s:
+            yield (
+                f"The compared poses cover {format_short(covered_s, 's')} of the"
+                f" {format_short(lasting_s, 's')} of {one.name}: the errors leave the rest out."
+            )
     rows = find_gap_rows(time_ns)
     lengths_s = (time_ns[rows] - time_ns[rows - 1]) / 1e9
-    if reference.clock == "frame" or not len(rows):
+    if not len(rows):
         return
     longest = int(lengths_s.argmax())
-    if lengths_s[longest] >= _SEEN * np.ptp(time_ns) / 1e9:
+    if lengths_s[longest] >= _SEEN * covered_s:
         start_s = (time_ns[rows[longest] - 1] - time_ns[0]) / 1e9
         yield (
             f"No poses are compared for {format_short(lengths_s[longest], 's')}, from"

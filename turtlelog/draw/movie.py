@@ -352,7 +352,7 @@ def _set_curve(
     for level in levels if len(levels) == 1 else ():
         axes.axhline(level, color="0.45", linewidth=1.0, zorder=1)
     own = [curve.values for run in runs for curve in plotted_curves.list_own(run, plot)]
-    limits = plotted_curves.find_range(own, plotted_curves.list_plot_levels(runs, plot))
+    limits = plotted_curves.find_plot_range(own, plotted_curves.list_plot_levels(runs, plot))
     if limits is not None:
         axes.set_ylim(limits)
     axes.set_title(plot.label, loc="left", pad=4.0)

@@ -265,7 +265,7 @@ def _set_height(
         return
     calm = [one.run for number, one in enumerate(drawn) if number not in restless]
     own = [curve.values for run in calm for curve in plotted_curves.list_own(run, plot)]
-    found = plotted_curves.find_range(own, plotted_curves.list_plot_levels(calm, plot))
+    found = plotted_curves.find_plot_range(own, plotted_curves.list_plot_levels(calm, plot))
     if found is not None:
         figure.y_range = load_library("bokeh.models").Range1d(*found)
 

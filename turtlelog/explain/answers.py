@@ -430,7 +430,7 @@ class ExplainedDifference:
             withheld.
         changes: Names and values of the changed settings, without contributions, if contributions
             are withheld.
-        idle: Keys that differ but never change the metric, in any combination.
+        idle: Keys that differ (for robots, beyond their intervals) but never change the metric.
         unexplained: Part of the difference that neither the models of two robots nor the
             contributions explain; None if no robots are identified.
         withheld: Reason why there are no contributions, in one clause; None if there are

@@ -146,6 +146,13 @@ def _divide(
         keys = tuple(part.neutral)
         changes.append(Change(name=part.name, keys=keys, first=first, second=second))
     surely = tuple(one for one in changes if robot_log.differs_surely(one.name, one.keys, logs))
+    idle = tuple(
+        key
+        for one in surely
+        if one.name not in acting
+        for key in one.keys
+        if robot_log.differs_surely(one.name, [key], logs)
+    )
     found = replace(found, changes=surely, seeds=len(SEEDS))
     if divided.withheld:
         return replace(found, withheld=divided.withheld)
@@ -168,7 +175,6 @@ def _divide(
     if share > _MOST_UNEXPLAINED:
         reason = f"the robots' models leave {100.0 * share:.0f} % of the difference unexplained"
         return replace(found, withheld=reason)
-    idle = tuple(key for name in parts if name not in acting for key in listed[name].keys)
     return replace(
         found, contributions=contributions, changes=(), idle=idle, together=divided.together
     )

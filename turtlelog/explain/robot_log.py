@@ -19,7 +19,7 @@ from turtlelog.identify.axis_motion import AXES, Axis, measure_axis_steps, read_
 from turtlelog.identify.held_response import HeldInput
 from turtlelog.identify.robot_identification import identify_robot
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel
-from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
+from turtlelog.identify.robot_noise import measure_disturbance_noise, measure_sensing_noise
 from turtlelog.measure import Outlier, list_outliers
 from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps
 from turtlelog.plants import LAGGED, find_plant
@@ -98,7 +98,7 @@ def read_robot_log(run: Run) -> RobotLog:
     """Return a robot's log with its model."""
     model = identify_robot(run)
     sensing = measure_sensing_noise(model, [run]) if any(a.is_known for a in model.axes) else None
-    rates = {axis: measure_rate_noise(model, axis, [run]) for axis in AXES}
+    rates = {axis: measure_disturbance_noise(model, axis, [run]) for axis in AXES}
     return RobotLog(
         run=run,
         model=model,

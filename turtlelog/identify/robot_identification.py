@@ -391,7 +391,7 @@ def _list_delays(run: Run) -> _Shown | None:
     except ReplayError:
         return None
     starts = find_breaks(motion)[2]
-    _, use = place_commands(motion, run, frozenset(starts))
+    *_, use = place_commands(motion, run, frozenset(starts))
     moving = np.count_nonzero((motion.speed_m_s != 0.0) | (motion.turn_rate_rad_s != 0.0))
     if use.unexplained_ticks > _MOST_UNEXPLAINED * moving:
         return None

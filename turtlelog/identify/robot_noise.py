@@ -117,7 +117,7 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
     )
 
 
-def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> Noise | None:
+def measure_disturbance_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> Noise | None:
     """Return the growth of a model's error [m or rad per root of a second]; None if unknown."""
     if not getattr(model, axis).is_known:
         return None

@@ -13,7 +13,7 @@ from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, OTHER, UNITS, Axis, get_commands
 from turtlelog.identify.robot_model import AxisModel, RobotModel
-from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
+from turtlelog.identify.robot_noise import Noise, measure_disturbance_noise, measure_sensing_noise
 from turtlelog.plants import LAGGED
 from turtlelog.run import Run
 from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
@@ -396,7 +396,7 @@ def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
             f" {1e3 * position_m:.3g} mm and {1e3 * heading_rad:.3g} mrad.{zero}"
         )
     for axis, key in zip(AXES, ("noise_speed", "noise_turn_rate"), strict=True):
-        noise = measure_rate_noise(model, axis, runs)
+        noise = measure_disturbance_noise(model, axis, runs)
         values[f"disturbance.{key}"] = _round(noise.size if noise else 0.0)
         notes += _tell_rate_noise(axis, noise)
     return values, notes

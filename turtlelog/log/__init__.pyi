@@ -18,15 +18,7 @@ from .exported_tables import (
     holds_tables as holds_tables,
     import_tables as import_tables,
 )
-from .file_access import (
-    CHOSEN as CHOSEN,
-    CLOCK_SET as CLOCK_SET,
-    UNUSED as UNUSED,
-    ReadChoice as ReadChoice,
-    ReadOptions as ReadOptions,
-    replace_when_complete as replace_when_complete,
-    split_topic as split_topic,
-)
+from .file_access import replace_when_complete as replace_when_complete
 from .file_info import (
     RecordingInfo as RecordingInfo,
     TopicInfo as TopicInfo,
@@ -46,6 +38,14 @@ from .plain_tables import (
 from .planar_poses import (
     JOINTS as JOINTS,
     POSE_TYPES as POSE_TYPES,
+)
+from .read_choice import (
+    CHOSEN as CHOSEN,
+    CLOCK_SET as CLOCK_SET,
+    UNUSED as UNUSED,
+    ReadChoice as ReadChoice,
+    ReadOptions as ReadOptions,
+    split_topic as split_topic,
 )
 from .recording.live_run import RecordingTail as RecordingTail, Sink as Sink, run_live as run_live
 from .recording.reader import read_recording as read_recording

@@ -16,7 +16,9 @@ from turtlelog.files.text_files import iterate_lines
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log import recording, ros2
 from turtlelog.log.engine.opening import is_bag_file, strip_suffixes
-from turtlelog.log.file_access import (
+from turtlelog.log.file_access import name_file, open_file
+from turtlelog.log.file_info import RecordingInfo, read_info
+from turtlelog.log.read_choice import (
     CHOSEN,
     RESTARTS,
     ROBOT,
@@ -26,12 +28,9 @@ from turtlelog.log.file_access import (
     ReadOptions,
     describe_unused,
     match_topic,
-    name_file,
-    open_file,
     parse_goal_option,
     split_topic,
 )
-from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.recording.topics import COMMAND, POSE
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from turtlelog.log.parquet_file import (
 from turtlelog.log.table_files import (
     ROWS_AT_ONCE,
     describe_mismatch,
-    list_rows,
+    iterate_table_rows,
     read_header,
     require_few_columns,
 )
@@ -130,7 +130,7 @@ def _write_csv(run: Run, table: str, path: Path) -> None:
         # One line end on every platform: equal runs give identical files.
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(map(guard_cell, row) for row in list_rows([*columns.values()]))
+        writer.writerows(map(guard_cell, row) for row in iterate_table_rows([*columns.values()]))
 
 
 def _write_parquet(run: Run, table: str, path: Path) -> None:

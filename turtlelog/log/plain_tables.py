@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
-from turtlelog.log.file_access import CHOSEN, RESTARTS, ROBOT, name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import (
     HEADINGS,
     Values,
@@ -28,6 +28,7 @@ from turtlelog.log.planar_poses import (
     sort_rows,
     wrap_far_headings,
 )
+from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
 from turtlelog.log.ros2.reported_motion import (
     PATH_NOTE,
     RATE_NOTE,

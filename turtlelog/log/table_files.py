@@ -389,7 +389,7 @@ def _format_tum(run: Run) -> Iterator[str]:
         np.sin(half_rad),
         np.cos(half_rad),
     )
-    for time_ns, x, y, qz, qw in list_rows(columns):
+    for time_ns, x, y, qz, qw in iterate_table_rows(columns):
         yield f"{format_seconds(time_ns)} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n"
 
 
@@ -423,7 +423,7 @@ def _iterate_trajectory(path: Path) -> Iterator[tuple[list[int], NDArray[Any], N
             yield time_ns, numbers[:, 1:3], compute_heading(*numbers[:, 4:8].T)
 
 
-def list_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
+def iterate_table_rows(columns: Sequence[NDArray[Any]]) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of equally long columns as Python values, with few rows in memory."""
     for first in range(0, len(columns[0]), ROWS_AT_ONCE):
         parts = (column[first : first + ROWS_AT_ONCE].tolist() for column in columns)

@@ -209,7 +209,7 @@ def _find_far_steps(
         rate = float((lasting / usual_ns[1:]).max()) * 1e9
         rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
         reached = np.maximum(rate, acceleration * usual_ns / 1e9)
-        is_far = np.asarray(way > _FAST * reached * usual_ns / 1e9 + ROUNDING)
+        is_far = np.asarray(way > _FAST * reached * (usual_ns / 1e9) + ROUNDING)
         if is_far.mean() <= _STRAYS:
             break
     return is_far
@@ -353,7 +353,7 @@ _MEDIANS: Final = (0.6745, 1.1774)
 
 def _measure_spread(values: Values) -> Values:
     """Return the standard deviation per axis around each row, from medians."""
-    size = _measure_length(values)
+    size = measure_length(values)
     blocks = -(-len(size) // _BLOCK)
     padded = np.pad(size, (_BLOCK, (blocks + 1) * _BLOCK - len(size)), mode="reflect")
     around = sliding_window_view(padded, 3 * _BLOCK)[::_BLOCK][:blocks]
@@ -378,10 +378,10 @@ def _find_by_means(motion: _Motion, count: int) -> NDArray[np.bool_]:
         moved - mean * took_s[:, np.newaxis],
         np.maximum(spread * took_s[:, np.newaxis] - noise[:, np.newaxis], 0.0),
     )
-    size = _measure_length(beyond)
+    size = measure_length(beyond)
     rests_s = (count - 0.5) * motion.usual_s  # to speed up as long, and to brake as long
     least = motion.acceleration * rests_s**2 + _TIMER_S * np.abs(mean) + _EXACT
-    is_large = (size > _NOISES * noise) & (_measure_length(beyond / least) > 1.0)
+    is_large = (size > _NOISES * noise) & (measure_length(beyond / least) > 1.0)
     rows, unit = rows[is_large], beyond[is_large] / size[is_large, np.newaxis]
     size, mean, spread = size[is_large], mean[is_large], spread[is_large]
     is_kept = _stand_alone(motion, rows, unit, size, (mean, spread))
@@ -425,7 +425,7 @@ def _subtract_means(values: Values, rows: NDArray[np.int64], count: int) -> Valu
     return np.asarray((after - (sums[rows + 1] - sums[rows + 1 - count])) / count)
 
 
-def _measure_length(values: Values) -> Values:
+def measure_length(values: Values) -> Values:
     """Return the length of each row without overflow: the square of 1e300 is not finite."""
     return np.asarray(np.abs(np.hypot.reduce(values, axis=1)))
 

@@ -212,9 +212,12 @@ def list_ids_like(pattern: str) -> list[str]:
 
 def _matches_any_loop(pattern: str) -> bool:
     """Return whether a pattern matches metrics of a loop with any valid name."""
-    loop, dot, plain = pattern.rpartition(".")
-    if not dot or not any(sign in pattern for sign in "*?["):
+    if not any(sign in pattern for sign in "*?["):
         return False
+    loop, dot, plain = pattern.rpartition(".")
+    if not dot:  # the first `*` may stand for the loop and the dot: `*time`
+        begin = pattern.partition("*")[0]
+        return any(fnmatchcase(f"{begin}.{name}", pattern) for name in LOOP_METRICS)
     is_loop = is_loop_name(loop) or any(sign in loop for sign in "*?[")
     return is_loop and any(fnmatchcase(name, plain) for name in LOOP_METRICS)
 

@@ -25,6 +25,7 @@ from turtlelog.measure.breaks import (
     find_gaps,
     find_jumps,
     has_courses,
+    measure_length,
     measure_steps,
 )
 from turtlelog.measure.rates import AXES, describe_repetition, find_changing_rows, space_poses
@@ -94,7 +95,7 @@ def _estimate(steps: Values) -> float:
     bends = np.diff(steps)
     whole = bends[: len(bends) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
     # A jump is in one estimate, and of two estimates the quieter one counts.
-    spreads = np.sqrt((whole**2).mean(axis=1) / 6.0)
+    spreads = measure_length(whole) / math.sqrt(6.0 * _BLOCK)
     return float(np.quantile(spreads, _QUIET, method="lower"))
 
 
@@ -160,7 +161,7 @@ def _measure_through_medians(
     positions are, decides whether slow steps back may be those of a robot that turns round.
     """
     steps = np.diff(values, axis=0)
-    ways = np.linalg.norm(steps, axis=1)
+    ways = measure_length(steps)
     whole = float(ways.sum())
     if not whole:
         return None
@@ -170,10 +171,11 @@ def _measure_through_medians(
     medians = [axis[np.lexsort((axis, seconds))][middles] for axis in values.T]
     corners = np.column_stack(medians)
     left = np.diff(corners, axis=0, prepend=values[:1], append=values[-1:])
-    length = float(np.linalg.norm(left, axis=1).sum())
+    length = float(measure_length(left).sum())
     if length > _SHORTER * whole:
         return None
-    is_back = (steps[1:] * steps[:-1]).sum(axis=1) < 0.0
+    shares = steps / whole  # whose products are finite
+    is_back = (shares[1:] * shares[:-1]).sum(axis=1) < 0.0
     own_s = 0.0 if is_noisy else compute_median(np.diff(time_ns)) / 1e9
     is_scatter = float(ways[1:][is_back].sum()) >= max(_BACK, _MOST_TURNS_HZ * own_s) * whole
     is_scatter |= noise_m * len(ways) >= _BY_NOISE * (whole - length)
@@ -252,10 +254,12 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     if any(name in run.notes for name in _UNLIKE):
         return None
     moved_m, turned_rad = _measure_displacements(run.poses)
-    energy = float((moved_m**2).sum())
     sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
-    if not energy or int((sizes_m > _MOVING * sizes_m.max()).sum()) < _FEWEST:
+    largest_m = float(sizes_m.max(initial=0.0))
+    if not largest_m or int((sizes_m > _MOVING * largest_m).sum()) < _FEWEST:
         return None
+    moved_m /= largest_m  # whose squares are finite; only the direction counts
+    energy = float((moved_m**2).sum())
     turning = float(turned_rad @ turned_rad)
     if turning:
         moved_m = moved_m - np.outer(turned_rad, (turned_rad @ moved_m) / turning)
@@ -416,7 +420,7 @@ def _describe_resolution(run: Run, metrics: "Mapping[str, Metric]") -> dict[str,
     time_s = run.poses.time_ns / 1e9
     if run.poses.measured_speed_m_s is None:
         time_s = space_poses(run).time_s
-    return {"rate_step": f"{1e3 * compute_median(subtract_neighbours(time_s)):.3g} ms"}
+    return {"rate_step": format_short(1e3 * compute_median(subtract_neighbours(time_s)), "ms")}
 
 
 def _describe_times(run: Run) -> dict[str, str]:

@@ -30,6 +30,10 @@ SHORTEST_S: Final = 0.05
 """Approximate time over which poses are differenced [s]. Odometry at the usual 20 Hz is used pose
 by pose."""
 
+NEAR: Final = 1.01
+"""Factor by which the usual time between poses may exceed the largest allowed time [1]. Clocks and
+times with few digits make a rate of 5 Hz appear up to a hundredth lower."""
+
 _LEAST_STEP: Final = 0.5
 """Share of the usual time between poses below which a pose is left out. Pairs 0.1 ms apart give
 arbitrary speeds."""

@@ -77,6 +77,16 @@ def read_heading_reference(run: Run) -> float | Values | None:
     return np.asarray(columns[acting, np.arange(rows)])
 
 
+def has_lasting_heading(run: Run) -> bool:
+    """Return whether the heading loop that acted last had another reference than the bearing now.
+
+    At the goal, the bearing from the present position is arbitrary.
+    """
+    declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
+    loops = tuple(loop for loop in declared if read_reference(run, loop) is not None)
+    return bool(loops) and loops[find_acting(run, loops)[-1]].reference != "bearing_now"
+
+
 def find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
     """Return the index of the loop that acts at every pose, or acted last, shape (n,)."""
     names = run.phase_names

@@ -266,6 +266,10 @@ _DIRECTION: Final = 2e-4
 """Accuracy of a velocity read from a step between two 32-bit poses [m/s], with a margin. Each pose
 is off by at most 4.8e-7 m, which is 3e-5 m/s in 16 ms on either axis."""
 
+UNSIGNED_M_S: Final = 2.0 * _DIRECTION
+"""Speed below which a step may not show whether it leads forward [m/s]; twice the accuracy, because
+the step itself is off by as much."""
+
 _LATE_NS: Final = 2 * TICK_NS
 """Largest delay of a recorder's stamp of a command after the pose that shows the command [ns]."""
 
@@ -297,14 +301,15 @@ class CommandUse:
 
 def place_commands(
     motion: RecordedMotion, run: Run, starts: frozenset[int]
-) -> tuple[tuple[Velocity, ...], CommandUse]:
-    """Return the velocity of the plant in the tick of each pose, and the use of the commands.
+) -> tuple[tuple[Velocity, ...], NDArray[np.bool_], CommandUse]:
+    """Return the plant's velocity in each pose's tick, whether it is a recorded one, and a summary.
 
     At the rows `starts`, the step from the previous pose shows no velocity.
     """
     commands = run.commands
     placer = _Placer(motion, commands)
-    velocities, is_unexplained = placer.place_all(motion, starts)
+    velocities, unexplained = placer.place_all(motion, starts)
+    is_unexplained = np.array(unexplained, dtype=bool)
     is_disturbed = np.zeros(len(motion.time_ns), dtype=bool)
     if any(read_number(run.parameters, key) for key in PUSH_KEYS):
         # It acts from the first tick at its start on, and no longer in that at its end.
@@ -318,11 +323,11 @@ def place_commands(
         taken=placer.taken,
         unseen=len(commands) - placer.taken,
         stops=placer.stops,
-        unexplained_ticks=sum(is_unexplained),
-        disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
+        unexplained_ticks=int(is_unexplained.sum()),
+        disturbed_ticks=int((is_unexplained & is_disturbed).sum()),
         never_arrived=sum(int(found[1]) for found in lost if found),
     )
-    return tuple(velocities), use
+    return tuple(velocities), is_unexplained, use
 
 
 def _list_rows(motion: RecordedMotion, starts: frozenset[int]) -> Iterator[_Row]:

@@ -16,6 +16,7 @@ from turtlelog.parts import NEVER_NS
 from turtlelog.plants import LAGGED, PLANTS, Turtle, find_plant, read_plant
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.replay.breaks_and_commands import (
+    UNSIGNED_M_S,
     CommandUse,
     Gap,
     Jump,
@@ -118,10 +119,10 @@ def replay_plant(run: Run) -> PlantReplay:
         return _replay_lagged(run)
     motion = read_motion(run)
     jumps, gaps, starts = find_breaks(motion)
-    velocities, use = place_commands(motion, run, frozenset(starts))
+    velocities, is_recorded, use = place_commands(motion, run, frozenset(starts))
     bounds = [*map(slice, [0, *starts], [*starts, len(motion.time_ns)])]
 
-    drive = partial(_replay_stretch, motion, velocities, use.unexplained_ticks)
+    drive = partial(_replay_stretch, motion, velocities, is_recorded)
     stretches, heading_bits = tuple(drive(rows, keeps_32_bits=False) for rows in bounds), 64
     first = find_earliest(stretch.first_difference for stretch in stretches)
     if first is not None:
@@ -146,7 +147,7 @@ def replay_plant(run: Run) -> PlantReplay:
 def _replay_stretch(
     motion: RecordedMotion,
     velocities: tuple[Velocity, ...],
-    rounded_ticks: int,
+    is_recorded: NDArray[np.bool_],
     rows: slice,
     *,
     keeps_32_bits: bool,
@@ -164,8 +165,11 @@ def _replay_stretch(
         turtle.step()
         states.extend(turtle.state[:3])
         driven_m += math.hypot(forward, left) * TICK_S
-    # A recorded velocity is off by half a 32-bit step, which adds up over the ticks that use it.
-    ticks = min(rounded_ticks, after - first - 1)
+    # A recorded velocity is off by half a 32-bit step, which adds up over the ticks that use it. It
+    # has no sign, and a slow one is taken as forward.
+    recorded = is_recorded[first + 1 : after]
+    ticks, speeds_m_s = int(recorded.sum()), motion.speed_m_s[first + 1 : after][recorded]
+    unsigned_m = 2.0 * TICK_S * float(speeds_m_s[speeds_m_s < UNSIGNED_M_S].sum())
     within = motion.speed_m_s[first:after], np.abs(motion.turn_rate_rad_s[first:after])
     off_m, off_rad = (_HALF_SHARE * TICK_S * ticks * float(values.max()) for values in within)
     # A heading of 32 bits is published whole, and nothing of it is lost.
@@ -176,7 +180,7 @@ def _replay_stretch(
         motion.time_ns[first:after],
         recorded=np.column_stack([motion.xy_m, motion.heading_rad])[first:after],
         states=np.frombuffer(states).reshape(-1, 3),
-        rounding_m=3.0 * _HALF_STEP_M + off_m + driven_m * start_rad,
+        rounding_m=3.0 * _HALF_STEP_M + off_m + unsigned_m + driven_m * start_rad,
         rounding_rad=rounding_rad,
     )
 

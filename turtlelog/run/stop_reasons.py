@@ -281,5 +281,5 @@ def describe_wall(run: "Run") -> str:
     if not hits:
         return ""
     at_s = (hits[0].time_ns - run.start_ns) / 1e9
-    more = f" ({len(hits)} times in all)" if len(hits) > 1 else ""
-    return f"{hits[0].text.removesuffix('.')}, at {at_s:.1f} s{more}: the wall stopped it there."
+    more = f", the first of {len(hits)} contacts" if len(hits) > 1 else ""
+    return f"{hits[0].text.removesuffix('.')}, at {at_s:.1f} s{more}: the wall held it back."

@@ -406,7 +406,8 @@ def build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: floa
 def _find_heading_error(row: Row) -> float:
     """Return the final heading error: reference of the last active heading loop minus heading.
 
-    If no heading loop acted, the first declared heading loop is used.
+    If no heading loop acted, the first declared heading loop is used. The goal's heading replaces
+    a bearing from the present position, and a loop that is missing.
     """
     acting, spans = -1, row.memory.spans
     for number in range(len(row.loops)):
@@ -414,9 +415,11 @@ def _find_heading_error(row: Row) -> float:
         is_known = loop.reference != _GOAL_HEADING or not math.isnan(row.line.goal_heading_rad)
         if loop.signal == HEADING and is_known:
             acting = number if acting < 0 or spans[number].last > spans[acting].last else acting
-    if acting < 0:
+    last, wanted_rad = len(row.ticks) - 1, row.line.goal_heading_rad
+    if acting >= 0 and row.loops[acting].reference != _BEARING_NOW:
+        wanted_rad = _read_constant(row, row.loops[acting])
+    elif acting >= 0 and math.isnan(wanted_rad):
+        wanted_rad = _find_bearing(row, last)
+    if math.isnan(wanted_rad):
         return math.nan
-    loop, last = row.loops[acting], len(row.ticks) - 1
-    is_bearing = loop.reference == _BEARING_NOW
-    wanted_rad = _find_bearing(row, last) if is_bearing else _read_constant(row, loop)
     return wrap_angle(wanted_rad - row.memory.numbers[HEADINGS][last])

@@ -258,7 +258,7 @@ class KeyRange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Jump:
+class ObjectiveJump:
     """Change of the objective by more than the accepted loss between close values of a key."""
 
     key: str  # dotted scenario key
@@ -273,7 +273,7 @@ class Neighbourhood:
 
     slack: float  # largest accepted loss of the objective
     ranges: tuple[KeyRange, ...]  # range of each key
-    jump: Jump | None = None  # largest jump of the objective along a key; None if there is no jump
+    jump: ObjectiveJump | None = None  # largest jump along a key; None if there is no jump
 
 
 @dataclass(slots=True)
@@ -418,13 +418,13 @@ def _list_line(
 
 def _list_jumps(
     line: Sequence[tuple[float, float | None]], key: SearchedKey, least: float
-) -> Iterator[Jump]:
+) -> Iterator[ObjectiveJump]:
     """Yield larger changes of the objective between neighbouring values that are close together."""
     most = _JUMP_WIDTH * (key.high - key.low)
     for (low, before), (high, after) in pairwise(line):
         change = 0.0 if before is None or after is None else abs(after - before)
         if change > least and high - low <= most:
-            yield Jump(key=key.key, low=low, high=high, change=change)
+            yield ObjectiveJump(key=key.key, low=low, high=high, change=change)
 
 
 def _find_slack(candidates: Candidates, best: float) -> float:

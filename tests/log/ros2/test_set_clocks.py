@@ -13,7 +13,7 @@ from tests.cli.conftest import Call, call as call
 from tests.log.ros2.bags import START_NS, Said, make_vector, write_mcap, write_sqlite
 from turtlelog import read_bag
 from turtlelog.log import read_trajectory
-from turtlelog.log.file_access import CLOCK_SET
+from turtlelog.log.read_choice import CLOCK_SET
 from turtlelog.log.ros2.set_clocks import SILENCE
 from turtlelog.run import Run
 

@@ -277,7 +277,7 @@ def choose_recordings(
 
     Patterns are searched in the folder of the test, then in the root.
     """
-    from turtlelog.log.file_access import ReadOptions
+    from turtlelog.log.read_choice import ReadOptions
 
     place = f"{metafunc.definition.nodeid}: recordings"
     known = dict.fromkeys((*_FLAGS, *ReadOptions.__annotations__))
@@ -327,7 +327,7 @@ def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
 
 def find_stem(path: Path) -> str:
     """Return a file's name without suffix, valid for a file; for FILE:TOPIC, with the topic."""
-    from turtlelog.log.file_access import split_topic
+    from turtlelog.log.read_choice import split_topic
 
     head, topic = split_topic(path)
     return path.stem if topic is None else f"{head.stem}-{topic.strip('/').replace('/', '-')}"

@@ -24,7 +24,7 @@ from turtlelog.draw.figures.figure_curves import (
     draw_curve,
     draw_thinned,
     label_runs,
-    require_one,
+    require_one_run,
 )
 from turtlelog.draw.figures.page import Page, fix_style, to_rgb, use_looks
 from turtlelog.draw.figures.placed_words import WordSpace, measure_text_mm, name_ring, place_words
@@ -102,7 +102,7 @@ def explain_for_figure(
 
 
 def _choose_explained(figure: str, runs: Sequence[Run], metric: str | None) -> tuple[Run, str]:
-    run = require_one(figure, runs)
+    run = require_one_run(figure, runs)
     chosen = metric or explain.choose_metric(run.declaration)
     explain.require_causes(run, chosen, None)
     return run, chosen

@@ -256,7 +256,7 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
 
 
-def require_one(figure: str, runs: Sequence[Run]) -> Run:
+def require_one_run(figure: str, runs: Sequence[Run]) -> Run:
     """Return the only run of a figure; ShowError for none or several."""
     if len(runs) != 1:
         raise ShowError(f"figure {figure}: expected one recording, found {len(runs)}")

@@ -27,7 +27,7 @@ from turtlelog.draw.figures.figure_curves import (
     draw_curve,
     draw_thinned,
     label_runs,
-    require_one,
+    require_one_run,
 )
 from turtlelog.draw.figures.page import MEASURED, MODELLED, REFERENCE, Page, fix_style, use_looks
 from turtlelog.draw.figures.time_panels import shade_gaps
@@ -84,7 +84,7 @@ def draw_rates(
 
     ShowError if the run has no commands.
     """
-    run = require_one("rates", runs)
+    run = require_one_run("rates", runs)
     model = identify.identify_robot([run]) if model is None else model
     drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
     if not drawn:

@@ -202,7 +202,7 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
             axes.set_ylim(0.6 * known.min(), 1.8 * known.max())
     elif scale != "symlog" and (is_forced or plot.command is not None):
         levels = plotted_curves.list_plot_levels(runs, plot)
-        found = plotted_curves.find_range([curve.values for curve in curves], levels)
+        found = plotted_curves.find_plot_range([curve.values for curve in curves], levels)
         if found is not None:
             axes.set_ylim(found)
 
@@ -333,7 +333,7 @@ def draw_violation(
     Raises:
         ShowError: If there is not exactly one run, or nothing was checked.
     """
-    figure_curves.require_one("violation", runs)
+    figure_curves.require_one_run("violation", runs)
     if violated is None:
         raise ShowError("figure violation needs a formula to check: --expect FORMULA")
     width = figure.get_figwidth()

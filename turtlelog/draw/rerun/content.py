@@ -216,7 +216,7 @@ def find_ranges(
     for curves in (curves for run in series for curves in run if curves.is_measured):
         measured.setdefault(curves.plot, []).append(curves.values)
     found = {
-        plot: plotted_curves.find_range(values, levels.get(plot, ()))
+        plot: plotted_curves.find_plot_range(values, levels.get(plot, ()))
         for plot, values in measured.items()
     }
     return {plot: limits for plot, limits in found.items() if limits is not None}

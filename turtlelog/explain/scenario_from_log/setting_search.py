@@ -142,7 +142,7 @@ class _Search:
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, dict(known), hints
-        self._rows = resimulation.list_rows(trace)
+        self._rows = resimulation.list_recorded_rows(trace)
         # A law without a known pause has none to search.
         self._pauses = pauses = hints.pauses or (None,)
         near = [

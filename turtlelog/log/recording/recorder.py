@@ -26,8 +26,8 @@ from turtlelog.log.file_access import mark_live, name_write_error
 from turtlelog.log.mcap_writer import ChunkRows, McapFile
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
-from turtlelog.log.recording.live_run import exit_on_terminate, hold_stop
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
+from turtlelog.processes import exit_on_terminate, hold_stop
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.run.stop_reasons import INTERRUPTED

@@ -13,9 +13,10 @@ from turtlelog.files.urls import make_path
 from turtlelog.log.engine.cdr import PackedItems
 from turtlelog.log.engine.message_types import Column, lay_out_alike, read_type
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import CHOSEN, UNUSED, create_folder, name_write_error
+from turtlelog.log.file_access import create_folder, name_write_error
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import write_columns
+from turtlelog.log.read_choice import CHOSEN, UNUSED
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (
     FORMAT_VERSION,

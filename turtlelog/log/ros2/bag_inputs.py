@@ -12,9 +12,9 @@ import numpy as np
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
+from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
 from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
@@ -127,7 +127,7 @@ def choose_command_topic(
         # The robot's own commands have priority, and topics named as commands over all others.
         return int(name == len(_COMMAND_NAMES)), near, name, depth
 
-    chosen = bag_topics.require_one(bag_topics.list_first(fitting, rank), "command_topic")
+    chosen = bag_topics.require_one_topic(bag_topics.list_first(fitting, rank), "command_topic")
     return bag_topics.Pick(
         topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen)
     )

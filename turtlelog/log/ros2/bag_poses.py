@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import CHOSEN, ReadChoice, name_file, parse_joints, parse_wheels
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     FIX,
@@ -23,6 +23,7 @@ from turtlelog.log.planar_poses import (
     Values,
     find_pose_shape,
 )
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.ros2 import bag_topics, bag_transforms
 from turtlelog.log.ros2.bag_rows import Bag
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes

@@ -14,7 +14,7 @@ from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions, name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
@@ -24,6 +24,7 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
+from turtlelog.log.read_choice import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions
 from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import (
     CONTROL,

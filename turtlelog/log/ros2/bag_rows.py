@@ -20,9 +20,10 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.topic_columns import TopicColumns, iterate_heads, read_some_columns
-from turtlelog.log.file_access import TimeSource, name_place
+from turtlelog.log.file_access import name_place
 from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.planar_poses import Fields, Values
+from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.bag_files import find_bag_files
 from turtlelog.log.ros2.set_clocks import ClockStep, find_clock_steps, undo_clock_steps
 from turtlelog.log.ros2.stamps import (

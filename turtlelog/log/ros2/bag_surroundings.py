@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, parse_utc
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import CLOCK_SET, name_file
+from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Values
+from turtlelog.log.read_choice import CLOCK_SET
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names

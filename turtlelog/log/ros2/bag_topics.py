@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.file_access import match_topic
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
+from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import POSE64
 
 PATH: Final = "nav_msgs/msg/Path"
@@ -119,7 +119,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # If robots differ only by number, the first is chosen.
         best = [min(best, key=lambda topic: list_numbers(topic.topic))]
-    chosen = require_one(best, "pose_topic")
+    chosen = require_one_topic(best, "pose_topic")
     others = [topic for topic in fitting if topic != chosen and topic.type not in TRANSFORM_TYPES]
     return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
@@ -133,7 +133,7 @@ def choose_joint_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicI
     if not fitting:
         raise LogError(f"wheel_joints: expected a topic of {JOINTS}, found {_describe(held)}")
     named = [topic for topic in fitting if take_last(topic.topic) == "joint_states"]
-    return require_one(named or fitting, "pose_topic")
+    return require_one_topic(named or fitting, "pose_topic")
 
 
 def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
@@ -282,7 +282,7 @@ def find_asked(
     return found
 
 
-def require_one(chosen: list[TopicInfo], name: str) -> TopicInfo:
+def require_one_topic(chosen: list[TopicInfo], name: str) -> TopicInfo:
     """Return the only topic; several are refused, and the option `name` chooses."""
     if len(chosen) > 1:
         names = ", ".join(topic.topic for topic in chosen)

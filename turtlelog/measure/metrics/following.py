@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, SAME, Axis, HeldCommands, Rates
+from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
@@ -362,7 +362,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
             held = f"no command is held for {HELD_AFTER_S:g} s"
             return Missing(Status.NO_STEP, f"{held} after one that was for {HELD_BEFORE_S:g} s")
         period_s = compute_median(subtract_neighbours(rates.edges_s))
-        if period_s * _FEWEST_RATES > HELD_AFTER_S:
+        if period_s * _FEWEST_RATES > NEAR * HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST_RATES} Hz"
             return Missing(Status.TOO_SHORT, reason)
         band = context.settings.band

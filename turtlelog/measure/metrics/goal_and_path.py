@@ -38,7 +38,7 @@ from turtlelog.measure.reductions import (
     measure_way,
     subtract_neighbours,
 )
-from turtlelog.measure.references import compute_straightness
+from turtlelog.measure.references import compute_straightness, has_lasting_heading
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import (
@@ -70,17 +70,15 @@ def _get_heading_error(course: Any) -> float:
 @compiled_as(_get_heading_error)
 def get_heading_error(course: RunContext) -> float:
     """Return the reference heading minus the final heading [rad]; NaN if unknown."""
+    if course.run.goal_heading_rad is not None and not has_lasting_heading(course.run):
+        return wrap_angle(course.run.goal_heading_rad - course.last_heading_rad)
     error_rad = _find_heading_error(course, math.inf)
     return math.nan if error_rad is None else error_rad
 
 
 @course_metric("final.heading_error", "deg")
 def _measure_heading_error(course: RunContext) -> Outcome:
-    """Magnitude of the goal's heading, or else the reference heading, minus the last heading."""
-    wanted_rad = course.goal[2]
-    if not math.isnan(wanted_rad):
-        error_rad = wrap_angle(wanted_rad - course.last_heading_rad)
-        return math.degrees(abs(error_rad)), course.last_pose_s, FOUND
+    """Magnitude of the reference heading, or the goal's for a moving bearing, minus the heading."""
     error_rad = get_heading_error(course)
     if math.isnan(error_rad):
         return math.nan, math.nan, _NO_HEADING if course.is_lawless_with_goal else _NO_BEARING

@@ -1,7 +1,8 @@
 """Metrics of a robot's motion from poses alone: distance, speed, smoothness, and time at rest."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import degrees
 from typing import TYPE_CHECKING, Final
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import RunContext, run_metric
-from turtlelog.measure.rates import AXES, SAME, Axis, Rates
+from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.references import recall
 from turtlelog.run.angles import unwrap_headings
@@ -130,6 +131,10 @@ Beyond it, as for a receiver that scatters by 4 cm at 10 Hz, noise hides rest.""
 _NOISES: Final = 3.0
 """Noise of a mean rate that must be below the threshold of rest, in standard deviations."""
 
+_RANGE: Final = 7.0
+"""Range of the noise of ten poses in half a second, in standard deviations of their coordinates: 3
+of 1,000 are larger. Means of several poses are needed if it exceeds the threshold of rest."""
+
 _ENDS: Final = 5.0
 """Distance between two noisy poses that is motion, in standard deviations of their coordinates."""
 
@@ -152,9 +157,10 @@ class Rest:
 def judge_rest(context: RunContext) -> Rest | Missing:
     """Return the rest of a robot, found in its poses, or why it is unknown.
 
-    The time between two poses counts as rest if the robot moves by less than a threshold in the
-    half second before or after it. A rest therefore includes its beginning and end. If poses are
-    noisy, means of several poses are compared, over as much time as the noise needs.
+    The time between two poses counts as rest if all poses of the half second before or after it
+    lie within a threshold. A rest therefore includes its beginning and end, and a robot that swings
+    does not rest. If poses are noisy, means of several poses are compared, over as much time as the
+    noise needs.
     """
     return recall(context.run, "rest", lambda: _judge_rest(context))
 
@@ -169,9 +175,10 @@ def _judge_rest(context: RunContext) -> Rest | Missing:
     if noise is None or not window_s:
         is_at_rest = _find_slow_steps(time_s, columns)
     elif window_s <= _LONGEST_REST_S:
-        is_at_rest = _find_slow_means(time_s, columns, max(window_s, _REST_S))
+        is_at_rest = _find_slow_means(time_s, columns, window_s)
     else:
-        is_at_rest = _find_slow_means(time_s, columns, _LONGEST_REST_S, noise)
+        longest_s = max(_LONGEST_REST_S, 3.0 * compute_median(subtract_neighbours(time_s)))
+        is_at_rest = _find_slow_means(time_s, columns, longest_s, noise)
         if is_at_rest.any():
             return _HIDDEN
     steps_s = subtract_neighbours(time_s)
@@ -239,21 +246,22 @@ def _estimate_rate_noise(time_s: Values, size: float, window_s: float) -> float:
 
 def _choose_window(time_s: Values, noise: "WhiteNoise") -> float:
     """Return the time over which means of noisy poses show rest [s]; 0 if single poses do."""
-    windows_s = [0.0]
+    usual_s, windows_s = compute_median(subtract_neighbours(time_s)), []
     for size, rate in ((noise.position_m, AT_REST_M_S), (noise.heading_rad, AT_REST_RAD_S)):
-        if _NOISES * np.sqrt(2.0) * size > rate * _REST_S:
+        if _RANGE * size > rate * max(_REST_S, usual_s):
             # The noise of a rate falls with the power 3/2 of the window.
             windows_s.append((_estimate_rate_noise(time_s, size, 1.0) / rate) ** (2.0 / 3.0))
-    return max(windows_s)
+    # Each third of a window has a pose.
+    return max(*windows_s, _REST_S, 3.0 * usual_s) if windows_s else 0.0
 
 
 def _find_slow_means(
     time_s: Values, columns: Sequence[Values], window_s: float, noise: "WhiteNoise | None" = None
 ) -> NDArray[np.bool_]:
-    """Return in which steps means of the poses move by less than the threshold of rest.
+    """Return in which steps means of the poses lie within the threshold of rest.
 
-    The means are those of the first and the last third of a window before or after each step. If
-    noise is given, steps that it may move beyond the threshold are found, too.
+    The means are those of the thirds of a window before or after each step. If noise is given,
+    steps that it may move beyond the threshold are found, too.
     """
     most_m_s, most_rad_s = AT_REST_M_S, AT_REST_RAD_S
     if noise is not None:
@@ -261,36 +269,49 @@ def _find_slow_means(
         most_rad_s += _estimate_rate_noise(time_s, noise.heading_rad, window_s)
     sums = [np.append(0.0, np.cumsum(at - at[0])) for at in (time_s, *columns)]
 
-    def average(begin_s: Values, end_s: Values) -> list[Values]:
+    def average(begin_s: Values, end_s: Values) -> Values:
         first, last = np.searchsorted(time_s, begin_s), np.searchsorted(time_s, end_s, side="right")
         count = np.maximum(last - first, 1)
-        return [(total[last] - total[first]) / count for total in sums]
+        means = np.array([(total[last] - total[first]) / count for total in sums])
+        empty = last <= first  # no pose is there: the robot is taken as moving evenly
+        between_s = (begin_s[empty] + end_s[empty]) / 2.0
+        means[:, empty] = [np.interp(between_s, time_s, at - at[0]) for at in (time_s, *columns)]
+        return means
 
     found = np.zeros(len(time_s) - 1, dtype=bool)
-    for first_s in (time_s[1:] - window_s, time_s[:-1]):
-        begin_s = np.clip(first_s, time_s[0], max(time_s[-1] - window_s, time_s[0]))
-        third_s = window_s / 3.0
-        early = average(begin_s, begin_s + third_s)
-        late = average(begin_s + 2.0 * third_s, begin_s + window_s)
-        lasted_s, *moved = (after - before for before, after in zip(early, late, strict=True))
+    for begin_s in _place_windows(time_s, window_s):
+        knots_s = [begin_s + share * window_s for share in (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)]
+        thirds = np.array([average(*ends_s) for ends_s in pairwise(knots_s)])
+        lasted_s, *moved = np.ptp(thirds, axis=0)
         found |= _is_slow(moved, lasted_s, most_m_s, most_rad_s)
     return found
 
 
+def _place_windows(time_s: Values, window_s: Values | float) -> Iterator[Values]:
+    """Yield the begins of the windows before each step, and of those after each step."""
+    for first_s in (time_s[1:] - window_s, time_s[:-1]):
+        yield np.clip(first_s, time_s[0], np.maximum(time_s[-1] - window_s, time_s[0]))
+
+
 def _find_slow_steps(time_s: Values, columns: Sequence[Values]) -> NDArray[np.bool_]:
-    """Return in which steps the robot moves by less than the threshold of rest."""
-    starts_s, ends_s = time_s[:-1], time_s[1:]
-    found = np.zeros(len(starts_s), dtype=bool)
-    for first_s, last_s in (
-        (np.minimum(starts_s, ends_s - _REST_S), ends_s),
-        (starts_s, np.maximum(ends_s, starts_s + _REST_S)),
-    ):
-        first_s, last_s = np.maximum(first_s, time_s[0]), np.minimum(last_s, time_s[-1])
-        moved = [np.interp(last_s, time_s, at) - np.interp(first_s, time_s, at) for at in columns]
-        found |= _is_slow(moved, last_s - first_s)
-    # A robot that swings is back at its place after half a second, and did not rest.
-    steps = [subtract_neighbours(at) for at in columns]
-    return found & _is_slow(steps, np.maximum(subtract_neighbours(time_s), _REST_S))
+    """Return in which steps the poses lie within the threshold of rest."""
+    found = np.zeros(len(time_s) - 1, dtype=bool)
+    window_s = np.maximum(subtract_neighbours(time_s), _REST_S)
+    for begin_s in _place_windows(time_s, window_s):
+        last_s = np.minimum(begin_s + window_s, time_s[-1])
+        moved = [_measure_ranges(time_s, at, begin_s, last_s) for at in columns]
+        found |= _is_slow(moved, last_s - begin_s)
+    return found
+
+
+def _measure_ranges(time_s: Values, values: Values, first_s: Values, last_s: Values) -> Values:
+    """Return the range of values in each window, linearly interpolated at its ends."""
+    rows = np.searchsorted(time_s, first_s), np.searchsorted(time_s, last_s, side="right")
+    inside, values_to_end = np.column_stack(rows).ravel(), np.append(values, values[-1])
+    ends = np.interp(first_s, time_s, values), np.interp(last_s, time_s, values)
+    highest = np.maximum.reduceat(values_to_end, inside)[::2]
+    lowest = np.minimum.reduceat(values_to_end, inside)[::2]
+    return np.asarray(np.maximum.reduce([highest, *ends]) - np.minimum.reduce([lowest, *ends]))
 
 
 def _is_slow(
@@ -301,7 +322,7 @@ def _is_slow(
 ) -> NDArray[np.bool_]:
     """Return which motions in x, y [m] and heading [rad] are slower than a threshold."""
     is_slow = np.hypot(moved[0], moved[1]) <= most_m_s * lasted_s
-    return np.asarray(is_slow & (np.abs(moved[2]) <= most_rad_s * lasted_s))
+    return np.asarray(is_slow & (moved[2] <= most_rad_s * lasted_s))
 
 
 _HIGHEST_HZ: Final = 10.0
@@ -310,9 +331,7 @@ _PADDING: Final = 4
 """Cut-off frequency [Hz], amplitude threshold [1] and zero padding [powers of 2] of the source."""
 
 _LEAST_HZ: Final = 5.0
-_NEAR: Final = 1.01
-"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses. Clocks
-and times with few digits make a rate of 5 Hz appear up to a hundredth lower."""
+"""Smallest rate of poses that shows smoothness [Hz]: a start of one second has five poses."""
 
 _MOST_ROWS: Final = 20_000
 """Largest number of rows for computing smoothness: a quarter of an hour at 20 Hz."""
@@ -329,7 +348,7 @@ def _compute_arc_length(context: RunContext) -> Result:
     if rates is None:
         return ONE_POSE
     period_s = max(compute_median(subtract_neighbours(rates.edges_s)), 0.04)
-    if period_s > _NEAR / _LEAST_HZ:
+    if period_s > NEAR / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
         return Missing(Status.TOO_SHORT, reason)
     time_s, values = _take_longest(rates)

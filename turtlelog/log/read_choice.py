@@ -1,0 +1,189 @@
+"""What to read of a file: topics, frames, times and wheels, and the names of notes about them."""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, Literal, TypedDict
+
+from turtlelog.display import join_words
+from turtlelog.errors import LogError
+from turtlelog.files.urls import RemotePath, make_path
+
+TimeSource = Literal["auto", "log", "stamp"]
+"""Source of pose times: the recorder's clock, stamps mapped to it, or chosen from the bag
+(`auto`)."""
+
+
+class ReadOptions(TypedDict, total=False):
+    """The fields of a `ReadChoice`, as arguments by name."""
+
+    pose_topic: str | None
+    command_topic: str | None
+    path_topic: str | None
+    pose_frame: str | None
+    world_frame: str | None
+    goal: tuple[float, ...] | None
+    time: TimeSource
+    robot: str | None
+    wheel_joints: str | None
+    wheels: tuple[float, ...] | None
+    wheelbase: float | None
+    columns: Mapping[str, str]
+    allow_partial: bool
+    allow_no_poses: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadChoice:
+    """Topics, frames and times to read from third-party files; options for incomplete files.
+
+    Attributes:
+        pose_topic: Topic of the poses. Default of all topics: chosen by types and names.
+        command_topic: Topic of the commands.
+        path_topic: Topic of the path to follow.
+        pose_frame: The robot's frame, for poses from transforms.
+        world_frame: Reference frame, for poses from transforms.
+        goal: Goal x, y [m] and optionally heading [rad]. Default: the goal in the file.
+        time: Clock that times the poses.
+        robot: Name of one of several robots, as in the topic `/robot2/odom` or column `robot2_x`.
+        wheel_joints: Names of the left and the right wheel in sensor_msgs/JointState, as in
+            `wheel_left_joint,wheel_right_joint`: poses are the odometry of these wheels.
+        wheels: Radius of the wheels and track between them [m].
+        wheelbase: Distance between the axles [m], for converting Ackermann commands to turn rates.
+        columns: Columns of a plain table, by quantity (`t`, `x`, `y`, `heading` ...). Each value is
+            the column name, with a unit in brackets if the name has no unit (`yaw [deg]`).
+        allow_partial: Whether to read the intact part of an unfinished or damaged recording.
+        allow_no_poses: Whether to read a bag that contains only commands as a run without poses.
+    """
+
+    pose_topic: str | None = None
+    command_topic: str | None = None
+    path_topic: str | None = None
+    pose_frame: str | None = None
+    world_frame: str | None = None
+    goal: tuple[float, ...] | None = None
+    time: TimeSource = "auto"
+    robot: str | None = None
+    wheel_joints: str | None = None
+    wheels: tuple[float, ...] | None = None
+    wheelbase: float | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    allow_partial: bool = False
+    allow_no_poses: bool = False
+
+    def override(self, other: "ReadChoice") -> "ReadChoice":
+        """Return this choice with the settings of another choice added; columns are merged."""
+        asked = {name: getattr(other, name) for name in other.list_given()}
+        return replace(self, **asked | {"columns": {**self.columns, **other.columns}})
+
+    def list_given(self) -> list[str]:
+        """Return the names of the options that differ from their defaults."""
+        return [name for name, usual in _USUAL.items() if getattr(self, name) != usual]
+
+
+CHOSEN: Final = "chosen"
+"""Name of a one-line note on the chosen topics. The note is shown on request and never recorded."""
+
+ROBOT: Final = "robot"
+"""Name of a note on the robot whose columns were read, of several in a table."""
+
+RESTARTS: Final = "restarts"
+"""Name of the note on times that start again, as of two runs one below the other."""
+
+CLOCK_SET: Final = "clock_set"
+"""Name of the note on steps of the recorder's clock."""
+
+UNUSED: Final = "unused"
+"""Name of a one-line note on options that a file does not use. The note is never recorded."""
+
+FileKind = Literal["table", "recording", "bag"]
+
+_USUAL: Final = {name: getattr(ReadChoice(), name) for name in ReadOptions.__annotations__}
+
+_OF_TABLES: Final = ("columns",)
+_OF_EVERY_FILE: Final = ("goal", "allow_partial", "allow_no_poses")
+_OF_BAGS: Final = tuple(name for name in _USUAL if name not in {*_OF_TABLES, *_OF_EVERY_FILE})
+
+
+def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
+    """Return one line on the options that a file does not use, and why; empty without such options.
+
+    Recordings have one clock and turn rates as commands; `commands` are topic and type in a bag.
+    """
+    given = choice.list_given()
+    of_recording = (*_OF_TABLES, "time", "wheelbase")
+    never = {"table": _OF_BAGS, "recording": of_recording, "bag": _OF_TABLES}[kind]
+    reasons = {"table": "this is a table", "recording": "this is a turtlelog recording"}
+    parts = []
+    if names := [name for name in given if name in never]:
+        texts = [
+            f"--column {', '.join(choice.columns)}"
+            if name == "columns"
+            else f"--{name.replace('_', '-')}"
+            for name in names
+        ]
+        verb = "is" if len(texts) == 1 else "are"
+        reason = reasons.get(kind, "this is no table")
+        parts.append(f"{join_words(texts)} {verb} not used: {reason}")
+    if kind == "bag" and "wheelbase" in given and "ackermann_msgs" not in commands:
+        found = f"the commands on {commands} are turn rates"
+        parts.append(f"--wheelbase is not used: {found if commands else 'no commands were read'}")
+    return "; ".join(parts)
+
+
+def split_topic(path: str | Path) -> tuple[Path, str | None]:
+    """Return the file and the topic of its poses in FILE:TOPIC, as in `bag:/odom_kf`.
+
+    An existing file with the whole name has priority. The slash of the topic is optional.
+    """
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        return path.split_topic()
+    text = path.as_posix()
+    head, colon, _ = text.rpartition(":")
+    while colon and not path.exists():
+        topic = text[len(head) + 1 :]
+        if head and topic and Path(head).exists():
+            return Path(head), topic
+        head, colon, _ = head.rpartition(":")
+    return path, None
+
+
+def match_topic(asked: str, names: Collection[str]) -> str:
+    """Return the topic with a name, with or without leading slash; or else the name itself."""
+    other = asked.removeprefix("/") if asked.startswith("/") else f"/{asked}"
+    return other if asked not in names and other in names else asked
+
+
+def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], float | None]:
+    """Return position [m] and heading [rad] of a requested goal; None for a missing heading."""
+    if len(goal) not in {2, 3} or not all(map(math.isfinite, goal)):
+        raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {goal!r:.60}")
+    x_m, y_m, *heading_rad = map(float, goal)
+    return (x_m, y_m), heading_rad[0] if heading_rad else None
+
+
+def parse_joints(text: str) -> tuple[str, str]:
+    """Return the names of the left and the right wheel."""
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise LogError(f"wheel_joints: expected LEFT,RIGHT, two joints, found {text[:60]}")
+    return names[0], names[1]
+
+
+def parse_wheels(values: tuple[float, ...]) -> tuple[float, float]:
+    """Return the radius of wheels and the distance between them [m]."""
+    if len(values) != 2 or not all(0.0 < value < math.inf for value in values):
+        raise LogError(
+            f"wheels: expected radius and track above 0 in m, as in (0.033, 0.16), found"
+            f" {values!r:.60}"
+        )
+    return float(values[0]), float(values[1])
+
+
+def parse_wheelbase(value: float) -> float:
+    """Return the distance between the axles [m]."""
+    if not 0.0 < value < math.inf:
+        raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
+    return float(value)
