@@ -258,7 +258,7 @@ def _overshoot(limit: GainLimits, kp: float) -> float:
     """Return the overshoot of the linear sampled loop [%]; NaN for none, or if unstable."""
     if limit.stability is None or kp >= limit.stability:
         return math.nan
-    motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
+    motion = limit.design.measure(replace(limit.gains, kp=kp))
     return math.nan if motion is None else max(motion.overshoot_percent, 0.0)
 
 
