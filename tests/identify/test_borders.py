@@ -1,5 +1,6 @@
 """What counts and what does not: a case on each side of each border."""
 
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,13 @@ from numpy.typing import NDArray
 
 import turtlelog as tl
 from tests.identify.robots import Log, build_run, make_run
+from tests.identify.test_drift import drive
 from tests.known import known
 from turtlelog.cli.identify import format_robot
 from turtlelog.identify import AxisModel, Estimate
-from turtlelog.identify.axis_fit import find_outlying_steps
+from turtlelog.identify.axis_fit import find_outlying_steps, fit_axis
 from turtlelog.identify.axis_motion import find_silent_stops, read_axis_motion
+from turtlelog.identify.fit_values import cover_parts, describe_fit
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
 
@@ -34,6 +37,55 @@ def turn_at(rate: NDArray[np.float64], time_s: NDArray[np.float64]) -> tl.Run:
 def test_an_outlier_is_further_off_than_noise_can_be(size: float, count: int) -> None:
     noise = np.tile([1.0, -1.0], 50)
     assert np.count_nonzero(find_outlying_steps(np.append(noise, size * 1.4826))) == count
+
+
+@pytest.mark.parametrize(("size", "count"), [(7.9, 0), (8.1, 1)])
+def test_rounding_of_poses_that_a_rest_does_not_show_is_no_outlier(size: float, count: int) -> None:
+    residual = np.append(np.zeros(50), size * 2.0**0.5 * 1e-7)
+    assert np.count_nonzero(find_outlying_steps(residual, 1e-7)) == count
+
+
+def test_an_interval_from_poses_of_32_bits_contains_the_truth() -> None:
+    keys = {"law.kp_linear": 2.0, "law.kp_angular": 2.0}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("lagged"), keys))
+    axis = tl.identify_robot(run).turn_rate
+    for found, truth in ((axis.gain, 1.0), (axis.dead_time_s, 0.08), (axis.lag_s, 0.1)):
+        assert known(found).low <= truth <= known(found).high
+    assert known(axis.gain).high - known(axis.gain).low < 0.02
+
+
+@pytest.mark.parametrize(("rounded", "is_doubted"), [(0.45, True), (0.55, False)])
+def test_parts_of_a_motion_may_differ_by_rounding(rounded: float, *, is_doubted: bool) -> None:
+    """The rate of a robot rises by a tenth halfway, which no model explains."""
+    time_s = np.arange(0.0, 12.0, 0.05)
+    rate = np.where(time_s < 7.0, 1.0, 1.2) * ((time_s >= 2.0) & (time_s < 10.0))
+    rate += np.random.default_rng(1).normal(0.0, 1e-3, len(time_s))
+    fit = fit_axis([read_axis_motion(turn_at(np.asarray(rate, float), time_s), "turn_rate")])
+    whitening = copy(fit.whitening)
+    whitening.noise = replace(whitening.noise, rounded=rounded)
+    found = cover_parts(describe_fit("turn_rate", fit, 0), replace(fit, whitening=whitening))
+    assert bool(found.doubts) is is_doubted
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_a_log_without_time_constant_shows_that_it_is_short(seed: int) -> None:
+    """The best time constant is 0, or 5 ms, or 0.5 ms: only longer ones show what is too long."""
+    run = drive({"plant.turn_dead_time_s": 0.34, "plant.turn_lag_s": 0.0})
+    noise = np.random.default_rng(seed).normal(0.0, 1e-3, len(run.poses))
+    run = replace(run, poses=replace(run.poses, heading_rad=run.poses.heading_rad + noise))
+    found = describe_fit("turn_rate", fit_axis([read_axis_motion(run, "turn_rate")]), 0)
+    assert known(found.lag_s).low == 0.0
+    assert known(found.lag_s).high < 0.01
+    assert known(found.dead_time_s).low > 0.33
+    assert known(found.dead_time_s).high >= 0.34
+
+
+@pytest.mark.parametrize(("apart_s", "is_sparse"), [(0.36, False), (0.44, True)])
+def test_advice_for_sparse_poses_is_to_record_more(apart_s: float, *, is_sparse: bool) -> None:
+    time_s = np.arange(0.0, 12.0, apart_s)
+    rate = np.where((time_s >= 2.0) & (time_s < 10.0), 1.0, 0.0)
+    advice = tl.identify_robot(turn_at(rate, time_s)).turn_rate.advice
+    assert ("record poses at most 0.4 s apart, and step the turn rate" in advice) is is_sparse
 
 
 def test_of_residuals_of_zero_none_is_an_outlier() -> None:

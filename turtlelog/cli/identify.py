@@ -242,7 +242,7 @@ def format_robot(
     if known:
         brackets = model.brackets
         if any(axis.doubts for axis in known):
-            brackets += ", wider for the doubts below"
+            brackets += ", with the doubts below"
         heads = [tl.compare.Column(title=head) for head in tl.identify.HEADS]  # units in the titles
         table = console.build_table("", heads, map(tl.identify.list_model_values, known))
         told = f"Total delay: dead time plus time constant. In brackets: {brackets}."

@@ -98,6 +98,7 @@ class StepModel:
         self.moved = np.concatenate([motion.moved for motion in self.motions])
         self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
         self.shared = np.concatenate([motion.shared for motion in self.motions])
+        self.rounding = max((motion.rounding for motion in self.motions), default=0.0)
         self.commands = np.concatenate([motion.commands.value for motion in self.motions])
 
     def prepare(self, lag_s: float, *extras: float) -> list[HeldResponse]:
@@ -124,6 +125,22 @@ class StepModel:
             (np.concatenate([way for way, _ in steps]), np.concatenate([rate for _, rate in steps]))
             for steps in found
         ]
+
+    def fit_noise(self, residual: Values) -> tuple[NDArray[np.bool_], Whitening]:
+        """Return which residuals are outliers, and the whitening by the noise of the others."""
+        is_outlier = find_outlying_steps(residual, self.rounding)
+        whitening = fit_noise(residual, self.duration_s, self.shared, is_outlier, self.rounding)
+        return is_outlier, whitening
+
+    def predict_beside(self, dead_time_s: float) -> Values:
+        """Return the displacement of each step by the commands of the other axis [m or rad]."""
+        steps = []
+        for motion in self.motions:
+            other, rows = motion.beside, motion.first
+            time_s = motion.time_s - dead_time_s
+            way = 0.0 * time_s if other is None else other.place(time_s).way
+            steps.append(way[rows + 1] - way[rows])
+        return np.concatenate(steps)
 
     def linearise(self, parameters: Values) -> tuple[Values, Values]:
         """Return the modelled steps and their derivatives, shape (n, parameters)."""
@@ -182,7 +199,7 @@ class AxisFit:
 def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
     """Return the best first-order fit; NoGainError if no gain above 0 explains any motion."""
     model = StepModel(motions)
-    return finish_fit(model, _search_start(motions))
+    return _measure_lag(finish_fit(model, _search_start(motions)))
 
 
 def fit_without_lag(fit: AxisFit) -> AxisFit:
@@ -232,12 +249,12 @@ def restart_axis(fit: AxisFit, start: Values) -> AxisFit:
 def _measure_lag(fit: AxisFit) -> AxisFit:
     """Return a fit with the error of a time constant that may be 0, where its slope shows none.
 
-    Behind a limited acceleration, a time constant rounds the ends of ramps: its effect grows with
-    its square. Therefore the cost of longer time constants gives the error, and what these do to
-    the other parameters.
+    A time constant much shorter than the steps acts in few of them. Behind a limited acceleration
+    it rounds the ends of ramps, and its effect grows with its square. Therefore the cost of longer
+    time constants gives the error, and what these do to the other parameters.
     """
     lag_s, variance = float(fit.parameters[LAG]), float(fit.covariance[LAG, LAG])
-    if not fit.model.structure.rounds_by_lag or lag_s**2 > NORMAL_95**2 * variance:
+    if lag_s**2 > NORMAL_95**2 * variance:
         return fit
     longest = _find_longest_lag(fit)
     if longest is None:
@@ -249,7 +266,11 @@ def _measure_lag(fit: AxisFit) -> AxisFit:
     others = np.delete(np.arange(len(moved)), LAG)
     slopes = fit.whitening.apply(fit.model.linearise(fit.parameters)[1][:, others])
     covariance = np.outer(moved, moved)
-    covariance[np.ix_(others, others)] += _estimate_covariance(fit.white, slopes)[0]
+    covariance[np.ix_(others, others)] += _estimate_covariance(
+        fit.white, slopes, fit.whitening.noise.rounded
+    )[0]
+    if not fit.model.structure.rounds_by_lag:
+        covariance[TOTAL, TOTAL] = max(covariance[TOTAL, TOTAL], fit.covariance[TOTAL, TOTAL])
     return replace(fit, covariance=covariance)
 
 
@@ -277,8 +298,7 @@ def finish_fit(model: StepModel, parameters: Values) -> AxisFit:
     least = np.inf
     for _ in range(_MOST_LESSONS):
         residual = model.moved - model.linearise(parameters)[0]
-        is_outlier = find_outlying_steps(residual)
-        whitening = fit_noise(residual, model.duration_s, model.shared, is_outlier)
+        is_outlier, whitening = model.fit_noise(residual)
         parameters, cost = _descend(model, parameters, whitening.apply)
         gained, least = least - (cost + whitening.log_size), cost + whitening.log_size
         if gained < _LEARNT:
@@ -286,15 +306,17 @@ def finish_fit(model: StepModel, parameters: Values) -> AxisFit:
     return _conclude(model, parameters, cost, whitening, is_outlier)
 
 
-def solve_part(fit: AxisFit, part: NDArray[np.bool_]) -> tuple[Values, Values]:
+def solve_part(fit: AxisFit, part: NDArray[np.bool_], *beside: Values) -> tuple[Values, Values]:
     """Return the change of the parameters from some of the steps, with its covariance.
 
-    Parameters are ordered as in the fit's covariance.
+    Parameters are ordered as in the fit's covariance; then come factors of `beside`, further
+    displacements in each step.
     """
     _, slopes = fit.model.linearise(fit.parameters)
     slopes[:, LAG] -= slopes[:, DEAD_TIME]
+    slopes = np.column_stack([slopes, *beside])
     white, slopes = fit.white[part], fit.whitening.apply(slopes)[part]
-    covariance, _ = _estimate_covariance(white, slopes)
+    covariance, _ = _estimate_covariance(white, slopes, fit.whitening.noise.rounded)
     bent = 1.0 + (white / SOFT) ** 2
     inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     return inverse @ (slopes.T @ (white / np.sqrt(bent))), covariance
@@ -312,12 +334,14 @@ def _conclude(
     white = whitening.apply(residual)
     # At constant total delay, a longer time constant is a shorter dead time.
     slopes[:, LAG] -= slopes[:, DEAD_TIME]
-    covariance, dispersion = _estimate_covariance(white, whitening.apply(slopes))
+    covariance, excess = _estimate_covariance(
+        white, whitening.apply(slopes), whitening.noise.rounded
+    )
     return AxisFit(
         model=model,
         parameters=parameters,
         covariance=covariance,
-        dispersion=dispersion,
+        dispersion=float(excess[LAG]),
         cost=cost,
         residual=residual,
         white=white,
@@ -326,10 +350,11 @@ def _conclude(
     )
 
 
-def find_outlying_steps(residual: Values) -> NDArray[np.bool_]:
-    """Return which residuals are outliers."""
+def find_outlying_steps(residual: Values, rounding: float = 0.0) -> NDArray[np.bool_]:
+    """Return which residuals are outliers, of poses with a standard deviation of rounding."""
     size = np.abs(residual)
-    scale = NORMAL_MAD * float(np.median(size))
+    # A robot that rests long repeats its pose exactly, but its motion is rounded.
+    scale = max(NORMAL_MAD * float(np.median(size)), 2.0**0.5 * rounding)
     if scale <= 0.0:
         return np.zeros(len(size), dtype=bool)
     # Steps that are off for long, and in one direction, are a motion that the model lacks.
@@ -420,8 +445,10 @@ def sum_softly(white: Values) -> float:
     return float(2.0 * SOFT**2 * (np.sqrt(1.0 + (white / SOFT) ** 2) - 1.0).sum())
 
 
-def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
-    """Return the covariance, and the ratio of the time constant's variance to that of normal noise.
+def _estimate_covariance(
+    white: Values, slopes: Values, rounded: float = 0.0
+) -> tuple[Values, Values]:
+    """Return the covariance, and the ratio of each variance to that of normal noise.
 
     The covariance is the larger of two: the model covariance, and a robust ("sandwich") estimate
     from the residuals.
@@ -438,13 +465,13 @@ def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
         meat += (1.0 - lag / (_SCORE_LAGS + 1)) * (beside + beside.T)
     sandwich = inverse @ meat @ inverse
     # Large residuals count less in both, so that normal noise has its own variance.
-    plain = inverse * float(np.mean(white**2 / bent) / np.mean(bent**-1.5))
+    variance = float(np.mean(white**2 / bent) / np.mean(bent**-1.5))
+    plain = inverse * max(variance, rounded)
     ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-100), 1.0))
     covariance = np.asarray(sandwich * np.outer(ratio, ratio))
     # A parameter without any effect has no scores, but is unknown nevertheless.
     np.fill_diagonal(covariance, np.maximum(np.diag(covariance), np.diag(plain)))
-    excess = np.diag(covariance)[LAG] / float(np.diag(inverse)[LAG])
-    return covariance, max(float(excess), 1.0)
+    return covariance, np.maximum(np.diag(covariance) / np.diag(inverse), 1.0)
 
 
 def _invert(matrix: Values) -> Values:

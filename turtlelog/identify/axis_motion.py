@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.held_response import HeldInput, Values, hold_commands
+from turtlelog.measure.motion import find_spacing
 from turtlelog.measure.pose_quality import find_travel_direction
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import subtract_headings, wrap_angle
@@ -85,6 +86,9 @@ class AxisMotion:
         commands: Commands of this axis, with a 0 if the robot stops by itself.
         stops: Stops of the robot without a command.
         beside: Commands of the other axis; None if they are unknown.
+        rounding: Standard deviation of a pose's rounding to 32 bits [m or rad]; 0 for more bits.
+        waited: Known time before the first command of this axis that is not 0 [s], and the
+            displacement in that time [m or rad].
     """
 
     time_s: Values
@@ -94,6 +98,8 @@ class AxisMotion:
     commands: HeldInput
     stops: tuple[SilentStop, ...] = ()
     beside: HeldInput | None = None
+    rounding: float = 0.0
+    waited: tuple[float, float] = (0.0, 0.0)
 
     @property
     def duration_s(self) -> Values:
@@ -178,6 +184,7 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     stands = total_s > 0.0 and abs(float(moved[earlier].sum())) <= most
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
+    waits = known & (ends_s <= command_s[np.argmax(command != 0.0)])
     direction_rad = 0.0 * moved
     if axis == "speed":
         heading_rad = np.unwrap(poses.heading_rad)
@@ -190,6 +197,8 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
         commands=commands,
         stops=tuple(stops),
         beside=hold_commands(command_s, get_commands(run, OTHER[axis])),
+        rounding=find_spacing(poses.xy_m if axis == "speed" else run.poses.heading_rad) / 12**0.5,
+        waited=(float((ends_s - begins_s)[waits].sum()), float(moved[waits].sum())),
     )
     return motion.take(used)
 

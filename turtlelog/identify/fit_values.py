@@ -190,6 +190,11 @@ delay. Below this share, no recommended gain changes by more than 1 %. A simulat
 has a curve in the eighth digit."""
 
 
+_ROUNDED: Final = 0.5
+"""Share of rounding in the variance of steps from which no difference between parts is meaningful:
+the model then lacks less than the poses show. Rounding repeats itself, as noise does not."""
+
+
 def cover_rivals(
     found: AxisModel, structure: Structure, others: Sequence[tuple[Structure, AxisModel]]
 ) -> AxisModel:
@@ -216,6 +221,9 @@ def cover_rivals(
     return replace(covered, doubts=(*found.doubts, doubt))
 
 
+_UNCOVERED: Final = " The delay of the {} is unknown, so the intervals do not cover that case."
+
+
 def cover_waiting(found: AxisModel, other: AxisModel) -> AxisModel:
     """Return an axis in doubt that may wait for the other axis, whose delays it then has, too."""
     covered = found
@@ -225,7 +233,7 @@ def cover_waiting(found: AxisModel, other: AxisModel) -> AxisModel:
     doubt = (
         f"Nearly all changes of the {name} come together with changes of the {beside}. The log does"
         f" not show whether the {name} only waits for the {beside}, and advice uses the longer"
-        " delay."
+        f" delay.{'' if other.is_known else _UNCOVERED.format(beside)}"
     )
     return replace(covered, doubts=(*found.doubts, doubt))
 
@@ -275,6 +283,8 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     without the other axis. If the residual is a curve, smaller differences count, and all intervals
     grow by the correlation of neighbours.
     """
+    if fit.whitening.noise.rounded > _ROUNDED:
+        return found
     excess, factor = _measure_curve(fit)
     is_curve = excess > _CURVE
     covered, said = found, []

@@ -55,6 +55,10 @@ unknown: one change in ten does not outweigh the others."""
 _FEWEST_STEPS: Final = 50
 """Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
 
+_SPARSE_S: Final = 20.0 / _FEWEST_STEPS
+"""Usual time between poses above which the suggested drive, ten times 2 s, has too few steps
+[s]."""
+
 MOST_STEPS: Final = 100_000
 """Largest number of steps of each axis that are used: half an hour at 50 Hz, in about 5 s. Of a
 longer log, the first part of each run is used, because the robot may change over a longer time."""
@@ -130,7 +134,7 @@ def _note_travel(runs: Sequence[Run], speed: AxisModel) -> Iterator[str]:
 def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:
     reason = refused_axes.find_no_excitation(runs, axis)
     motions = [read_axis_motion(run, axis) for run in runs]
-    steps = count_steps(motions)
+    steps, sparse = count_steps(motions), ""
     reason = reason or refused_axes.find_absurd(runs, motions, axis)
     if steps > MOST_STEPS:
         share = MOST_STEPS / steps
@@ -140,8 +144,11 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
             f"expected at least {_FEWEST_STEPS} steps between poses at most 1 s apart while"
             f" commands act, found {steps}"
         )
+        if all(_find_usual_step(run) > _SPARSE_S for run in runs):
+            sparse = f"record poses at most {_SPARSE_S:g} s apart"
     if reason:
-        return refused_axes.refuse_axis(axis, reason), []
+        unknown = refused_axes.refuse_axis(axis, reason)
+        return replace(unknown, advice=", and ".join(filter(None, (sparse, unknown.advice)))), []
     try:
         fit = fit_axis(motions)
     except NoGainError as err:
@@ -172,6 +179,12 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         silent_stops_s=tuple(waits_s),
     )
     return found, _list_events(names, axis, fit)
+
+
+def _find_usual_step(run: Run) -> float:
+    """Return the usual time between poses [s]; 0 for fewer than two poses."""
+    steps_ns = np.diff(run.poses.time_ns)
+    return float(np.median(steps_ns)) / 1e9 if len(steps_ns) else 0.0
 
 
 def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:

@@ -271,10 +271,12 @@ class StepNoise:
     Attributes:
         slip: Variance of a step of usual duration [m^2 or rad^2].
         sensing: Variance of a pose [m^2 or rad^2].
+        rounded: Share of the variance of a step that is the rounding of poses [1].
     """
 
     slip: float
     sensing: float
+    rounded: float = 0.0
 
 
 class Whitening:
@@ -305,9 +307,17 @@ class Whitening:
 
 
 def fit_noise(
-    residual: Values, duration_s: Values, shared: Values, is_outlier: NDArray[np.bool_]
+    residual: Values,
+    duration_s: Values,
+    shared: Values,
+    is_outlier: NDArray[np.bool_],
+    rounding: float = 0.0,
 ) -> Whitening:
-    """Return the whitening by the likeliest noise of a residual, for steps of given durations."""
+    """Return the whitening by the likeliest noise of a residual, for steps of given durations.
+
+    The noise is at least the rounding of poses, whose standard deviation is `rounding`.
+    """
+    least = 2.0 * max(rounding, LEAST_STEP) ** 2
     kept = ~is_outlier
     count = max(int(np.count_nonzero(kept)), 1)
 
@@ -316,7 +326,7 @@ def fit_noise(
         noise = StepNoise(slip=10.0**power, sensing=1.0)
         whitening = Whitening(noise, duration_s, shared, is_outlier)
         variance = float(np.sum(whitening.apply(residual)[kept] ** 2)) / count
-        variance = max(variance, LEAST_STEP**2)
+        variance = max(variance, least / (10.0**power + 2.0))
         return count * math.log(variance) + whitening.log_size, variance, whitening
 
     near = min(_RATIOS, key=lambda power: scale(power)[0])
@@ -326,5 +336,7 @@ def fit_noise(
     ).x
     power = min((float(power), *ends), key=lambda power: scale(power)[0])
     variance = scale(power)[1]
-    noise = StepNoise(slip=variance * 10.0**power, sensing=variance)
+    slip = variance * 10.0**power
+    share = min(2.0 * rounding**2 / (slip + 2.0 * variance), 1.0)
+    noise = StepNoise(slip=slip, sensing=variance, rounded=share)
     return Whitening(noise, duration_s, shared, is_outlier)

@@ -17,7 +17,7 @@ from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
 from turtlelog.identify.axis_motion import AxisMotion, Parts, find_rests, split_motions
 from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, Whitening, fit_noise
+from turtlelog.identify.robot_noise import LEAST_STEP, Whitening
 
 _ASKS: Final = 8.0
 """Possible decrease of the sum of squares from which a further parameter is tried, in variances;
@@ -158,7 +158,7 @@ def _try_neighbours(
     for structure, starts in neighbours:
         if structure not in tried and (chosen := _choose_starts(fit, structure, starts)):
             other = axis_fit.refit_axis(fit, structure, chosen)
-            if shows_gain(other) and shows_drift(other):
+            if shows_gain(other) and shows_drift(other) and shows_friction(other):
                 tried[structure] = other
     near = min(tried.values(), key=lambda one: one.badness)
     if near is not fit:
@@ -232,7 +232,8 @@ def shows_drift(fit: AxisFit) -> bool:
     """Return whether the rests of a log show the drift of a fit, if it has one.
 
     In a log without rests, the steps while the other axis rests must show it: a robot that turns
-    about another point than the one it reports seems to drift as long as it turns.
+    about another point than the one it reports seems to drift as long as it turns. If the other
+    axis never rests, all steps must show it beside a motion that is proportional to its commands.
     """
     drift = fit.extras.get("drift")
     if drift is None:
@@ -246,12 +247,23 @@ def shows_drift(fit: AxisFit) -> bool:
         return bool((drift + off) * drift > _AT_REST * drift**2)
     alone = np.concatenate([one.is_alone(dead_time_s) for one in fit.model.motions])
     alone &= ~fit.is_outlier
+    beside = []
     if np.count_nonzero(alone) <= len(fit.parameters):
-        return False
-    moves, covariance = axis_fit.solve_part(fit, alone)
-    # A drift is the last further parameter.
-    surely = _SURELY * float(np.sqrt(max(covariance[-1, -1], 0.0)))
-    return bool((drift + moves[-1]) * np.sign(drift) > surely)
+        alone, beside = ~fit.is_outlier, [fit.model.predict_beside(dead_time_s)]
+    moves, covariance = axis_fit.solve_part(fit, alone, *beside)
+    row = len(fit.parameters) - 1  # a drift is the last further parameter
+    surely = _SURELY * float(np.sqrt(max(covariance[row, row], 0.0)))
+    return bool((drift + moves[row]) * np.sign(drift) > surely)
+
+
+def shows_friction(fit: AxisFit) -> bool:
+    """Return whether a robot rests before its first command, if a fit has friction.
+
+    A drift against the commands takes as much off each, but moves the robot before them, too.
+    """
+    taken = fit.extras.get("friction", 0.0) * float(fit.parameters[GAIN])
+    waited_s, moved = np.sum([one.waited for one in fit.model.motions], axis=0).tolist()
+    return bool(waited_s < RESTED_S or abs(moved) <= _AT_REST * taken * waited_s or not taken)
 
 
 def measure_effect(fit: AxisFit, other: AxisFit) -> float:
@@ -452,8 +464,7 @@ def compare_predictions(
         modelled, slopes = ahead.linearise(known.parameters)
         predicted.append((known, ahead.moved - modelled, slopes))
     residual = predicted[1][1]
-    outlier = axis_fit.find_outlying_steps(residual)
-    whitening = fit_noise(residual, ahead.duration_s, ahead.shared, outlier)
+    whitening = ahead.fit_noise(residual)[1]
     badness, other_badness = (_measure_ahead(*one, whitening) for one in predicted)
     return badness - other_badness
 

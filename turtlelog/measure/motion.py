@@ -227,8 +227,9 @@ def find_common_step(values: Values) -> float:
 
 def find_spacing(values: Values) -> float:
     """Return the spacing of 32-bit floats at the largest value; 0 if values have more bits."""
-    if (values != values.astype(np.float32)).any():
-        return 0.0
+    with np.errstate(over="ignore"):
+        if (values != values.astype(np.float32)).any():
+            return 0.0
     return float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
 
 
