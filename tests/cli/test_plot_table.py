@@ -257,3 +257,8 @@ def test_a_best_mean_is_told_if_it_is_more_than_chance(
     done = call("plot", path.name)
     assert said in done.flat
     assert (" run --from " in done.out) is (spread < 1.0)
+    assert call("plot", path.name, "-o", "m.html").code == 0
+    text = Path("m.html").read_text("utf-8")
+    assert "seed = 0" not in text
+    assert ("mean with law.kp_linear = 1" in text) is (spread < 1.0)
+    assert ("no clear best" in text) is (spread > 1.0)

@@ -281,6 +281,24 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     assert "dead time measured in the recording, 6 ticks" in details
 
 
+@pytest.mark.parametrize(
+    ("words", "wish"),
+    [
+        (("paper", "--kp", "4"), "at most 5 % overshoot"),
+        (("paper", "--kp", "3", "--phase-margin", "60"), "60 deg phase margin"),
+        (
+            ("lagged", "--set", "plant.speed_lag_s=150"),
+            "5 % overshoot (rotate) and 60 deg phase margin (translate)",
+        ),
+    ],
+)
+def test_the_wish_is_told_of_each_loop_and_as_a_bound_for_gains_that_are_kept(
+    words: tuple[str, ...], wish: str, call: Call
+) -> None:
+    text = " ".join(call("theory", *words).out.split())
+    assert f"This is for {wish}, without command limits." in text
+
+
 def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_path: Path) -> None:
     riddle = tmp_path / "riddle.mcap"
     call("run", "paper-kp4", "--strip-scenario", "-o", riddle)

@@ -257,11 +257,11 @@ def test_a_property_is_named_beyond_the_resolution(alone: float, *, is_named: bo
 
 
 def test_the_tolerance_is_not_judged_by_the_resolution_that_it_makes() -> None:
-    changes = {"resolution": Resolution(size=2.0, reason="the heading tolerance")}
-    sentences = write_sentences(describe(**changes, **take_out("tolerance", 0.1)))
+    tolerated = Resolution(size=2.0, reason="the heading tolerance")
+    sentences = write_sentences(describe(resolution=tolerated, **take_out("tolerance", 0.1)))
     assert sentences[-1].startswith("Design parameter: tolerance. Without it")
-    changes = {"resolution": Resolution(size=2.0, reason="one sample period")}
-    sentences = write_sentences(describe(**changes, **take_out("tolerance", 0.1)))
+    period = Resolution(size=2.0, reason="one sample period")
+    sentences = write_sentences(describe(resolution=period, **take_out("tolerance", 0.1)))
     assert not any("tolerance" in text for text in sentences)
 
 

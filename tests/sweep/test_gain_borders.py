@@ -83,6 +83,26 @@ def test_a_column_with_one_verdict_has_no_border(
 
 
 @pytest.mark.parametrize(
+    ("least", "said"),
+    [(1.0, "gain, as in theory"), (0.6, "gain in most seeds"), (0.4, "within one cell")],
+)
+def test_seeds_that_differ_are_no_verdict_of_theory(
+    least: float, said: str, tmp_path: Path
+) -> None:
+    """Theory's limit at 6 ticks is 15.07; three of five seeds are stable at 14, or two."""
+
+    def judge(_: int, kp: float, seed: int) -> float:
+        return 1.0 if kp < 14.0 or seed < 5.0 * least else 0.0
+
+    grid = [f"{DELAY}=6", f"{KP}=2:14:2", "seed=0:4"]
+    view = view_table(write_table(tmp_path / "t.parquet", grid, {"translate.stable": judge}))
+    borders = find_borders(view, view.results.metrics[0], find_loop_limits(view))
+    assert borders is not None
+    assert said in tell_borders(borders)
+    assert borders[0].is_mixed is (least < 1.0)
+
+
+@pytest.mark.parametrize(
     ("cells", "is_near"), [(0, True), (1, True), (2, False), (-1, True), (-2, False)]
 )
 def test_a_border_is_near_up_to_one_cell_beside_theory(

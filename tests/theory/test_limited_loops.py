@@ -176,9 +176,12 @@ def test_steps_between_the_simulated_ones_overshoot_at_most_half_more() -> None:
     def find_worst(kp: float) -> float:
         """Return the largest overshoot [%] of steps that differ by 1 %."""
         sizes = (replace(limits, step=2.25 * 0.99**one) for one in range(200))
-        settings = {"period_s": 0.05, "process": process, "to_rest": False}
+        gains = PidGains(kp=kp)
         motions = [
-            tl.theory.measure_step_motion(PidGains(kp=kp), limits=one, **settings) for one in sizes
+            tl.theory.measure_step_motion(
+                gains, period_s=0.05, process=process, to_rest=False, limits=one
+            )
+            for one in sizes
         ]
         return max(one.overshoot_percent for one in motions if one)
 

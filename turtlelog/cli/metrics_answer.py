@@ -237,7 +237,8 @@ def _list_remarks(
     reason = tl.measure.step_response.IRREGULAR_SWINGS
     kicked = [loop for loop, one in stable.items() if one is not None and one.reason == reason]
     if kicked:
-        yield f"Irregular swings, as from random disturbances: {join_words(kicked)}."
+        words = "Irregular swings, which hide whether the loop is stable"
+        yield f"{words}: {join_words(kicked)}."
     for loop in shown:
         metric = summary.metrics.get(f"{loop}.settling_time")
         if metric is not None and metric.status is tl.measure.Status.NOT_REACHED:

@@ -164,6 +164,11 @@ class BestRow:
     others: int | None
     keys: Mapping[str, Any]
 
+    @property
+    def is_open(self) -> bool:
+        """Whether no other mean over seeds is worse by more than chance."""
+        return tl.sweep.Rivals(self.within_chance or 0, self.others or 0).is_open
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BorderAnswer:
@@ -443,7 +448,7 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     for metric, one in zip(results.metrics, told.metrics, strict=True):
         borders = tl.sweep.find_borders(view, metric, limits)
         lines.append(_tell_metric(view, one, borders))
-        if one.best is not None and _is_clear(one.best):
+        if one.best is not None and not one.best.is_open:
             best.setdefault(one.best.row, []).append(one.id)
     ids = [one.id for one in told.metrics]
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
@@ -469,18 +474,13 @@ def _tell_metric(view: "SweptView", one: MetricOfTable, borders: "Sequence[Borde
     return text + ("" if one.best is None else _tell_best(view, one.best)) + tail
 
 
-def _is_clear(best: BestRow) -> bool:
-    """Return whether any other mean over seeds is worse by more than chance."""
-    return not best.others or best.within_chance != best.others
-
-
 def _tell_best(view: "SweptView", best: BestRow) -> str:
     more = f" and {best.as_good - 1} more" if best.as_good > 1 else ""
     place = view.results.row_numbers.index(best.row)
     if best.others is None:
         return f", best in row {best.row}{more} ({view.results.tell_row(place)})"
     seeds = describe_count(view.seeds, "seed")
-    if not _is_clear(best):
+    if best.is_open:
         return f"; no clear best: over {seeds}, all differences of these means may be chance"
     axes = (*view.axes, *view.held)
     keys = ", ".join(axis.tell_keys(axis.places[place]) for axis in axes)

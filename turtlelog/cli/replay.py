@@ -404,13 +404,13 @@ def _describe_result(run: "Run", replayed: "Run", metrics: "Sequence[MetricChang
     if first is not None and second is not None:
         if (first.error_m, first.duration_s) == (second.error_m, second.duration_s):
             return f"it {second.describe()}, as recorded."
-        was, now = (
+        before, after = (
             (format_short(one.error_m, "m"), f"after {one.duration_s:.3g} s")
             for one in (first, second)
         )
         # A size that reads the same is no difference; the table has more digits.
-        told = was if was[0] != now[0] else was[1:]
-        beside = "almost" if was == now else f"not {' '.join(told)}"
+        told = before if before[0] != after[0] else before[1:]
+        beside = "almost" if before == after else f"not {' '.join(told)}"
         return f"it {second.describe()}, {beside} as recorded."
     both = [one for one in metrics if one.difference is not None]
     if not both:

@@ -264,8 +264,7 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
     """Yield the recommended gains of each loop, the gains to keep, and what both are for."""
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
-    rule = next((one.best.rule for one in advice if one.best), None)
-    if rule is None:
+    if not any(one.best for one in advice):
         yield f"{name}: theory has no recommended gains."
         return
     told = [f"recommended {changed}"] if changed else []
@@ -279,7 +278,21 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
     where = _LIMITED if limited else _IDEAL
     if limited and ideal:
         where = f"{_IDEAL} ({join_words(ideal)}), {_LIMITED} ({join_words(limited)})"
-    yield f"This is for {wishes.describe(rule)}, {where}."
+    wished: dict[str, list[str]] = {}
+    for one in advised:
+        if one.best:
+            wish = wishes.describe(one.best.rule)
+            bound = _BOUNDS.get(one.best.rule, "") if one.is_kept else ""
+            wished.setdefault(f"{bound}{wish}", []).append(one.loop)
+    said = [
+        wish if len(wished) == 1 else f"{wish} ({join_words(loops)})"
+        for wish, loops in wished.items()
+    ]
+    yield f"This is for {join_words(said)}, {where}."
+
+
+_BOUNDS: Final = {"overshoot": "at most ", "phase-margin": "at least "}
+"""Words before a wish that gains in use meet."""
 
 
 def _list_gains(loops: "Sequence[tuple[str, Recommendation | None]]") -> str:

@@ -33,8 +33,9 @@ class GoalOptions:
         minimise: A metric, or a formula of metrics and keys, that should be small.
         maximise: A metric, or a formula of metrics and keys, that should be large.
         subject_to: Constraint. Example: "rotate.overshoot <= 2". Can be repeated.
-        evaluations: Approximate number of candidates. Default: 300 for each key. The neighbourhood
-            of the best takes 50 more for each key, and again 50 if it contains a better candidate.
+        evaluations: Approximate number of candidates of the search. Default: 300 for each key. The
+            neighbourhood of the best takes 112 or more for each key, and again as many if it
+            contains a better candidate.
         seed: Seed of the search and of --monte-carlo. Default: 0.
     """
 

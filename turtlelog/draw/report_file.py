@@ -319,7 +319,12 @@ def _list_cells(view: SweptView, metric: SweptMetric) -> tuple[str | float | Non
     rivals = count_rivals(view, metric)
     is_open = rivals is not None and rivals.is_open
     row = best[0] if best and not is_open else None
-    keys = "no clear best" if is_open else "" if row is None else view.results.tell_row(row)
-    number = "" if row is None else str(view.results.row_numbers[row])
+    if rivals is not None and not is_open and row is not None:  # a mean over seeds is no row
+        axes = (*view.axes, *view.held)
+        keys = f"mean with {', '.join(axis.tell_keys(axis.places[row]) for axis in axes)}"
+        number = f"{view.results.row_numbers[row]} on"
+    else:
+        keys = "no clear best" if is_open else "" if row is None else view.results.tell_row(row)
+        number = "" if row is None else str(view.results.row_numbers[row])
     missing = str(len(values) - len(known))
     return metric.name, unit, least, most, missing, number, keys

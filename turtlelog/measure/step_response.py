@@ -304,14 +304,16 @@ per swing, peaks between samples explain less: 1 - cos(pi / 6) is 0.13, but it a
 swings."""
 
 IRREGULAR_SWINGS: Final = (
-    "the swings go on irregularly, as if random disturbances caused them, not the loop"
+    "the swings go on irregularly, as by noise or random disturbances, which hide whether the loop"
+    " is stable"
 )
 """Reason of the verdict `irregular`."""
 
 _REGULAR: Final = 0.8
 """Ratio of the durations of successive swings to one side, the shorter by the longer, from which
 swings are an oscillation of the loop. It is 0.9 to 1 for simulated limit cycles and growing swings,
-and at most 0.75 for stable loops that outliers, sensor noise or disturbances move."""
+and at most 0.75 for stable loops that outliers, sensor noise or disturbances move. Unstable loops
+with a heading noise of 0.02 to 0.1 rad have smaller ratios, too: such swings prove nothing."""
 
 _LARGE: Final = 0.1
 """Share of the largest error from which swings are large, if no limit is known. Noise of a loop at
@@ -344,8 +346,8 @@ def judge_swings(error: Values, rows: NDArray[np.int64], clipped: int, most: flo
     the reference than it began. Four verdicts are undecided. `passing`: the response ends while it
     passes the reference. `slow`: the response has not come near the reference. `unknown`: the
     swings are too few or change too little. `irregular`: the swings go on, but their durations
-    differ as if random disturbances caused them, not the loop. The durations of a heading that
-    turned by more than `most` differ without disturbances, because its error wraps.
+    differ as by noise or random disturbances, in a stable or an unstable loop. The durations of a
+    heading that turned by more than `most` differ anyway, because its error wraps.
 
     Args:
         error: Reference minus value, shape (n,), n >= 2.

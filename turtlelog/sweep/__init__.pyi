@@ -66,6 +66,7 @@ from .sweep_table import (
     read_table_results as read_table_results,
 )
 from .sweep_views import (
+    Rivals as Rivals,
     SweptCells as SweptCells,
     SweptView as SweptView,
     choose_view as choose_view,

@@ -79,11 +79,12 @@ class Border:
     theory: float | None  # gain from which the loop is unstable in theory; None: no limit
     verdict: bool | None  # whether all measured gains are stable, or all unstable; None: neither
     is_near: bool | None  # whether measured and theoretical border are within one cell
+    is_mixed: bool = False  # whether seeds differ at some gain; most seeds then count
 
     @property
     def agrees(self) -> bool:
-        """Whether theory has the same verdict at all measured gains."""
-        if self.theory is None or self.verdict is None:
+        """Whether theory has the same verdict at all measured gains, in all seeds."""
+        if self.theory is None or self.verdict is None or self.is_mixed:
             return False
         if self.verdict:
             return self.last_stable is not None and self.last_stable < self.theory
@@ -216,10 +217,12 @@ def tell_borders(borders: Sequence[Border]) -> str:
             f"the border lies within one cell of theory's line in {sum(known)} of {columns}"
         )
     without = [one for one in borders if one.is_near is None and one.verdict is not None]
-    for (verdict, agrees), count in Counter((one.verdict, one.agrees) for one in without).items():
+    kinds = Counter((one.verdict, one.is_mixed, one.agrees) for one in without)
+    for (verdict, is_mixed, agrees), count in kinds.items():
         columns = describe_count(count, "column")
         they = "has no border: it is" if count == 1 else "have no border: they are"
         text = f"{columns} {they} {'stable' if verdict else 'unstable'} at every measured gain"
+        text += " in most seeds" if is_mixed else ""
         told.append(text + (", as in theory" if agrees else ""))
     return "; ".join(told) or "no border beside a limit of theory"
 
@@ -247,6 +250,7 @@ def _find_border(place: int, verdicts: Values, gains: Values, limit: ColumnLimit
         theory=theory,
         verdict=None if has_border or not is_measured else not len(unstable),
         is_near=near,
+        is_mixed=bool(((verdicts > 0.0) & (verdicts < 1.0)).any()),
     )
 
 

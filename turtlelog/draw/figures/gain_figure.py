@@ -256,10 +256,9 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: strip_figure.MetricValues) 
 
 def _overshoot(limit: GainLimits, kp: float) -> float:
     """Return the overshoot of the linear sampled loop [%]; NaN for none, or if unstable."""
-    if limit.stability is None or kp >= limit.stability:
+    if limit.stability is None or kp >= limit.stability or limit.design.is_slow:
         return math.nan
-    motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
-    return math.nan if motion is None else max(motion.overshoot_percent, 0.0)
+    return max(limit.design.measure_overshoot(replace(limit.gains, kp=kp)), 0.0)
 
 
 _ALIKE: Final = 0.02
