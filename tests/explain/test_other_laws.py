@@ -22,11 +22,7 @@ from turtlelog.explain import (
     simulate_without,
     write_sentences,
 )
-from turtlelog.explain.scenario_from_log.identification import (
-    LAW_KEYS,
-    find_dead_times,
-    require_noise,
-)
+from turtlelog.explain.scenario_from_log.identification import LAW_KEYS, find_dead_times
 from turtlelog.measure import DeadTime, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
@@ -336,16 +332,6 @@ def test_recorded_settings_that_reproduce_a_law_with_naps_are_found() -> None:
     dead_time = found.findings["dead_time.control"]
     assert dead_time.value is None
     assert dead_time.evidence.startswith("no single dead time explains the motion")
-
-
-@pytest.mark.parametrize(
-    ("whiteness", "claims"), [(0.51, True), (0.49, False), (1.49, True), (1.51, False)]
-)
-def test_a_dead_time_is_told_where_it_leaves_noise(whiteness: float, *, claims: bool) -> None:
-    found = DeadTime(
-        ticks=3, residual=1e-3, margin=2.0, rows=99, is_exact=False, whiteness=whiteness
-    )
-    assert (require_noise(found) is found) == claims
 
 
 @pytest.mark.thorough

@@ -15,9 +15,10 @@ from turtlelog.display import join_words
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, NORMAL_95, TOTAL, AxisFit
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis
-from turtlelog.identify.held_response import FIRST_ORDER, Structure, Values
+from turtlelog.identify.held_response import FIRST_ORDER, Structure
 from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
+from turtlelog.measure.motion import measure_whiteness
 
 _SHORT_LAG: Final = 2.0  # time constant in steps between poses up to which it may be 0
 
@@ -62,7 +63,7 @@ def describe_fit(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         deadband=_estimate_deadband(fit, UNITS[axis]),
         **further,
         explained=1.0 - left / spread if spread > 0.0 else None,
-        whiteness=_measure_whiteness(white),
+        whiteness=float(measure_whiteness(white)) if white.any() else None,
         outliers=int(np.count_nonzero(fit.is_outlier)),
         steps=len(fit.residual),
         changes=changes,
@@ -147,12 +148,6 @@ def _estimate_deadband(fit: AxisFit, unit: str) -> Estimate | None:
     sizes = np.abs(fit.model.commands)
     high = float(sizes[sizes > low].min())
     return Estimate(value=0.5 * (low + high), low=low, high=high, unit=unit)
-
-
-def _measure_whiteness(white: Values) -> float | None:
-    """Return the mean square of the changes divided by twice the mean square; noise has 1."""
-    squares = float(np.mean(white**2))
-    return float(np.mean(np.diff(white) ** 2)) / (2.0 * squares) if squares > 0.0 else None
 
 
 _FIELDS: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")

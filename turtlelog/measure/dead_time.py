@@ -12,11 +12,14 @@ from turtlelog.errors import MeasureError, suggest_names
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.motion import (
     CERTAIN,
+    COARSE,
+    WHITE,
     LoopMotion,
     describe_follower,
     find_lags,
     fit_way,
     is_within_steps,
+    measure_whiteness,
     read_loop_motion,
 )
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
@@ -123,11 +126,11 @@ def find_dead_time(
     Every dead time up to `LARGEST_TICKS` predicts the motion of each step between two poses.
     Without noise, one dead time agrees to the rounding of the poses. With noise, the dead time with
     the least squared error of the cumulated motion is returned, if it is clearly better than the
-    others. The standstill before a loop's first command acts is not evidence, because commands may
-    be lost. A robot with a time constant gets no dead time here, because dead time and time
-    constant look alike. A robot model with time constant 0 gets one if a whole number of its
-    periods explains every step. Disturbances in the scenario are known. Random disturbances add up
-    along the motion; then only a dead time that explains every step counts.
+    others and what it leaves is noise. The standstill before a loop's first command acts is not
+    evidence, because commands may be lost. A robot with a time constant gets no dead time here,
+    because dead time and time constant look alike. A robot model with time constant 0 gets one if a
+    whole number of its periods explains every step. Disturbances in the scenario are known. Random
+    disturbances add up along the motion; then only a dead time that explains every step counts.
 
     Args:
         run: Run with samples.
@@ -162,7 +165,7 @@ def find_dead_time(
     )
     if isinstance(found, Missing) or found.is_exact:
         return found
-    reason = _find_doubt(run, loop)
+    reason = _find_doubt(run, loop) or _find_pattern(found)
     return Missing(Status.UNDETERMINED, reason) if reason else found
 
 
@@ -173,6 +176,15 @@ def _find_doubt(run: Run, loop: ControlLoop) -> str:
     if find_plant(run).name == LAGGED:
         return f"no whole number of periods up to {LARGEST_TICKS} explains every step"
     return ""
+
+
+def _find_pattern(found: DeadTime) -> str:
+    """Return why what a dead time leaves is not noise, or ""."""
+    if abs(found.whiteness - 1.0) < WHITE:
+        return ""
+    is_slow = found.whiteness < 1.0
+    why = "commands were lost, or their delay changed" if is_slow else "its error alternates"
+    return f"no single dead time explains the motion ({found.ticks} ticks come nearest): {why}"
 
 
 def _find_only(motion: LoopMotion, first: int) -> DeadTime | None:
@@ -295,16 +307,16 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         listed = _list_ticks(alike)
         reason = f"the poses have coarse steps: dead times of {listed} ticks fit alike"
         return Missing(Status.UNDETERMINED, reason)
-    own, whiteness = left[best], 1.0
-    if size[best] > motion.rounding.max():
-        whiteness = float(np.mean(subtract_neighbours(own) ** 2) / (2.0 * np.mean(own**2)))
+    # Rounding to coarse steps is a pattern, not noise: it may be slow, and it may alternate.
+    is_rounding = size[best] <= motion.rounding.max()
+    is_rounding |= float(np.ptp(left[best])) <= COARSE * motion.grain
     return DeadTime(
         ticks=best,
         residual=float(size[best]),
         margin=margin,
         rows=len(rows),
         is_exact=False,
-        whiteness=whiteness,
+        whiteness=1.0 if is_rounding else float(measure_whiteness(left[best])),
         least_ticks=least_ticks,
     )
 

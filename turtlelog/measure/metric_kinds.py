@@ -44,10 +44,6 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 
-_WHITE: Final = 0.5
-"""Smallest whiteness that counts as noise; pure noise has 1. A time constant leaves a curve with
-less than 0.1."""
-
 
 class RunContext:
     """A run, the settings of its metrics, and the values computed so far."""
@@ -242,13 +238,7 @@ class RunContext:
             ("dead_time", loop.name),
             lambda: find_dead_time(take_beginning(self.run, loop), loop, is_short=True),
         )
-        if isinstance(found, Missing) or found.whiteness > _WHITE:
-            return found if isinstance(found, Missing) else found.ticks
-        reason = (
-            f"no single dead time explains the motion ({found.ticks} ticks come nearest): commands"
-            " were lost, or their delay changed"
-        )
-        return Missing(Status.UNDETERMINED, reason)
+        return found if isinstance(found, Missing) else found.ticks
 
 
 Better = Literal["lower", "higher"] | None

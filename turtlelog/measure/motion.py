@@ -318,7 +318,26 @@ COARSE: Final = 1.25
 LIKE_THE_BEST: Final = 1.1
 """Largest ratio of the right fit's residual to the best residual, if there is also noise."""
 
+WHITE: Final = 0.5
+"""Largest deviation of noise's whiteness from 1. A time constant or a wrong setting leaves a curve
+with less than 0.1. A delay between two ticks makes the error of a switching command alternate, with
+up to 2."""
+
 _TINY: Final = 1e-300
+
+
+def measure_whiteness(*stretches: Values, fitted: int = 0) -> Values:
+    """Return the mean square of the changes along rows by twice the mean square, for each column.
+
+    It is 1 for noise, near 0 for a curve, up to 2 for values that alternate, and 1 for zeros.
+
+    Args:
+        stretches: Segments of what a fit leaves, shape (n,) or (n, columns); n is 2 or more.
+        fitted: Number of fitted parameters, which make the mean square larger.
+    """
+    changes = sum(np.mean(subtract_neighbours(part) ** 2, axis=0) for part in stretches)
+    squares = sum(np.sum(part**2, axis=0) / (len(part) - fitted) for part in stretches)
+    return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, _TINY), 1.0)
 
 
 def is_within_steps(spans: Values, best: int, grain: float) -> NDArray[np.bool_]:

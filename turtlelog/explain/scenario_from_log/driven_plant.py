@@ -14,9 +14,15 @@ import numpy as np
 
 from turtlelog.explain.scenario_from_log.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.scenario_from_log.resimulation import number_poses
-from turtlelog.explain.scenario_from_log.trace import WHITE, Trace, Values, list_trace_breaks
+from turtlelog.explain.scenario_from_log.trace import Trace, Values, list_trace_breaks
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.measure.motion import COARSE, FEWEST_DIFFERENT, OFF_GRID
+from turtlelog.measure.motion import (
+    COARSE,
+    FEWEST_DIFFERENT,
+    OFF_GRID,
+    WHITE,
+    measure_whiteness,
+)
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.run.angles import subtract_headings, wrap_angle
 from turtlelog.run.paths import Path
@@ -215,13 +221,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
             if number == 0:
                 offsets, spread = found, variance
         noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
-    # The mean square of changes over twice the mean square: 1 for noise, 0 for curves.
-    changes, squares = np.zeros(3), np.zeros(3)
-    for stretch in stretches:
-        part = after[stretch]
-        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
-        squares += (part**2).sum(axis=0) / len(part)
-    whiteness = np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
+    whiteness = measure_whiteness(*(after[stretch] for stretch in stretches))
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(spread) * widen_for_runs(whiteness)

@@ -17,6 +17,7 @@ from turtlelog.explain.scenario_from_log.identification import (
     miss,
 )
 from turtlelog.explain.scenario_from_log.trace import estimate_trace_noise, find_pose_resolution
+from turtlelog.measure.motion import measure_whiteness
 
 Values = NDArray[np.float64]
 
@@ -119,8 +120,7 @@ def _fit_slope(exact: Values, noisy: Values) -> tuple[float, float, float, float
     slope = float(noisy @ exact) / square if square > 0.0 else 0.0
     left = noisy - slope * exact
     noise = float(np.sqrt(left @ left / max(rows - 1, 1)))
-    changes = np.diff(left)
-    whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
+    whiteness = float(measure_whiteness(left, fitted=1)) if rows > 1 else 1.0
     spread = noise / math.sqrt(square) if square > 0.0 else math.inf
     reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
     return slope, reach, noise, whiteness

@@ -17,8 +17,7 @@ from turtlelog.display import fit_line, format_html, format_notebook
 from turtlelog.errors import ExplainError, ReplayError
 from turtlelog.explain.causes import LOOP_CAUSES, PLANT_CAUSES
 from turtlelog.explain.scenario_from_log.resimulation import RecordedScenario, Resimulation
-from turtlelog.explain.scenario_from_log.trace import WHITE
-from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.measure import DeadTime, Missing, find_dead_time
 from turtlelog.measure.dead_time import LARGEST_TICKS
 from turtlelog.replay import replay_plant
 from turtlelog.run import CUT_SHORT, Run
@@ -319,17 +318,6 @@ _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_t
 """Possible commands in a phase without loops, with the signal and reference of each."""
 
 
-def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
-    """Return a dead time, or no value if its residual is not noise: then it is not constant.
-
-    This happens if a law blocks sometimes: commands then wait for the duration of the block.
-    """
-    if isinstance(found, Missing) or abs(found.whiteness - 1.0) < WHITE:
-        return found
-    reason = f"no single dead time explains the motion; {found.ticks} ticks are the nearest"
-    return Missing(status=Status.UNDETERMINED, reason=reason)
-
-
 def find_lag_slack(run: Run, dead_times: Mapping[str, DeadTime | Missing]) -> int:
     """Return the number of ticks of the dead times that may be a time constant of the robot.
 
@@ -358,7 +346,7 @@ def find_dead_times(run: Run, loops: Sequence[str] = ()) -> dict[str, DeadTime |
             driven = replace(run, declaration=replace(declared, loops=(loop,), phases=phases))
             tried.append(find_dead_time(driven, loop))
         found[phase] = next((one for one in tried if isinstance(one, DeadTime)), tried[0])
-    return {name: require_noise(one) for name, one in found.items()}
+    return found
 
 
 def describe_dead_times(

@@ -190,11 +190,6 @@ def estimate_trace_noise(values: Values, order: int = 2) -> float:
     return float(np.median(bends)) / (0.6745 * math.sqrt(math.comb(2 * order, order)))
 
 
-WHITE: Final = 0.5
-"""Largest deviation of noise's whiteness from 1. A wrong setting leaves a curve with a whiteness
-below 0.1."""
-
-
 def count_leading(holds: NDArray[np.bool_]) -> int:
     """Return how many values are true before the first false value."""
     return len(holds) if holds.all() else int(holds.argmin())
