@@ -360,7 +360,7 @@ def test_python_asks_for_trust_as_well(folder: Path, tmp_path: Path, replay: obj
         lambda: replay(run),  # type: ignore[operator]
         lambda: replay(run, scenario),  # type: ignore[operator]
         lambda: tl.simulate_run(scenario),
-        lambda: tl.log.run_live(scenario, realtime=False),
+        lambda: tl.simulate.run_live(scenario, realtime=False),
         lambda: tl.Recorder(folder / "live.mcap", scenario),
         lambda: tl.explain.attribute_scenario(scenario),
     ):

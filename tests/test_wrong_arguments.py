@@ -55,11 +55,11 @@ WRONG: Final[dict[str, tuple[Callable[[], object], str]]] = {
         "step_budget_s: expected a time above 0 s, found '1'",
     ),
     "sinks: one of them": (
-        lambda: TL.log.run_live(SCENARIO, 3, realtime=False),
+        lambda: TL.simulate.run_live(SCENARIO, 3, realtime=False),
         "sinks: expected a list",
     ),
     "sinks: a number": (
-        lambda: TL.log.run_live(SCENARIO, [3], realtime=False),
+        lambda: TL.simulate.run_live(SCENARIO, [3], realtime=False),
         "sinks: expected a list",
     ),
     "grid: two dimensions": (

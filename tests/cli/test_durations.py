@@ -12,7 +12,7 @@ from tests.log.ros2.bags import START_NS, make_command, write_mcap
 from tests.log.ros2.test_unread_encodings import write_encoded
 from tests.log.runs import find_shared
 from turtlelog.log.recording import recorder
-from turtlelog.log.recording.live_run import run_live
+from turtlelog.simulate.collect import run_live
 
 
 @pytest.fixture

@@ -211,7 +211,7 @@ def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_pat
     live, cut, whole = (tmp_path / f"{name}.mcap" for name in ("live", "cut", "whole"))
     scenario = tl.load_scenario("paper-kp4")
     with tl.Recorder(live, scenario) as recorder:
-        tl.log.run_live(scenario, [recorder], realtime=False)
+        tl.simulate.run_live(scenario, [recorder], realtime=False)
     cut.write_bytes(live.read_bytes()[: live.stat().st_size // 2])
     answer = call("replay", cut)
     assert (answer.code, f"turtlelog convert --recover {cut} -o OUT" in answer.err) == (2, True)

@@ -95,7 +95,7 @@ def test_a_bad_target_is_refused_before_anything_is_done(
 ) -> None:
     before = sorted(map(str, folder.rglob("*")))
     monkeypatch.setattr("turtlelog.log.any_file.read_run", fail)
-    monkeypatch.setattr("turtlelog.log.recording.live_run.run_live", fail)
+    monkeypatch.setattr("turtlelog.simulate.collect.run_live", fail)
     answer = call(*words)
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err

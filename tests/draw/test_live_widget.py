@@ -21,7 +21,7 @@ SHORT = {"max_duration_s": 4.0}
 CELL = f"""
 import turtlelog as tl
 scenario = tl.override_scenario(tl.load_scenario("paper-kp4"), {SHORT})
-run = tl.log.run_live(scenario, [tl.draw.LiveViewer(scenario, size=(700, 400))], realtime=True)
+run = tl.simulate.run_live(scenario, [tl.draw.LiveViewer(scenario, size=(700, 400))], realtime=True)
 print(run.end_ns)
 """
 

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 PROGRAM = """
 import sys
 from turtlelog.log.recording.recorder import Recorder
-from turtlelog.log.recording.live_run import run_live
+from turtlelog.simulate.collect import run_live
 from turtlelog.scenario import get_preset, override_scenario
 
 class Reporter:

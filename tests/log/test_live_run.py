@@ -17,11 +17,11 @@ from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError, SimulationError
 from turtlelog.log import read_recording
-from turtlelog.log.recording.live_run import Sink, run_live
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, simulate_run
+from turtlelog.simulate.collect import Sink, run_live
 
 TICK_S = 0.016
 

@@ -14,10 +14,10 @@ from turtlelog.check.recording_fixture import SimulatedRuns
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Pose
 from turtlelog.log import Recorder, read_recording
-from turtlelog.log.recording.live_run import run_live
 from turtlelog.replay import replay_law
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import collect_run, iterate_ticks, simulate_many, simulate_run, step_budget
+from turtlelog.simulate.collect import run_live
 from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
 from turtlelog.sweep import prepare_sweep
 from turtlelog.sweep.tune_candidates import Candidates

@@ -275,7 +275,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())
-        sinks: list[tl.log.Sink] = []
+        sinks: list[tl.simulate.Sink] = []
         viewer = None if url is None else tl.draw.LiveViewer(scenario, url)
         if viewer is not None:
             closing.callback(viewer.close, {})  # even if no run starts
@@ -287,7 +287,7 @@ def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: st
         sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
-        result = tl.log.run_live(
+        result = tl.simulate.run_live(
             scenario, sinks, realtime=live.realtime, step_budget_s=step_budget_s
         )
     if viewer is not None and viewer.lost:

@@ -47,8 +47,7 @@ from .read_choice import (
     ReadOptions as ReadOptions,
     split_topic as split_topic,
 )
-from .recording.live_run import RecordingTail as RecordingTail, Sink as Sink, run_live as run_live
-from .recording.reader import read_recording as read_recording
+from .recording.reader import RecordingTail as RecordingTail, read_recording as read_recording
 from .recording.recorder import Recorder as Recorder
 from .recording.run_writer import (
     export_rosbag2 as export_rosbag2,

@@ -5,8 +5,10 @@ from .class_law import (
 from .collect import (
     RunCollector as RunCollector,
     SampleRows as SampleRows,
+    Sink as Sink,
     collect_run as collect_run,
     find_software as find_software,
+    run_live as run_live,
     simulate_run as simulate_run,
 )
 from .loop_parts import (

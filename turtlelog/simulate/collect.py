@@ -1,14 +1,18 @@
-"""Conversion of a loop's ticks, or of a compiled loop's rows, to the columns of a run."""
+"""Runs: the ticks of a loop, or rows of a compiled loop, as columns; at once or live into sinks."""
 
 import platform
 import sys
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from struct import Struct
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,9 +20,10 @@ from turtlelog.errors import SimulationError
 from turtlelog.laws import LAWS, find_law, find_module, is_given, read_law_source
 from turtlelog.libraries import __version__
 from turtlelog.parts import Plant
+from turtlelog.processes import catch_stop
 from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
-from turtlelog.run.stop_reasons import STEP_BUDGET
+from turtlelog.run.stop_reasons import INTERRUPTED, STEP_BUDGET
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.class_law import declare_scenario
 from turtlelog.simulate.loop_parts import Function, compile_text
@@ -320,3 +325,130 @@ def _read_code(kind: str) -> bytes | None:
         return None if file is None else Path(file).read_bytes()
     except OSError:
         return None
+
+
+class Sink(Protocol):
+    """A receiver of live ticks, such as a recorder or a viewer."""
+
+    def receive(self, tick: Tick) -> None:
+        """Receive one tick. The last tick contains the stop reason."""
+
+    def close(self, notes: Mapping[str, str]) -> None:
+        """Finish, also after a failed run; `notes` are the notes of the run."""
+
+
+class Pacer(Protocol):
+    """A clock for pacing a run, like the module `time`."""
+
+    def monotonic(self) -> float:
+        """Return the time since a fixed instant [s], which never decreases."""
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait for at least a time [s]."""
+
+
+class Pace:
+    """Pacing of ticks: each tick waits for its time on the clock, relative to the first tick.
+
+    A late loop continues without waiting until it has caught up, so that the end of a run does not
+    drift. Ticks that are more than one period late are counted, because the recording does not show
+    them.
+
+    Attributes:
+        late_ticks: Number of ticks that came late.
+        greatest_lag_s: Largest delay of a tick [s].
+    """
+
+    def __init__(self, clock: Pacer, period_s: float) -> None:
+        """Set the period of the plant [s], above which a delayed tick counts as late."""
+        self._period_s = period_s
+        self.late_ticks, self.greatest_lag_s = 0, 0.0
+        self._clock, self._start_s = clock, 0.0
+
+    def wait(self, tick: Tick) -> None:
+        """Wait until the tick's time has come."""
+        now_s = self._clock.monotonic()
+        if not tick.time_ns:
+            self._start_s = now_s
+        deadline_s = self._start_s + tick.time_ns / 1e9
+        if now_s < deadline_s:
+            self._clock.sleep(deadline_s - now_s)
+        elif now_s - deadline_s > self._period_s:
+            self.late_ticks += 1
+            self.greatest_lag_s = max(self.greatest_lag_s, now_s - deadline_s)
+
+    def describe(self) -> dict[str, str]:
+        """Return the notes for a run; empty if no tick was late."""
+        if not self.late_ticks:
+            return {}
+        return {"late_ticks": f"{self.late_ticks}, by up to {self.greatest_lag_s:.3f} s"}
+
+
+def run_live(
+    scenario: Scenario,
+    sinks: Sequence[Sink] = (),
+    *,
+    realtime: bool,
+    clock: Pacer = time,
+    step_budget_s: float | None = STEP_BUDGET_S,
+) -> Run:
+    """Simulate a scenario, pass every tick to the sinks at once, and return the run.
+
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the run with the stop reason `interrupted` at the next
+    tick; a second signal ends the run at once. The sinks are closed in any case.
+
+    Args:
+        scenario: Scenario to simulate.
+        sinks: Receivers of the ticks. Each tick goes to them in the order of the list.
+        realtime: Whether each tick waits for its time on the clock.
+        clock: Clock used with `realtime`.
+        step_budget_s: Longest computing time of the law per step [s]; None: no limit.
+
+    Raises:
+        ScenarioError: If the law cannot be loaded or may not run.
+        SimulationError: If the law fails; the error's `run` is the run so far. The sinks have
+            received the tick of the failure, with the stop reason `law_failed` or `step_budget`.
+        KeyboardInterrupt: If the run was interrupted before the first sample.
+        LogError: If a recorder cannot write.
+    """
+    scenario = resolve_scenario(scenario)
+    if not isinstance(sinks, Sequence) or not all(hasattr(sink, "receive") for sink in sinks):
+        raise SimulationError(f"sinks: expected a list of them, found {sinks!r:.60}")
+    pace = Pace(clock, scenario.plant.facts.period_s) if realtime else None
+    notes: dict[str, str] = {}
+    with catch_stop() as caught, ExitStack() as closing:
+        for sink in reversed(sinks):
+            closing.callback(sink.close, notes)
+        try:
+            ticks = iterate_ticks(scenario, step_budget_s=step_budget_s, one_by_one=realtime)
+            run = collect_run(scenario, _drive(ticks, sinks, pace, caught))
+        except SimulationError as err:
+            notes.update(pace.describe() if pace else {})
+            err.run = err.run and replace(err.run, notes=notes)
+            raise
+        notes.update(pace.describe() if pace else {})
+    return replace(run, notes=notes)
+
+
+def _drive(
+    ticks: Iterable[Tick], sinks: Sequence[Sink], pace: Pace | None, caught: Sequence[int]
+) -> Iterator[Tick]:
+    is_answered = False
+    for tick in ticks:
+        if pace is not None:
+            pace.wait(tick)
+        is_answered = is_answered or bool(tick.computed)
+        is_over = bool(caught) and tick.stop_reason is None
+        last = _end(tick) if is_over else tick
+        for sink in sinks:
+            sink.receive(last)
+        if is_over and not is_answered:
+            raise KeyboardInterrupt  # a run needs at least one sample
+        yield last
+        if is_over:
+            return
+
+
+def _end(tick: Tick) -> Tick:
+    event = Event(time_ns=tick.time_ns, kind="stop", text=f"The run ended: {INTERRUPTED}.")
+    return msgspec.structs.replace(tick, stop_reason=INTERRUPTED, events=(*tick.events, event))

@@ -110,7 +110,7 @@ ROWS = {
 def test_a_live_run_has_the_entities_of_its_file(tmp_path: Path) -> None:
     with start_headless() as viewer:
         sink = tl.draw.LiveViewer(SHORT, viewer.url)
-        run = tl.log.run_live(SHORT, [sink], realtime=True)
+        run = tl.simulate.run_live(SHORT, [sink], realtime=True)
         assert sink.lost == ""
         viewer.wait_for_end(run.end_ns - run.start_ns)
         shown = viewer.list_entities()
@@ -128,12 +128,12 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
         killer = threading.Timer(0.4, viewer.kill)
         with tl.Recorder(tmp_path / "live.mcap", SHORT) as recorder:
             killer.start()
-            run = tl.log.run_live(SHORT, [recorder, sink], realtime=True)
+            run = tl.simulate.run_live(SHORT, [recorder, sink], realtime=True)
         killer.join()
     assert sink.lost == "the connection has ended"
     assert run.stop_reason == "max_duration"
     with tl.Recorder(tmp_path / "alone.mcap", SHORT) as recorder:
-        tl.log.run_live(SHORT, [recorder], realtime=False)
+        tl.simulate.run_live(SHORT, [recorder], realtime=False)
     assert read_arrays(tmp_path / "live.mcap") == read_arrays(tmp_path / "alone.mcap")
 
 
@@ -166,7 +166,7 @@ def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -
     with start_headless() as viewer, viewer.hold():
         sink = tl.draw.LiveViewer(scenario, viewer.url)
         start_s = time.monotonic()
-        tl.log.run_live(scenario, [Watch(sink)], realtime=True)
+        tl.simulate.run_live(scenario, [Watch(sink)], realtime=True)
         assert time.monotonic() - start_s < 20.0
     assert sink.lost == "no answer for 0.5 s"
     assert max(taken_s) < 0.25  # One wait for the viewer would take 0.5 s.
@@ -196,7 +196,7 @@ import turtlelog as tl
 
 scenario = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 1.2})
 with tl.Recorder(sys.argv[1], scenario, flush_s=0.2) as recorder:
-    tl.log.run_live(scenario, [recorder], realtime=True)
+    tl.simulate.run_live(scenario, [recorder], realtime=True)
 """
 
 

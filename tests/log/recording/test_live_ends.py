@@ -125,7 +125,7 @@ import os, random, signal, sys, time
 from contextlib import ExitStack
 from pathlib import Path
 from turtlelog.log.recording.recorder import Recorder
-from turtlelog.log.recording.live_run import run_live
+from turtlelog.simulate.collect import run_live
 from turtlelog.processes import hold_stop
 from turtlelog.scenario import get_preset, override_scenario
 

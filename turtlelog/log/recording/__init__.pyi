@@ -1,5 +1,8 @@
-from .live_run import RecordingTail as RecordingTail
-from .reader import read_if_own as read_if_own, read_recording as read_recording
+from .reader import (
+    RecordingTail as RecordingTail,
+    read_if_own as read_if_own,
+    read_recording as read_recording,
+)
 from .recorder import Recorder as Recorder
 from .run_writer import write_recording as write_recording
 from .topics import PartialRecordingWarning as PartialRecordingWarning

@@ -1,21 +1,28 @@
-"""Reading of recordings as runs, complete or with losses."""
+"""Reading of recordings as runs: complete, with losses, or while they grow."""
 
 import warnings
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import build_walked_block
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import Rows, Selection, read_piece
+from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
+from turtlelog.log.engine.records import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import DamageError, UnfinishedError, name_file
+from turtlelog.log.engine.walk import Section, walk_growing
+from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file
 from turtlelog.log.file_info import survey_file
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (
@@ -31,6 +38,7 @@ from turtlelog.log.recording.topics import (
     Contents,
     ForeignFileError,
     PartialRecordingWarning,
+    build_contents,
     read_contents,
     salvage_contents,
 )
@@ -41,8 +49,7 @@ from turtlelog.scenario import flatten_tables
 Values = NDArray[np.float64]
 
 _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
-NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
-"""Advice for a damaged file without a recoverable message."""
+_NOTHING_LEFT: Final = "no message can be recovered: copy the file again from its source"
 
 
 def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
@@ -85,7 +92,7 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
                 raise ForeignFileError(f"{damage}: not a recording by turtlelog")
             is_empty = survey is not None and not any(survey.counts.values())
             advice = f"turtlelog convert --recover {path} -o OUT rewrites what can be read"
-            raise LogError(f"{damage}: {NOTHING_LEFT if is_empty else advice}")
+            raise LogError(f"{damage}: {_NOTHING_LEFT if is_empty else advice}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
             run, lost = _build_part(contents), describe_damages(contents.damages) + dropped
@@ -405,3 +412,81 @@ def _intersect(tables: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
             raise LogError(f"topic {name}: expected poses numbered in order, found others")
         numbers = np.intersect1d(numbers, columns.sequence)
     return numbers
+
+
+_ANY_SIZE: Final = 2**40  # bytes; the final size is unknown
+
+
+class RecordingTail:
+    """An open turtlelog recording that may still grow.
+
+    Attributes:
+        is_finished: Whether the end of the recording has been read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open the recording.
+
+        Raises:
+            LogError: If the file cannot be read, or is not an MCAP file.
+        """
+        self.is_finished = False
+        self._path, self._place = Path(path), len(MCAP0_MAGIC)
+        self._catalogue, self._records = Catalogue(Allowance(_ANY_SIZE)), list[Any]()
+        self._parts: dict[str, list[Rows]] = {}
+        with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
+            self._stream = closing.enter_context(open_file(self._path))
+            check_start(self._stream)
+            closing.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a program still writes to the recording; False if there are no file locks."""
+        return is_live(self._path)
+
+    def read_run(self) -> Run | None:
+        """Return the run so far; None if nothing is new since the last call, or there is no pose.
+
+        Raises:
+            LogError: If the file is not a recording by turtlelog.
+        """
+        with name_file(self._path, expected="a turtlelog recording"):
+            has_grown = False
+            for section, place in walk_growing(self._stream, self._place):
+                self._place = place
+                has_grown |= section is not None and self._take(section)
+            return self._build() if has_grown and topics.POSE.name in self._parts else None
+
+    def read_last_run(self) -> Run:
+        """Return the run so far, even if it is incomplete.
+
+        Raises:
+            LogError: If the file is not a recording by turtlelog, or contains no pose.
+        """
+        self.read_run()
+        with name_file(self._path, expected="a turtlelog recording"):
+            return self._build()
+
+    def _build(self) -> Run:
+        # `build_contents` empties its parts, which are needed again here.
+        parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
+        contents = build_contents(self._records, self._catalogue, parts, ())
+        return build_run(reconcile_contents(contents)[0])
+
+    def _take(self, section: Section) -> bool:
+        """Add a section, and return whether it contains new data for a run."""
+        if section.opcode == Opcode.DATA_END:
+            self.is_finished = True
+            return False
+        block = build_walked_block(self._catalogue, section)
+        self._records += block.rest
+        piece = read_piece(self._catalogue, Selection(), block, block.offsets)
+        for topic, rows in piece.rows.items():
+            self._parts.setdefault(topic, []).append(rows)
+        return True
