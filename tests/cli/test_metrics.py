@@ -353,7 +353,7 @@ def test_the_first_line_says_what_a_table_contradicts(call: Call, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("speed", "told"),
-    [(1.0, "the robot reports."), (3.6, "reports, and the poses contradict them.")],
+    [(1.0, "the robot reports; "), (3.6, "reports, and the poses contradict them; ")],
 )
 def test_reported_rates_that_the_poses_contradict_are_no_facts(
     call: Call, tmp_path: Path, speed: float, told: str
@@ -361,4 +361,4 @@ def test_reported_rates_that_the_poses_contradict_are_no_facts(
     file = tmp_path / "drive.csv"
     rows = [f"{step},{step},0,0,{speed}" for step in range(20)]
     file.write_text("\n".join(["t,x,y,yaw,v", *rows]))
-    assert told in call("metrics", file).flat
+    assert f"{told}the turn rate is a difference of poses." in call("metrics", file).flat
