@@ -67,8 +67,10 @@ def test_swings_that_outliers_cause_are_no_oscillation(call: Call, tmp_path: Pat
     kicks = {"outlier_probability": 0.05, "outlier_m": 2.0, "outlier_rad": 3.0}
     gains = {"law.kp_angular": 2.0, "law.kp_linear": 2.0}
     write_textbook(file, {**gains, **{f"sensing.{key}": one for key, one in kicks.items()}})
-    words = call("metrics", file).out.splitlines()
-    assert "Irregular swings, as from random disturbances: rotate and translate." in words
+    answer = call("metrics", file)
+    told = "Irregular swings, which hide whether the loop is stable: rotate and translate."
+    assert told in answer.flat
+    words = answer.out.splitlines()
     assert not any("die out" in line for line in words)
 
 

@@ -186,13 +186,14 @@ def import_tables(path: str | Path) -> Run:
         LogError: If a table is invalid; one line with the file and the column.
     """
     path = make_path(path)
-    files = list_table_files(path) if path.is_dir() else (path,)
+    is_folder = path.is_dir()
+    files = list_table_files(path) if is_folder else (path,)
     tables: dict[str, Table] = {}
     facts: dict[str, Any] = {}
     for file in files:
         name, table, facts = _read_table(file)
         tables[name] = table
-    if (path / _FACTS).is_file():
+    if is_folder and (path / _FACTS).is_file():
         facts = _read_facts(path / _FACTS)
     with name_file(path, expected="tables of a run"):
         if "poses" not in tables:

@@ -41,8 +41,8 @@ overshoots are measured. Beyond this sum, the 10 to 40 responses of some ten tho
 take several seconds."""
 
 TOO_SLOW: Final = (
-    f"lag, dead time and a step under limits take more than {_MOST_SAMPLES} samples, so no"
-    " overshoot is measured"
+    f"lag, dead time and the duration of a limited step are longer than {_MOST_SAMPLES} samples, so"
+    " no overshoot is measured"
 )
 """Reason why a slow loop has no gains for an overshoot."""
 
