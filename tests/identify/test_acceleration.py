@@ -66,6 +66,20 @@ def test_the_scenario_limits_the_jerk_of_commands() -> None:
     assert max(turn_as_advised(model, run, SOFT)) <= 6.0
 
 
+def test_a_jerk_that_is_limited_once_per_period_is_half_a_period_early() -> None:
+    """The robot is identified once, by the first of these tests that asks for it."""
+    run, model = identify_soft()
+    robot, found = build_robot_scenario(model, run), model.turn_rate
+    hard = replace(model, turn_rate=replace(found, jerk_time_s=None))
+    plain = build_robot_scenario(hard, run)
+    period_s = robot.scenario.loop.period_s or robot.scenario.plant.period_s
+    later, sooner = (one.scenario.plant.turn_dead_time_s for one in (robot, plain))
+    assert later == pytest.approx(sooner + 0.5 * period_s, abs=2e-6)
+    told = f"the dead time of the turn rate is {500.0 * period_s:.3g} ms longer for it."
+    assert told in " ".join(robot.notes)
+    assert told not in " ".join(plain.notes)
+
+
 def test_the_model_predicts_turns_with_a_limited_jerk() -> None:
     run, model = identify_soft()
     way, _ = predict_axis(model.turn_rate, run, run.poses.time_ns / 1e9)

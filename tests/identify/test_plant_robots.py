@@ -112,6 +112,7 @@ def test_the_scenario_has_the_limits_in_its_plant_and_says_so(kind: str) -> None
 def test_the_recommended_gain_overshoots_turns_of_the_plant_by_no_more_than_was_wanted(
     kind: str,
 ) -> None:
+    """Each robot is identified once, and gains are searched over dozens of steps of all sizes."""
     keys, run, model = identify(kind)
     assert max(turn_as_advised(model, run, keys)) <= 6.0
 

@@ -136,9 +136,9 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     for keys, sentences in parts:
         values |= keys
         notes += sentences
-    keys, sentences = _choose_tolerances(values)
-    values |= keys
-    notes += sentences
+    for keys, sentences in (_delay_jerk(values), _choose_tolerances(values)):
+        values |= keys
+        notes += sentences
     notes.append(
         "The law and its gains are not those of the log: they are sequential-p and 1."
         " `turtlelog theory` recommends gains for this file."
@@ -358,6 +358,26 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
                 f" commands, so it is that of the motion by the gain.{jerk}"
             )
     return values, notes
+
+
+def _delay_jerk(values: Mapping[str, Any]) -> Part:
+    """Return longer dead times of axes with a limit of the jerk, which the scenario has in its law.
+
+    There a command has at once what the robot reaches at the end of a period: on average half a
+    period early.
+    """
+    delays: dict[str, Any] = {}
+    early_s = 0.5 * values.get("loop.period_s", values["plant.period_s"])
+    axes = [axis for axis, (_, jerk) in _RAMP_KEYS.items() if jerk in values]
+    for axis in axes:
+        key = f"{PLANT_KEYS[axis]}dead_time_s"
+        delays[key] = _round(values[key] + early_s)
+    names = join_words([NAMES[axis] for axis in axes])
+    told = (
+        "The robot limits the jerk all the time, the scenario once per period, which is half a"
+        f" period earlier: the dead time of the {names} is {1e3 * early_s:.3g} ms longer for it."
+    )
+    return delays, [told] if axes else []
 
 
 def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
