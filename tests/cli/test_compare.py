@@ -31,7 +31,8 @@ def test_the_first_line_is_the_answer_and_the_best_are_named_below(
     assert answer.out.index("\npaper-kp10") < answer.out.index("\npaper-kp4")
     assert "11.184*" in answer.out
     assert "12.608!" in answer.out
-    assert f"Why is paper-kp10 worse? turtlelog explain {kp10}" in " ".join(lines)
+    pasted = " ".join(answer.out.replace("\\\n", "").split())
+    assert f"Why is paper-kp10 worse? turtlelog explain {kp10}" in pasted
     assert len(lines) <= 40
     assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
 
@@ -326,6 +327,7 @@ def test_a_worse_robot_is_explained_by_what_its_log_contains(call: Call, tmp_pat
     answer = call("compare", *files, "--goal", "4,0", "--metric", "final.position_error")
     question, command = answer.out.partition("Why is bad worse? ")[1:]
     assert question
+    assert "\\\n  " in command  # a command that goes on in the next line can be pasted
     assert command.split("\nFor other")[0].replace("\\\n  ", "").split() == [
         *("turtlelog", "compare", str(files[0]), str(files[1])),
         *("--goal=4,0", "--why", "final.position_error"),

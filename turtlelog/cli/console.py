@@ -173,9 +173,9 @@ def fill_lines(lines: Iterable[str], *, indent: int = 0) -> str:
 
 def _fill(line: str, indent: int, width: int) -> str:
     width = min(width, _LINE)
-    head, mark, command = line.partition(": turtlelog ")
-    is_alone = ", " not in command and not command.endswith(".")
-    is_command = bool(mark) and is_alone and len(head) < width // 2
+    head, *command = re.split(r"[:?] turtlelog ", line, maxsplit=1)
+    is_alone = all(", " not in part and not part.endswith(".") for part in command)
+    is_command = bool(command) and is_alone and len(head) < width // 2
     end = " \\" if is_command else ""
     filled = textwrap.wrap(
         line,
