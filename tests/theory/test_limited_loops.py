@@ -158,9 +158,10 @@ def test_recommended_gains_overshoot_as_wanted_in_the_worst_step(kind: str) -> N
         keys = {**LAG, **RAMPS[kind], "law.kp_linear": kp}
         return max(drive(share * 6.3, keys)[0] for share in SHARES)
 
-    # The drives lie between the steps that were measured.
-    assert find_worst(best.gains.kp) < 5.6
-    assert find_worst(1.1 * best.gains.kp) > 5.6
+    # The drives lie between the steps that were measured, where a jerk alone overshoots by 5.51 %.
+    most = 5.6 if kind == "jerk alone" else 5.5
+    assert find_worst(best.gains.kp) < most
+    assert find_worst(1.1 * best.gains.kp) > most
 
 
 SHARES = (0.84, 0.6, 0.42, 0.3, 0.2)
