@@ -284,7 +284,9 @@ def whole_file(_: Request) -> Iterator[bytes]:
 def endless_file(_: Request) -> Iterator[bytes]:
     yield say(200)
     yield DATA
-    yield from repeat(bytes(2**16))
+    for piece in repeat(bytes(2**16)):
+        time.sleep(0.005)  # 13 MB/s, so that little waits in the buffers of a slow reader
+        yield piece
 
 
 def huge_ranges(asked: Request) -> Iterator[bytes]:
