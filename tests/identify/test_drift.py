@@ -273,7 +273,8 @@ def test_commands_of_one_size_without_rests_do_not_tell_a_drift_from_a_gain_back
     for found, truth in pairs:
         assert known(found).low - 1e-6 <= truth <= known(found).high + 1e-6
     both = "another gain backwards", "a drift"
-    told = [f"what acts on the turn rate: {' or '.join(pair)}." for pair in (both, both[::-1])]
+    pairs_told = (" or ".join(pair) for pair in (both, both[::-1]))
+    told = [f"what acts on the turn rate: {pair}. The intervals cover" for pair in pairs_told]
     assert any(one in axis.doubts[0] for one in told)
     assert axis.doubts[0].endswith("A rest of some seconds between commands would show a drift.")
 
