@@ -270,7 +270,10 @@ def _measure_lag(fit: AxisFit) -> AxisFit:
         fit.white, slopes, fit.whitening.noise.rounded
     )[0]
     if not fit.model.structure.rounds_by_lag:
-        covariance[TOTAL, TOTAL] = max(covariance[TOTAL, TOTAL], fit.covariance[TOTAL, TOTAL])
+        # Only the time constant has no slope; the errors of the others are those of the fit.
+        errors = np.sqrt(np.diag(fit.covariance) / np.maximum(np.diag(covariance), 1e-100))
+        errors[LAG] = 1.0
+        covariance *= np.outer(errors, errors)
     return replace(fit, covariance=covariance)
 
 
