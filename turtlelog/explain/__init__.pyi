@@ -16,6 +16,7 @@ from .answers import (
     EffectShift as EffectShift,
     ExplainedDifference as ExplainedDifference,
     Resolution as Resolution,
+    ResolutionReason as ResolutionReason,
     SeedRange as SeedRange,
     Side as Side,
     StartRange as StartRange,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Final
 
 from turtlelog.display import fit_line
@@ -11,6 +12,19 @@ SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12  # share of a value by which sums in another order may differ
+
+
+class ResolutionReason(StrEnum):
+    """Origin of the largest negligible change, as a clause."""
+
+    SAMPLE = "one sample period"
+    COUNT = "half a count"
+    SHARE = "1 % of the value"
+    POSITION_TOLERANCE = "heading tolerance times distance plus position tolerance"
+    HEADING_TOLERANCE = "the heading tolerance"
+    STEP_TOLERANCE = "the tolerance over the step"
+    NO_SCENARIO = "no scenario is known"
+    NO_RUN = "no run is simulated"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +37,17 @@ class Resolution:
     """
 
     size: float
-    reason: str
+    reason: ResolutionReason
+
+    @property
+    def is_tolerance(self) -> bool:
+        """Whether the tolerances of the law allow a change of this size."""
+        reasons = ResolutionReason
+        return self.reason in {
+            reasons.POSITION_TOLERANCE,
+            reasons.HEADING_TOLERANCE,
+            reasons.STEP_TOLERANCE,
+        }
 
 
 _CLEAR: Final = 3.0
