@@ -74,7 +74,7 @@ def compare_why(
             WhyAnswer(first=first, second=second, condition=against.first, explanation=found)
         )
     elif kind == "txt":
-        words = [*pair, *options.list_reading_words(topics)]
+        words = [*pair, *options.list_option_words(topics)]
         console.print_text(_format_why(found, words, lead=told))
     else:
         console.print_tables([_tabulate_why(found)], kind)
