@@ -211,7 +211,7 @@ def metrics(
                 _refuse_patterns(patterns, [found.declaration for found in held])
             if is_short:
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
-                print_essential(held, kind, options.list_reading_words(topics))
+                print_essential(held, kind, options.list_option_words(topics))
             else:
                 print_chosen(held, kind)
     return console.print_errors(errors)

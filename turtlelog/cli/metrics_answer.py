@@ -197,7 +197,7 @@ def format_run(
     ]
     return "\n".join(
         [
-            console.fill_lines([*head, *remarks, *_list_why(summary)]),
+            console.fill_lines([*head, *remarks, *_list_why(summary, reading)]),
             console.fit_body(table),
             "",
             *([console.fill_lines(notes, indent=2)] if notes else []),
@@ -218,9 +218,9 @@ def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield summary.notes["wall"]
 
 
-def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
+def _list_why(summary: "tl.compare.RunSummary", reading: Sequence[str]) -> Iterator[str]:
     if summary.goal_end is not None and summary.goal_end.is_away:
-        command = console.name_explain(summary.file or "FILE.mcap", summary.law)
+        command = console.name_explain(summary.file or "FILE.mcap", summary.law, reading)
         yield f"Why? {'' if summary.file else 'Record the run with -o FILE.mcap, then: '}{command}"
 
 
@@ -295,7 +295,7 @@ def _is_of_run(name: str) -> bool:
 
 
 def _list_next(summary: "tl.compare.RunSummary", count: int, reading: Sequence[str]) -> list[str]:
-    is_told = any(_list_why(summary))
+    is_told = any(_list_why(summary, reading))
     if not summary.file:
         return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
     file = console.quote_file(summary.file, *reading)
@@ -305,7 +305,7 @@ def _list_next(summary: "tl.compare.RunSummary", count: int, reading: Sequence[s
     if is_told:
         return [more]
     if not summary.is_lawless:
-        return [f"Why? {console.name_explain(summary.file, summary.law)}", more]
+        return [f"Why? {console.name_explain(summary.file, summary.law, reading)}", more]
     if "poses" in summary.lacks:
         return [f"Where they lead: turtlelog replay {robot}", more]
     if "commands" not in summary.lacks:
