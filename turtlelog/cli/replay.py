@@ -1,6 +1,5 @@
 """`turtlelog replay`: replay of a recording."""
 
-import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import degrees
@@ -118,7 +117,8 @@ def replay(
     (run,) = options.read_runs([file], topics, allow_no_poses=True)
     with options.name_as_typed(file, run):
         if not len(run.poses):
-            _print(*_replay_commands(file, run, mode, changes, output), json=json)
+            words = options.list_option_words(mode, changes, topics)
+            _print(*_replay_commands(file, run, mode, changes, output, words), json=json)
             return console.EXIT_FINE
         if mode.plant:
             found: tl.replay.LawReplay | tl.replay.LoopReplay | tl.replay.PlantReplay
@@ -179,8 +179,12 @@ def _replay_commands(
     mode: ReplayOptions,
     changes: ScenarioOptions,
     output: Path | None,
+    words: Sequence[str],
 ) -> tuple[CommandReplayAnswer, str]:
-    """Drive a plant with the commands of a run without poses, and write the plant's path."""
+    """Drive a plant with the commands of a run without poses, and write the plant's path.
+
+    `words` are the given options.
+    """
     compared = {"--law": mode.law, "--expect-equal": mode.expect_equal}
     advice = f"leave it out, {file} holds commands alone: no poses"
     options.refuse_given({**compared, "--tolerance": mode.tolerance}, advice)
@@ -200,11 +204,14 @@ def _replay_commands(
         wall_s=found.wall_s,
         output=None if output is None else str(output),
     )
-    return answer, _format_commands(file, found, answer)
+    return answer, _format_commands(file, found, answer, words)
 
 
 def _format_commands(
-    file: Path, found: "tl.replay.CommandReplay", answer: CommandReplayAnswer
+    file: Path,
+    found: "tl.replay.CommandReplay",
+    answer: CommandReplayAnswer,
+    words: Sequence[str],
 ) -> str:
     kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
     end, name = answer.end, escape_controls(file.name)
@@ -221,10 +228,10 @@ def _format_commands(
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
     sentences.append("No poses were read: nothing tells whether the robot went there.")
-    following = f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap"
+    following = f"Keep the path: turtlelog replay {console.quote_file(file, *words)} -o path.mcap"
     if answer.output is not None:
-        following = f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png"
-    return f"{console.fill_lines(sentences)}\n{following}"
+        following = f"Next: turtlelog plot {console.quote_file(answer.output)} -o path.png"
+    return console.fill_lines([*sentences, following])
 
 
 def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path | None) -> None:

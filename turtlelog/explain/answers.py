@@ -132,7 +132,7 @@ class ValueSet:
 
     Attributes:
         causes: Acting causes; all other causes that take part are removed.
-        reason: Reason why the metric has no value; None if it has a value.
+        reason: Reason why the metric has no value.
     """
 
     causes: tuple[str, ...]
@@ -229,8 +229,7 @@ class Attribution:
             `this_seed` is the difference.
         others: Other causes in the scenario, each removed alone.
         resolution: Largest change that is negligible.
-        withheld: Reason why there are no contributions, in one clause; None if there are
-            contributions.
+        withheld: Reason why there are no contributions, in one clause.
         together: Parts that several causes add only together.
         without_value: Smallest sets of causes that leave the metric without a value.
         with_value: Smallest sets of causes that give the metric a value, if it has no value without
@@ -457,8 +456,7 @@ class ExplainedDifference:
         idle: Keys that differ (for robots, beyond their intervals) but never change the metric.
         unexplained: Part of the difference that neither the models of two robots nor the
             contributions explain; None if no robots are identified.
-        withheld: Reason why there are no contributions, in one clause; None if there are
-            contributions.
+        withheld: Reason why there are no contributions, in one clause.
         together: Parts that several groups add only if all of these groups are changed.
         without_value: Smallest sets of changes that leave the metric without a value.
         with_value: Smallest sets of changes that give the metric a value, if the first run has no

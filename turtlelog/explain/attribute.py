@@ -39,7 +39,7 @@ from turtlelog.explain.game import (
     iterate_outcomes,
     list_coalitions,
 )
-from turtlelog.explain.scenario_from_log.identification import (
+from turtlelog.explain.scenario_from_log import (
     LOOP_KEYS,
     Certainty,
     Finding,
