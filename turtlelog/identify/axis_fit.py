@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
 from turtlelog.identify.held_response import FIRST_ORDER, HeldResponse, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
+from turtlelog.identify.robot_noise import (
+    LEAST_STEP,
+    NORMAL_MAD,
+    Whitening,
+    find_outlying_steps,
+    fit_noise,
+)
 
 _GRID_S: Final = 0.04
 """Distance of the dead times in the first search [s]: a quarter of a usual delay."""
@@ -27,18 +33,6 @@ heading gives two wrong steps, there and back."""
 
 SOFT: Final = 3.0
 """Standard deviations from which a residual counts less than its square (soft L1)."""
-
-_OUTLIER: Final = 8.0
-"""Size of an outlier in robust standard deviations; outliers do not count. Normal noise exceeds
-this size once in 1e15 steps; stamp jitter at the highest speed has five times the usual
-residual."""
-
-_MOST_OUTLIERS: Final = 0.05
-"""Largest share of the steps that may be outliers. A simulated robot rests exactly, and all its
-moving steps deviate more than its rests: these steps are its motion."""
-
-_LONGEST_JUMP: Final = 5
-"""Largest number of steps of a jump: a wrong pose gives two, an odometry filter some more."""
 
 _LAG_STEP_S: Final = 1e-4  # difference for derivatives with respect to the time constant [s]
 
@@ -351,21 +345,6 @@ def _conclude(
         is_outlier=is_outlier,
         whitening=whitening,
     )
-
-
-def find_outlying_steps(residual: Values, rounding: float = 0.0) -> NDArray[np.bool_]:
-    """Return which residuals are outliers, of poses with a standard deviation of rounding."""
-    size = np.abs(residual)
-    # A robot that rests long repeats its pose exactly, but its motion is rounded.
-    scale = max(NORMAL_MAD * float(np.median(size)), 2.0**0.5 * rounding)
-    if scale <= 0.0:
-        return np.zeros(len(size), dtype=bool)
-    # Steps that are off for long, and in one direction, are a motion that the model lacks.
-    least = max(_OUTLIER * scale, float(np.quantile(size, 1.0 - _MOST_OUTLIERS)))
-    signs = np.where(size > least, np.sign(residual), 0.0)
-    begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
-    lengths = np.diff(np.append(begins, len(signs)))
-    return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))
 
 
 def _search_start(motions: Sequence[AxisMotion]) -> Values:
