@@ -433,3 +433,11 @@ def fit_noise(
     share = min(2.0 * rounding**2 / (slip + 2.0 * variance), 1.0)
     noise = StepNoise(slip=slip, sensing=variance, rounded=share)
     return Whitening(noise, duration_s, shared, is_outlier)
+
+
+def learn_noise(
+    residual: Values, duration_s: Values, shared: Values, rounding: float
+) -> tuple[NDArray[np.bool_], Whitening]:
+    """Return which residuals are outliers, and the whitening by the noise of the others."""
+    is_outlier = find_outlying_steps(residual, rounding)
+    return is_outlier, fit_noise(residual, duration_s, shared, is_outlier, rounding)
