@@ -15,7 +15,7 @@ from turtlelog.display import join_words
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, NORMAL_95, TOTAL, AxisFit
 from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, read_axis_motion
-from turtlelog.identify.held_response import FIRST_ORDER, Structure
+from turtlelog.identify.held_response import Structure
 from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.measure.motion import measure_whiteness
@@ -101,7 +101,12 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     its curvature.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
-    if fit.model.structure.without_drift != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
+    if (
+        fit.model.structure.bends
+        or fit.model.structure.order != "first_order"
+        or lag.low <= 0.0
+        or lag.value > short_s
+    ):
         return dead_time, lag
     without = axis_fit.fit_without_lag(fit)
     if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:

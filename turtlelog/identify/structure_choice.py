@@ -2,8 +2,7 @@
 
 More parameters always reduce the residual. Therefore another structure must reduce the residual
 clearly, and change the robot's response noticeably. After a fit to only a part of the log, it must
-also predict the rest better than the simpler structure. Structures that the log cannot distinguish
-are called rivals.
+also predict the rest better. Structures that the log cannot distinguish are called rivals.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -36,8 +35,8 @@ _DRIFTS: Final = 0.002
 a change of 2 % does in one second."""
 
 _AT_REST: Final = 0.5
-"""Smallest share of a drift that the mean rate at rest must have: then it is nearer to the drift
-than to rest. A robot that only veers while it drives does not drift."""
+"""Smallest share of a drift that the mean rate at rest must have, to be nearer to it than to rest.
+A robot that only veers while it drives does not drift."""
 
 RESTED_S: Final = 1.0
 """Shortest total rest that shows a drift [s]: thirty poses of a usual robot."""
@@ -160,11 +159,10 @@ def measure_score(fit: AxisFit) -> float:
 def is_rival(fit: AxisFit, other: AxisFit) -> bool:
     """Return whether the log cannot exclude another structure."""
     more = other.model.structure.size - fit.model.structure.size
-    worse = other.badness - fit.badness
     if other is fit or more < 0:
         return False
     least = _SOFTENS if is_soft(fit.model.structure, other.model.structure) else _DOUBTFUL
-    return worse <= (-least if more else _RIVAL)
+    return other.badness - fit.badness <= (-least if more else _RIVAL)
 
 
 def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
@@ -250,8 +248,7 @@ def measure_effect(fit: AxisFit, other: AxisFit) -> float:
 
 def _list_neighbours(fit: AxisFit, frictions: Sequence[float] = _FRICTIONS) -> _Neighbours:
     """Yield structures with one difference, with start values of their further parameters."""
-    structure = fit.model.structure
-    known, commands = fit.extras, fit.model.commands
+    structure, known, commands = fit.model.structure, fit.extras, fit.model.commands
     levels = np.unique(np.abs(commands))
 
     def start(other: Structure, **value: float) -> tuple[float, ...]:
@@ -431,8 +428,7 @@ def compare_predictions(
         ahead = axis_fit.StepModel(rest, one.model.structure)
         modelled, slopes = ahead.linearise(known.parameters)
         predicted.append((known, ahead.moved - modelled, slopes))
-    residual = predicted[1][1]
-    whitening = ahead.fit_noise(residual)[1]
+    whitening = ahead.fit_noise(predicted[1][1])[1]
     badness, other_badness = (_measure_ahead(*one, whitening) for one in predicted)
     return badness - other_badness
 
@@ -446,10 +442,8 @@ def _measure_ahead(known: AxisFit, residual: Values, slopes: Values, whitening: 
     before, after = earlier.T @ earlier, slopes.T @ slopes
     before = before + (before + after) / (len(earlier) + len(slopes))
     size = np.maximum(np.sqrt(np.diag(before + after)), axis_fit.UNSEEN)
-    before, after = (
-        matrix / np.outer(size, size) + axis_fit.ROUNDED * np.eye(len(size))
-        for matrix in (before, after)
-    )
+    scale, rounded = np.outer(size, size), axis_fit.ROUNDED * np.eye(len(size))
+    before, after = before / scale + rounded, after / scale + rounded
     slopes = slopes / size
     step = np.linalg.solve(before + after, slopes.T @ np.clip(white, -axis_fit.SOFT, axis_fit.SOFT))
     spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]
