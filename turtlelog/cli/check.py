@@ -16,7 +16,6 @@ from turtlelog.cli import console, options
 from turtlelog.cli.check_answers import (
     CheckAnswer,
     CountedResults,
-    build_results,
     conclude,
     format_many,
     format_results,
@@ -432,7 +431,7 @@ def _print_results(
     results = [*results]
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
-        console.print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
+        console.print_json(CheckAnswer(verdict=verdict.value, results=results))
     elif kind == "csv":
         console.print_tables([tabulate_values(spec, results)], kind)
     elif kind == "txt":

@@ -89,8 +89,8 @@ class MeasuredFile:
         file: Name of the file as given.
         name: Name of the run.
         ending: End of the run at its goal, in words; None without a goal.
-        jumps: Jumps of the poses that the path length counts as driven, in words; None without.
-        scatter: Path and turning without steps back and forth, in words; None without such steps.
+        jumps: Jumps of the poses that the path length counts as driven, in words.
+        scatter: Path and turning without steps back and forth, in words.
         metrics: Requested metrics. Default: all metrics.
     """
 

@@ -314,11 +314,11 @@ class PlotAnswer:
 
     Attributes:
         files: Names of the files, as given.
-        ending: Ends of the runs, in words; None without runs.
+        ending: Ends of the runs, in words.
         figures: The figures.
         tables: Files of tables.
         left_out: Figures that were not drawn, with reasons.
-        movie: The movie; None without a movie.
+        movie: The movie.
     """
 
     files: list[str]

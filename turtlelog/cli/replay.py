@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.check_answers import build_results, format_results
+from turtlelog.cli.check_answers import format_results
 from turtlelog.cli.replay_answer import (
     CommandReplayAnswer,
     LawReplayAnswer,
@@ -135,7 +135,7 @@ def replay(
         results = judge_replay(run, found, file=str(file))
         verdict = tl.check.join_verdicts(results)
         failed = verdict == "FAIL"
-        answer = replace(answer, verdict=verdict.value, results=build_results(results))
+        answer = replace(answer, verdict=verdict.value, results=results)
         text = f"{text}\n\n{format_results(results, files=1)}"
     _print(answer, text, json=json)
     return console.EXIT_FAILED if failed else console.EXIT_FINE

@@ -324,8 +324,8 @@ class RunAnswer:
 
     Attributes:
         name: Name of the run.
-        file: Written recording; None without a recording.
-        rrd: Written Rerun recording; None without a Rerun recording.
+        file: Written recording.
+        rrd: Written Rerun recording.
         samples: Number of samples.
         stop_reason: Reason why the run ended.
         ending: End of the run at its goal, in words; None without a goal.
