@@ -1,6 +1,6 @@
 """Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Final
@@ -369,13 +369,9 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
     told: list[list[str]] = []
     for one in summaries:
         which = "" if len(summaries) == 1 else f" of {one.name}"
-        said = [
-            sentence.format(which=which, note=one.notes[name])
-            for name, sentence in _OF_MOTION.items()
-            # The remarks on a single run say that it moves to the side.
-            if name in one.notes and (which or name != "sideways")
-        ]
-        said += list_scatter(one, which, shown)
+        # The remarks on a single run say that it moves to the side.
+        names = (name for name in _OF_MOTION if which or name != "sideways")
+        said = [*list_motion(one, which, names), *list_scatter(one, which, shown)]
         told.extend([said] if said else [])
     first = [sentence for said in told[:_MOST_SAID] for sentence in said]
     if len(told) > _MOST_SAID:
@@ -394,6 +390,15 @@ _OF_MOTION: Final = {
     " straight line there.",
 }
 """Sentences by the notes of a run that they repeat."""
+
+
+def list_motion(
+    summary: "tl.compare.RunSummary", which: str, names: Iterable[str]
+) -> Iterator[str]:
+    """Yield the sentences of some notes on the motion of a run, if it has them."""
+    for name in names:
+        if name in summary.notes:
+            yield _OF_MOTION[name].format(which=which, note=summary.notes[name])
 
 
 def list_scatter(

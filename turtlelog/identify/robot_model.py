@@ -6,13 +6,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final, Literal, SupportsFloat
 
-from turtlelog.display import (
-    NULL_IF_EMPTY,
-    fit_line,
-    format_html,
-    format_notebook,
-    join_words,
-)
+from turtlelog.display import NULL_IF_EMPTY, fit_line, format_html, format_notebook, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.held_response import Bound, Order, Structure
@@ -78,6 +72,13 @@ class TickDelays:
 
 LimitPlace = Literal["", "before_lag", "within_lag", "at_wheels"]
 
+Refusal = Literal[
+    "no_commands", "never_commanded", "negligible", "constant", "ramps", "implausible",
+    "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide", "repeated",
+    "at_bound", "hidden",
+]  # fmt: skip
+"""Cause why an axis has no values; `refused_axes` has the sentence of each."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisModel:
@@ -88,7 +89,8 @@ class AxisModel:
     Attributes:
         axis: `speed` or `turn_rate`.
         status: Whether the values of the axis are known.
-        reason: Reason why the values are unknown, in a sentence.
+        refusal: Cause why the values are unknown.
+        reason: The same in a sentence.
         advice: Test drive that would identify the values.
         model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
             lag s + 1).
@@ -118,20 +120,21 @@ class AxisModel:
             explains.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square,
             without the noise of poses: 1 for noise, near 0 for a curve.
-        outliers: Number of steps left out because their residual exceeds the noise.
+        outliers: Number of steps whose residual exceeds the noise, left out.
         correlation_delay_s: Delay with the largest correlation of commands and motion [s], with the
             range of delays that the correlation cannot distinguish.
         correlation_reason: Reason why the correlation shows no delay.
         steps: Number of steps between poses that were used.
-        steps_in_all: Number of steps between poses in which commands act.
+        steps_in_all: Number of steps in which commands act.
         changes: Number of changes of the command.
         doubts: Reasons other than noise for wider intervals, in sentences.
-        silent_stops_s: Times from the last command until the rate is down to half [s], if the robot
-            stops by itself without commands.
+        silent_stops_s: Times from the last command to half of the rate [s], if the robot stops by
+            itself.
     """
 
     axis: Axis
     status: Literal["ok", "not_identifiable"]
+    refusal: Refusal | None = None
     reason: str = field(default="", metadata=NULL_IF_EMPTY)
     advice: str = field(default="", metadata=NULL_IF_EMPTY)
     model: Literal["first_order", "second_order"] = "first_order"
@@ -271,7 +274,7 @@ class AxisModel:
     @property
     def is_idle(self) -> bool:
         """Whether the axis is never commanded, so that its values are not needed."""
-        return self.reason == f"the {NAMES[self.axis]} is never commanded"
+        return self.refusal == "never_commanded"
 
 
 ORDERS: Final[Mapping[str, Order]] = {
