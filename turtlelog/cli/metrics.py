@@ -89,7 +89,7 @@ class MeasuredFile:
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        ending: End at the goal, in words; None without a goal.
+        ending: End at the goal, in words.
         jumps: Jumps that the path length contains, in words.
         scatter: Path and turning without steps back and forth, in words.
         gaps: Time without poses, in words.
