@@ -409,20 +409,6 @@ def _spool() -> Iterator[IO[str]]:
             shutil.copyfileobj(spool, sys.stdout)
 
 
-def find_command_name() -> str:
-    """Return the command name by which a user can call turtlelog again."""
-    if "UV_RUN_RECURSION_DEPTH" in os.environ:
-        return "uv run turtlelog"
-    from shutil import which
-
-    if which("turtlelog"):
-        return "turtlelog"
-    python = Path(sys.executable)
-    if python.is_relative_to(Path.cwd()):
-        python = python.relative_to(Path.cwd())
-    return f"{python} -m turtlelog"
-
-
 def _format_json(value: Any) -> str:
     return json.dumps(_make_plain(value), indent=2, allow_nan=False)
 

@@ -150,8 +150,8 @@ class AskedOptions:
                 work = tl.explain.Work(jobs=None, report=progress.count)
                 return kind.prepare(runs, metric=self.metric, work=work)
         if kind.content == "formula" and len(runs) == 1 and self.expect is not None:
+            from turtlelog.check.spec import build_spec
             from turtlelog.check.violation import find_judged_signal
-            from turtlelog.cli.check import build_spec
 
             (result,) = tl.check_runs(build_spec([self.expect]), [(runs[0].name, runs[0])])
             judged = find_judged_signal(runs[0], result)
