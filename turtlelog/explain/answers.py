@@ -1,4 +1,4 @@
-"""The answers: a value attributed to causes, and the difference of two runs explained."""
+"""The values of the answers: a value attributed to causes, and a difference divided."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -188,7 +188,7 @@ class SeedRange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attribution:
+class AttributedValue:
     """Causes of a value of a run, and their contributions.
 
     Attributes:
@@ -248,13 +248,10 @@ class Attribution:
     sentences: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Write the sentences."""
-        from turtlelog.explain.answer_words import write_sentences
-
         value, seeds = self.resimulated, self.seeds
         this_seed = None if value is None or seeds is None else value - seeds.mean
         object.__setattr__(self, "this_seed", this_seed)
-        object.__setattr__(self, "sentences", write_sentences(self))
+        object.__setattr__(self, "sentences", ())
 
     @property
     def acting(self) -> tuple[str, ...]:
@@ -297,11 +294,6 @@ class Attribution:
         value = self.resimulated if self.as_logged is None else self.as_logged
         size = "no value" if value is None else f"{value:.4g} {self.unit}"
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
-
-    def _repr_html_(self) -> str:
-        from turtlelog.explain.answer_words import tabulate_attribution
-
-        return tabulate_attribution(self)
 
 
 SEED: Final = "seed"
@@ -414,7 +406,7 @@ class DifferenceRange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExplainedDifference:
+class DividedDifference:
     """The difference of a metric between two runs, divided among the changed settings.
 
     Attributes:
@@ -472,16 +464,8 @@ class ExplainedDifference:
     sentences: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Write the sentences."""
-        from turtlelog.explain.difference_report import write_difference_sentences
-
-        object.__setattr__(self, "sentences", write_difference_sentences(self))
+        object.__setattr__(self, "sentences", ())
 
     def __repr__(self) -> str:
         names = f"{self.first.name} and {self.second.name}"
         return fit_line(f"<ExplainedDifference of {names}: {self.metric}>")
-
-    def _repr_html_(self) -> str:
-        from turtlelog.explain.difference_report import tabulate_difference
-
-        return tabulate_difference(self)

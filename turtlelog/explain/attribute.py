@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
 from turtlelog.explain import contributions
-from turtlelog.explain.answers import SAME, Attribution, Contribution
+from turtlelog.explain.answer_words import Attribution
+from turtlelog.explain.answers import SAME, Contribution
 from turtlelog.explain.causes import (
     SAMPLING,
     choose_metric,
