@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from html import escape
 from typing import Final
 
 from turtlelog.display import format_html, format_notebook, join_words
 from turtlelog.explain import answers
-from turtlelog.explain.answers import AttributedValue, Contribution, Together, ValueSet
+from turtlelog.explain.answers import AttributedValue, Contribution, Together, ValueSet, is_clear
 from turtlelog.explain.causes import RANDOM_EFFECTS
 
 NAMED: Final = 0.1
@@ -25,7 +26,7 @@ _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 
 def write_sentences(found: AttributedValue) -> tuple[str, ...]:
     """Return sentences on the value, its causes, their dependences, and other causes of change."""
-    parts = [write_part(found, one) for one in choose_named(found)]
+    parts = [f"{one.cause} {format_contribution(found, one)}" for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (_write_value(found), *causes, *write_reasons(found))
 
@@ -36,11 +37,10 @@ def write_headline(found: AttributedValue) -> str:
     The re-simulation's value follows in brackets if it differs from the log's. Without
     contributions, the value stands alone.
     """
-    is_divided = not (found.without_value or found.withheld)
-    if not is_divided or None in (found.as_logged, found.resimulated):
+    values = (found.as_logged, found.resimulated)
+    if found.without_value or found.withheld or None in values:
         return _write_value(found)
-    known = [one for one in (found.as_logged, found.resimulated) if one is not None]
-    sizes = [*dict.fromkeys(_format_value(found, one) for one in known)]
+    sizes = [*dict.fromkeys(_format_value(found, one) for one in values)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
     if choose_named(found):
         main = _write_main(found)
@@ -123,7 +123,8 @@ def _write_main(found: AttributedValue) -> str:
         # Parts of what only arises together would read as if each cause alone added its part.
         names = join_words([one.cause for one in named])
         return f"{names} add {_format_value(found, added)}{mean}"
-    return label + ", ".join(write_part(found, one) for one in main) + mean
+    parts = ", ".join(f"{one.cause} {format_contribution(found, one)}" for one in main)
+    return f"{label}{parts}{mean}"
 
 
 def choose_named(found: AttributedValue) -> list[Contribution]:
@@ -131,11 +132,6 @@ def choose_named(found: AttributedValue) -> list[Contribution]:
     if not found.acting or found.withheld or _is_negligible(found):
         return []
     return [one for one in _list_large(found) if one.is_clear]
-
-
-def write_part(found: AttributedValue, one: Contribution) -> str:
-    """Return a cause and its contribution."""
-    return f"{one.cause} {format_contribution(found, one)}"
 
 
 def format_contribution(found: AttributedValue, one: Contribution) -> str:
@@ -150,9 +146,9 @@ def write_reasons(found: AttributedValue) -> tuple[str, ...]:
         names = join_words(found.causes, "or")
         never = f"It has no value without {names} either." if found.causes else ""
         is_never = not found.with_value and found.without_all is None
-        sets, nothing = (found.without_value, found.with_value), join_words(found.causes)
-        known = dict(zip(found.causes, found.causes, strict=True))
-        missing = write_missing(*sets, known, f"without {nothing}")
+        known = {name: name for name in found.causes}
+        nothing = f"without {join_words(found.causes)}"
+        missing = write_missing(found.without_value, found.with_value, known, nothing)
         sentences = [never if is_never else missing]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
@@ -160,13 +156,11 @@ def write_reasons(found: AttributedValue) -> tuple[str, ...]:
         # Parts that other samples would change must not be read as facts about the robot.
         last = [_write_together(found), _write_starts(found)]
         last = last[::-1] if _is_wide(found) else last
-        sentences = [_write_seeds(found), _write_rest(found), *last]
-        sentences += [_write_unclear(found)]
+        sentences = [_write_seeds(found), _write_rest(found), *last, _write_unclear(found)]
         if found.this_seed is not None and found.seeds is not None and found.seeds.varies:
             size = _format_value(found, abs(found.this_seed))
-            where = "above" if found.this_seed >= 0.0 else "below"
-            mean = "the mean over the seeds"
-            sentences += [f"With this run's seed, the value is {size} {where} {mean}."]
+            where = f"{'above' if found.this_seed >= 0.0 else 'below'} the mean over the seeds"
+            sentences += [f"With this run's seed, the value is {size} {where}."]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         be = "is" if len(found.left) == 1 else "are"
@@ -224,12 +218,11 @@ def _write_rest(found: AttributedValue) -> str:
     whole = f"without {_name_acting(found)} {{}}{_format_value(found, found.without_all)}"
     single = _write_singles(found)
     without = f"{single}, {whole.format('')}" if single else whole.format("it would be ")
-    without = _capitalise(without)
     cancel = ""
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
     chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
-    return f"{chance}{without}{_write_bound(found)}.{cancel}"
+    return f"{chance}{_capitalise(without)}{_write_bound(found)}.{cancel}"
 
 
 def _name_acting(found: AttributedValue) -> str:
@@ -268,30 +261,27 @@ def _write_together(found: AttributedValue) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
-
-    def write_size(case: Together) -> str:
-        return _format_value(found, abs(case.value), case.standard_error)
-
-    return write_joint_parts(found.together, _sum_contributions(found), {}, write_size)
+    total = _sum_contributions(found)
+    return write_joint_parts(found.together, total, {}, partial(_format_value, found))
 
 
 def write_joint_parts(
     together: Iterable[Together],
     total: float,
     names: Mapping[str, str],
-    write_size: Callable[[Together], str],
+    format_size: Callable[[float, float | None], str],
 ) -> str:
     """Return the parts that arise only if several causes act, if clear and not small.
 
     `total` is that of the contributions' magnitudes, `names` have causes in other words, and
-    `write_size` returns a size with its unit.
+    `format_size` returns a size with its standard error and unit.
     """
     sentences = []
     for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
-        is_clear = answers.is_clear(case.value, case.standard_error)
-        if not is_clear or abs(case.value) <= NAMED * total:
+        if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
             continue
-        of, size = [names.get(name, name) for name in case.causes], write_size(case)
+        of = [names.get(name, name) for name in case.causes]
+        size = format_size(abs(case.value), case.standard_error)
         them, is_pair = _capitalise(join_words(of)), len(of) == 2
         both = "both" if is_pair else "all of them"
         text = f"{them} act together: {size} of what they add arises only if {both} act."
@@ -353,8 +343,7 @@ def _write_unclear(found: AttributedValue) -> str:
     if found.seeds is None or not unclear:
         return ""
     parts = [
-        f"{one.cause} ({_format_value(found, one.contribution, one.standard_error)})"
-        for one in unclear
+        f"{one.cause} ({_format_value(found, one.size, one.standard_error)})" for one in unclear
     ]
     return f"The contribution of {join_words(parts)} may be chance."
 
@@ -397,7 +386,7 @@ def _write_others(found: AttributedValue) -> list[str]:
         # The tolerance is not judged by the resolution that it makes.
         makes = one.cause == "tolerance" and "tolerance" in found.resolution.reason
         least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
-        if change <= least or not answers.is_clear(change, one.standard_error):
+        if change <= least or not is_clear(change, one.standard_error):
             continue
         is_design = one.cause not in found.effects and one.alone is not None and not one.ending
         if is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found):
@@ -408,10 +397,10 @@ def _write_others(found: AttributedValue) -> list[str]:
         return told
     names = join_words([one.cause for one in lowering])
     each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
+    larger = f"The value is larger{mean} {join_words(each)}"
     if len(lowering) == 1:
-        value = _format_value(found, lowering[0].alone)
-        return [f"Not a cause: {names}. Without it the value is larger{mean}: {value}.", *told]
-    return [f"Not a cause: {names}. The value is larger{mean} {join_words(each)}.", *told]
+        larger = f"Without it the value is larger{mean}: {_format_value(found, lowering[0].alone)}"
+    return [f"Not a cause: {names}. {larger}.", *told]
 
 
 def _write_alone(found: AttributedValue, one: Contribution) -> str:

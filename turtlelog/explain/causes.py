@@ -10,13 +10,12 @@ The metric to explain is chosen and checked here as well, and its resolution is 
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 from turtlelog import measure
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
-from turtlelog.explain.answers import Resolution
 from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
@@ -336,6 +335,19 @@ _HALF_A_COUNT: Final = 0.5  # negligible change of a count; counts change by at 
 _COUNTS: Final = (
     *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resolution:
+    """The largest change of a metric that is negligible.
+
+    Attributes:
+        size: Size of the change, in the metric's unit.
+        reason: Origin of a change of this size, in one clause.
+    """
+
+    size: float
+    reason: str
 
 
 def find_resolution(

@@ -302,7 +302,7 @@ def _write_together(found: DividedDifference) -> str:
     names = {one.name: name_change(one) for one in found.contributions}
     total = _sum(_list_divided(found))
     return write_joint_parts(
-        found.together, total, names, lambda one: format_magnitude(found, abs(one.value))
+        found.together, total, names, lambda value, _: format_magnitude(found, value)
     )
 
 
