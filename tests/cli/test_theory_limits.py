@@ -9,9 +9,9 @@ JERK = "--set", "limits.jerk_m_s3=0.8", "--set", "loop.period_ticks=3"
 
 def test_gains_allow_for_a_jerk_limit_and_say_so(call: Call) -> None:
     """The overshoot of tens of steps is searched, which takes 2 to 6 s."""
-    text = " ".join(call("theory", "textbook", *JERK).out.split())
+    text = " ".join(call("theory", "textbook", *JERK, "--kp", "2").out.split())
     assert "without command limits (rotate), with all limits of speed and acceleration" in text
-    assert "translate: better than Kp = 1 1/s in overshoot (5 % instead of" in text
+    assert "translate: better than Kp = 2 1/s in overshoot (5 % instead of" in text
     assert "stable in small steps for Kp below" in text
     assert "are the largest of 49 steps of 0.559 m to 5.69 m, with all limits" in text
     assert "leaves out" not in text

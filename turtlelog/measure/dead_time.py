@@ -363,11 +363,8 @@ def take_beginning(run: Run, loop: ControlLoop) -> Run:
     )
 
 
-_MEASURED = "measured in the recording"
-
-
 def model_run_loops(
-    run: Run, *, identified: Mapping[str, Parameter] | None = None
+    run: Run, *, identified: Mapping[str, Parameter] | None = None, place: str = "the recording"
 ) -> "tuple[LoopModel, ...]":
     """Return the loops of a run as `theory` models them, one per declared loop.
 
@@ -378,12 +375,15 @@ def model_run_loops(
     Args:
         run: Any run.
         identified: Identified parameters for keys that the run lacks.
+        place: What the timing is measured in, in words.
     """
     parameters = {**(identified or {}), **run.parameters}
-    return tuple(_model(run, loop, parameters) for loop in run.declaration.loops)
+    return tuple(_model(run, loop, parameters, place) for loop in run.declaration.loops)
 
 
-def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> "LoopModel":
+def _model(
+    run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter], place: str
+) -> "LoopModel":
     from turtlelog.theory import model_loop  # it loads the laws
 
     sources = {}
@@ -393,11 +393,11 @@ def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> 
         sources["plant"] = "assumed, as the recording names no plant"
     is_plain = parameters.get("plant.kind", "turtlesim") == "turtlesim"
     is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
-    timing = _measure_timing(run, loop) if is_plain else None
+    timing = _measure_timing(run, loop, f"measured in {place}") if is_plain else None
     return model_loop(loop, parameters, timing=timing, sources=sources)
 
 
-def _measure_timing(run: Run, loop: ControlLoop) -> "MeasuredTiming | str":
+def _measure_timing(run: Run, loop: ControlLoop, measured: str) -> "MeasuredTiming | str":
     periods_ns = np.diff(run.samples.time_ns)
     periods_ns = periods_ns[periods_ns > 0]  # without those of a burst
     if not len(periods_ns) or len(run.poses) < 2:
@@ -409,9 +409,9 @@ def _measure_timing(run: Run, loop: ControlLoop) -> "MeasuredTiming | str":
 
     tick_s = compute_median(np.diff(run.poses.time_ns)) / 1e9
     changes = " at the end" if found.changes else ""
-    words = f"{_MEASURED}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
+    words = f"{measured}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
     return MeasuredTiming(
         period_s=compute_median(periods_ns) / 1e9,
         dead_time_s=found.ticks * tick_s,
-        sources={"period_s": _MEASURED, "dead_time_s": words + changes},
+        sources={"period_s": measured, "dead_time_s": words + changes},
     )

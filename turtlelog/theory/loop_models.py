@@ -153,19 +153,17 @@ def model_loop(
         sources: Sources of gains and plant. Default: the scenario.
     """
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
-    most_s: float | None = None
+    scheduled = find_timing(parameters)
     jitter_s = 0.0
-    if timing is None:
-        scheduled = find_timing(parameters)
-        if isinstance(scheduled, str):
-            timing = scheduled
-        else:
-            with_jitter = ", with the mean delay by jitter" if scheduled.jitter_s else ""
-            from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
-            period_s, least_s = scheduled.period_s, scheduled.least_s
-            jitter_s = scheduled.jitter_s
-            most_s = scheduled.most_s if scheduled.most_s > least_s else None
-            timing = MeasuredTiming(period_s=period_s, dead_time_s=least_s, sources=from_scenario)
+    if timing is None and isinstance(scheduled, str):
+        timing = scheduled
+    elif timing is None and not isinstance(scheduled, str):
+        jitter_s = scheduled.jitter_s
+        with_jitter = ", with the mean delay by jitter" if jitter_s else ""
+        from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
+        timing = MeasuredTiming(
+            period_s=scheduled.period_s, dead_time_s=scheduled.least_s, sources=from_scenario
+        )
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
     gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
@@ -173,12 +171,14 @@ def model_loop(
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
         return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
     is_timed = parameters.get("loop.trigger") == "timer"
+    most_s = 0.0 if isinstance(scheduled, str) else scheduled.most_s
+    grows = most_s > dead_time_s + _WHOLE * timing.period_s
     found = LoopModel(
         loop=loop,
         gains=gains,
         process=process,
         period_s=timing.period_s,
-        most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
+        most_dead_time_s=most_s + process.dead_time_s - dead_time_s if grows else None,
         growth="the age of the poses" if is_timed else "queues",
         limit=read_number(parameters, loop.limit_key, math.inf),
         limits=_find_limits(loop, parameters),
