@@ -28,7 +28,7 @@ def test_empty_file_on_disk_is_the_textbook(tmp_path: Path) -> None:
 
 def test_empty_file_of_another_name_is_no_scenario(tmp_path: Path) -> None:
     (tmp_path / "empty").touch()
-    with pytest.raises(ScenarioError, match="empty: expected a scenario, found an empty file$"):
+    with pytest.raises(ScenarioError, match=r"empty: expected a scenario, found an empty file$"):
         load_scenario(tmp_path / "empty")
 
 
