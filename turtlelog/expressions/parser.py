@@ -48,7 +48,6 @@ PRECEDENCE: Final = {
 """Precedence of operators; a higher number binds tighter. `unary -` is the minus of -x."""
 
 _INFIX: Final = frozenset(PRECEDENCE) - {"not", "unary -"}
-
 _TEMPORAL: Final = ("always", "eventually")
 
 
