@@ -1,6 +1,6 @@
 """Answers of replays as data, and the text of replays through the plant."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import degrees
@@ -248,7 +248,7 @@ def build_loop(
         counts={name: copy_fields(CountAnswer, count) for name, count in found.counts.items()},
         stop_reason=CountAnswer(recorded=run.stop_reason, replayed=found.run.stop_reason),
         output=None if output is None else str(output),
-        metrics=_build_changes(run, found.run),
+        metrics=[*_build_changes(run, found.run)],
     )
 
 
@@ -287,18 +287,16 @@ _RANKS: Final = {"final": 0, "run": 2}
 """Order of metrics: the end, then each loop, then the whole run."""
 
 
-def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> list[MetricChange]:
-    """Return the essential metrics of both runs. Missing metrics have a status."""
+def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> Iterator[MetricChange]:
+    """Yield the essential metrics of both runs. Missing metrics have a status."""
     essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
-    names = [name for name in essential if name in _OF_RUN]
-    names += [name for name in essential if name.rpartition(".")[2] in _OF_LOOP]
+    names = [one for one in essential if one in _OF_RUN or one.rpartition(".")[2] in _OF_LOOP]
     was, now = (tl.measure_run(run, only=names) for run in (recorded, replayed))
-    changes = []
     for name in sorted({**was, **now}, key=lambda name: _RANKS.get(name.partition(".")[0], 1)):
         first, second = was[name], now[name]
         was_value, is_value = first.value, second.value
         changed = None if was_value is None or is_value is None else is_value - was_value
-        change = MetricChange(
+        yield MetricChange(
             id=name,
             unit=first.unit,
             recorded=first.value,
@@ -307,8 +305,6 @@ def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> list[MetricChange]
             replayed_status=second.status,
             difference=changed,
         )
-        changes.append(change)
-    return changes
 
 
 def _build_signals(
@@ -381,8 +377,9 @@ def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> s
     rounding = "one step of the 32 bits of a pose, for other platforms"
     if tl.plants.find_plant(run).name != tl.plants.LAGGED:
         unsigned = ", and of velocities used as recorded, without a sign,"
-        velocities = unsigned if use.unexplained_ticks else ""
-        first_pose = f"the 32 bits of a segment's first pose{velocities}"
+        first_pose = "the 32 bits of a segment's first pose" + unsigned * (
+            use.unexplained_ticks > 0
+        )
         rounding = f"the largest error that {first_pose} can cause"
     first, *judged = judge_rounding(found)
     sentences = [
@@ -416,11 +413,11 @@ def _tabulate_segments(run: "tl.Run", found: "tl.replay.PlantReplay") -> "tl.com
     rows = []
     for segment in found.stretches:
         times_s = tell_time(run, segment.start_ns), tell_time(run, segment.end_ns)
-        error, rounding_deg = segment.max_abs_error, degrees(segment.rounding_rad)
+        error, rounding = segment.max_abs_error, (segment.rounding_m, degrees(segment.rounding_rad))
         errors = error.x_m, error.y_m, degrees(error.heading_rad)
-        rows.append((*times_s, segment.ticks, *errors, segment.rounding_m, rounding_deg))
-    title = f"Largest differences between the plant and {run.name}"
-    return build_table(title, (start, end, "ticks", *ways), rows)
+        rows.append((*times_s, segment.ticks, *errors, *rounding))
+    heads = (start, end, "ticks", *ways)
+    return build_table(f"Largest differences between the plant and {run.name}", heads, rows)
 
 
 def judge_rounding(found: "tl.replay.PlantReplay") -> list[str]:
