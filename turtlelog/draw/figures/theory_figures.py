@@ -80,13 +80,16 @@ class _LoopCurve:
     def looks(self) -> dict[str, Any]:
         """Colour and marker of the run, dashes and width of the loop."""
         width = (0.8 if self.is_many else 1.1) + _WIDER * self.layer
-        order = 2.6 - 0.3 * self.layer
         dashes = STROKES[LOOP_DASHES[self.layer % len(LOOP_DASHES)]]
         if self.layer % len(LOOP_DASHES):
             # matplotlib scales dashes by the line's width: two dashes must fit into a legend.
             dashes = (0, tuple(_DASH_POINTS / width * part for part in dashes[1]))
-        own = {"linestyle": dashes, "linewidth": width, "zorder": order}
-        return {**self.run_looks, **own}
+        return {
+            **self.run_looks,
+            "linestyle": dashes,
+            "linewidth": width,
+            "zorder": 2.6 - 0.3 * self.layer,
+        }
 
     @property
     def mark(self) -> dict[str, Any]:
@@ -104,11 +107,9 @@ class _LoopCurve:
 def find_lack_of_theory(run: Run) -> str:
     """Return why theory has no loop of a run; empty if it has one."""
     models = model_run_loops(run)
-    if theory.list_known(models):
-        return ""
-    return (
-        f"a loop that theory knows ({models[0].reason})" if models else "a law that declares a loop"
-    )
+    if not models:
+        return "a law that declares a loop"
+    return "" if theory.list_known(models) else f"a loop that theory knows ({models[0].reason})"
 
 
 def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
@@ -216,9 +217,10 @@ def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, 
     """Return the legend text of each run's poles by the name of the run: its gains."""
     found: dict[str, str] = {}
     for name in _name_styled(runs):
-        told = []
-        for loop, own in ((one.model.loop.name, one.found) for one in curves if one.run == name):
-            told.append((loop, f"Kp = {own.gains.kp:g}{'' if own.stable else ' (unstable)'}"))
+        own = ((one.model.loop.name, one.found) for one in curves if one.run == name)
+        told = [
+            (loop, f"Kp = {a.gains.kp:g}{'' if a.stable else ' (unstable)'}") for loop, a in own
+        ]
         gains = {gain for _, gain in told}
         words = ", ".join([*gains] if len(gains) == 1 else [f"{loop} {kp}" for loop, kp in told])
         is_short = len(runs) > MANY or not words
@@ -293,11 +295,9 @@ def _tell_margins(found: theory.PidLoop) -> str:
     margins = found.margins
     if margins is None:
         return "unstable"
-    words = []
-    if margins.gain_margin is not None:
-        words.append(f"GM {_to_db(margins.gain_margin):.1f} dB")
-    if margins.phase_margin_rad is not None:
-        words.append(f"PM {math.degrees(margins.phase_margin_rad):.1f}°")
+    factor, phase_rad = margins.gain_margin, margins.phase_margin_rad
+    words = [] if factor is None else [f"GM {_to_db(factor):.1f} dB"]
+    words += [] if phase_rad is None else [f"PM {math.degrees(phase_rad):.1f}°"]
     return ", ".join(words) or "stable"
 
 
@@ -360,10 +360,8 @@ def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
     """Return groups of loops that differ only in Kp."""
     groups: dict[Any, list[_LoopCurve]] = {}
     for curve in curves:
-        found = curve.found
-        held = replace(found.gains, kp=1.0)
-        key = (held, found.process, found.period_s, curve.model.loop.name)
-        groups.setdefault(key, []).append(curve)
+        held = replace(curve.found.gains, kp=1.0), curve.found.process, curve.found.period_s
+        groups.setdefault((held, curve.model.loop.name), []).append(curve)
     return list(groups.values())
 
 
@@ -386,15 +384,10 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 
 
-_RING_POINTS: Final = 2.4
-"""Half the width of rings, for poles of several loops at one place [points]."""
-
+_RING_POINTS: Final = 2.4  # half the width of rings, for poles at one place [points]
 _MOST_RINGS: Final = 4
-
 _POLE_LARGER: Final = 1.0  # additional size of poles over the markers of curves [points]
-
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
-
 
 _Poles = tuple[NDArray[np.complex128], Mapping[str, Any], str]
 """Poles of a closed loop in the s plane [1/s] or the z plane, shape (n,), their style and label."""
@@ -462,10 +455,6 @@ def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
     """Return the gains of loops known to theory, increasing; without runs, the paper's gains."""
     if not runs:
         return PAPER_GAINS
-    found = {
-        loop.read_gain(run.parameters)
-        for run in runs
-        for loop in run.declaration.loops
-        if loop.has_theory
-    }
+    loops = ((loop, run) for run in runs for loop in run.declaration.loops if loop.has_theory)
+    found = {loop.read_gain(run.parameters) for loop, run in loops}
     return tuple(sorted(gain for gain in found if gain is not None))
