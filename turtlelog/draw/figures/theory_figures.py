@@ -1,7 +1,6 @@
 """Figures of theory: the plant, ideal loops, and the sampled loops of runs.
 
-All curves of sampled loops belong to the exact discretisation including dead time, and end at
-pi / T.
+Curves of sampled loops are exact, with their dead time, and end at pi / T.
 """
 
 import math
@@ -38,25 +37,18 @@ with an integrator, and an unstable response, have no bound."""
 
 _BESIDE: Final = 0.4  # smallest visible part of Nyquist's plane above 0 and to the right of 0
 _NO_OVERSHOOT: Final = 0.05  # smallest overshoot in the shown digits [%]
+_DECADES_BELOW: Final = 2.0  # decades below the crossover at which a frequency response begins
 
-_DECADES_BELOW: Final = 2.0
-"""Number of decades below the crossover at which a frequency response begins."""
-
-_WIDER: Final = 1.2
-"""Additional width of each lower loop [points], which stays visible if two loops coincide."""
-
+_WIDER: Final = 1.2  # additional width of each lower loop [points], visible if two coincide
 _DASH_POINTS: Final = 1.6  # width of a line to which dashes are scaled [points]
 _LARGER: Final = 2.2  # additional size of the lower loops' marks [points]
-
 _MOST_TOLD: Final = 6
 
 _PLANE_INCH: Final = 2.1
 """Smallest width of a plane of poles with its text [inch]; three fit into a page's row."""
 _LINE_SHARE: Final = 0.45  # height of the axis of ideal poles, as a share of the height of a plane
 _ROOM_INCH: Final = 0.42  # height of the text above and below a plane [inch]
-
 _MIRRORED: Final = fix_style(linewidth=0.5, linestyle=":")
-
 _MOST_SAMPLES: Final = 20_000  # samples of a step response: more than a page resolves
 
 _LONGEST: Final = 5.0
@@ -99,9 +91,8 @@ class _LoopCurve:
 
     def label(self, tell: Callable[[theory.PidLoop], str]) -> str:
         """Return a legend entry: the run, the loop, and the text of `tell`."""
-        if self.is_many:
-            return self.run
-        return f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
+        told = f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
+        return self.run if self.is_many else told
 
 
 def find_lack_of_theory(run: Run) -> str:
@@ -176,8 +167,7 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the poles of the closed loops against Kp, with those of the runs marked.
 
-    The first panel shows the ideal loop in the s plane, if the plant is 1/s and the law
-    proportional. The others show the sampled loops in the z plane.
+    A first panel shows ideal proportional loops of 1/s in the s plane, others sampled loops in z.
     """
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
@@ -314,9 +304,8 @@ def _tell_step(found: theory.PidLoop) -> str:
 def _respond(curve: _LoopCurve) -> tuple[Values, NDArray[np.complex128]]:
     """Return frequencies around the crossover, up to pi / T [rad/s], and the open loop at them."""
     found, (gains, settings) = curve.found, curve.model.require()
-    highest, crossover = math.pi / found.period_s, found.gains.kp * found.process.gain
-    if found.margins is not None and found.margins.crossover_rad_s is not None:
-        crossover = found.margins.crossover_rad_s
+    margins, highest = found.margins, math.pi / found.period_s
+    crossover = (margins and margins.crossover_rad_s) or found.gains.kp * found.process.gain
     lowest = min(crossover, highest) / 10.0**_DECADES_BELOW
     frequencies = np.geomspace(lowest, highest, _POINTS)
     return frequencies, theory.compute_open_loop(gains, frequencies, **settings)
