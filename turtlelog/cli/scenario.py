@@ -319,11 +319,10 @@ def change_scenario(
     try:
         return tl.override_scenario(scenario, changes, source="--set")
     except ScenarioError as err:
-        if "law.kp: unknown key" not in str(err):
+        if err.unknown_key != "law.kp":
             raise
-        kp, law = changes["law.kp"], scenario.law.kind
-        problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")
-        problem = re.sub(r"\bkp_", "law.kp_", problem)
+        kp, advice = changes[err.unknown_key], re.sub(r"\bkp_", "law.kp_", err.advice)
+        problem = f"{scenario.law.kind} has no key law.kp; {advice}"
         raise UsageError(f"{problem} --kp {kp} sets the gain of every loop") from err
 
 

@@ -1,7 +1,7 @@
 """Values of a robot's dynamics with intervals and in words, or the reason why they are unknown."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final, Literal, SupportsFloat
@@ -378,14 +378,13 @@ _WHOLE_MS: Final = 10.0
 """Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
 
-def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
+def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
     """Return how each axis follows its commands as sentences: delays, gains, and doubts.
 
     Args:
         axes: Axes of the robot.
         name: Name of the run from which the robot was identified.
     """
-    axes = [*axes]
     delays = [
         f"of {NAMES[axis.axis]} {format_delay(axis.total_delay_s).replace(' ', ' ms ', 1)}"
         for axis in axes
