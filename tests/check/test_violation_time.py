@@ -11,7 +11,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
-from turtlelog.check import check_runs, judge_formula, parse_spec, result
+from turtlelog.check import check_runs, parse_spec, result, spec
 from turtlelog.check.result import find_metric_violation
 from turtlelog.measure import list_metrics
 from turtlelog.run import slice_run, take_rows
