@@ -15,6 +15,7 @@ from .answers import (
     DifferenceRange as DifferenceRange,
     EffectShift as EffectShift,
     Resolution as Resolution,
+    ResolutionReason as ResolutionReason,
     SeedRange as SeedRange,
     Side as Side,
     StartRange as StartRange,

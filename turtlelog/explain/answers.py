@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from turtlelog.display import fit_line
-from turtlelog.explain.causes import Resolution as Resolution
+from turtlelog.explain.causes import Resolution as Resolution, ResolutionReason as ResolutionReason
 from turtlelog.replay import Departure as Departure
 
 SAME: Final = 1e-6

@@ -157,7 +157,7 @@ class Identification:
         is_recorded: Whether `scenario` is the recorded scenario, which reproduces every sample.
         law: Kind of the recorded law, or else of the law whose parameters are identified. Empty if
             the run names no law and has other loops.
-        notes: Further notes, in sentences.
+        notes: Further notes, in sentences; without a scenario, the first is why there is none.
         tried: Values that were tried, by key of the loop's settings. Exact or fitted values are
             exact or fitted among these.
     """
@@ -178,6 +178,11 @@ class Identification:
     def tells_law(self) -> bool:
         """Whether the parameters of the law can be identified from its commands."""
         return self.law == DEFAULT_LAW
+
+    @property
+    def obstacle(self) -> str:
+        """Reason why there is no scenario, in one clause; empty if it is not known."""
+        return next(iter(self.notes), "").rstrip(".")
 
     def build_scenario(self) -> Scenario:
         """Return the identified scenario. Unknown settings have their assumed values.

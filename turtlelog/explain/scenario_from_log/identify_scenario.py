@@ -58,7 +58,7 @@ from turtlelog.explain.scenario_from_log.trace import (
 )
 from turtlelog.laws import LAWS
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
-from turtlelog.measure.dead_time import shows_lag
+from turtlelog.measure.dead_time import LagInstead
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, require_run, slice_run
 from turtlelog.scenario import DEFAULT_LAW, flatten_scenario, override_scenario
@@ -440,6 +440,7 @@ def _fit_loop(
 
 def _reject_lag(fits: Fits, dead_times: Mapping[str, DeadTime | Missing]) -> Fits:
     """Return settings without an explained motion if the robot clearly has a time constant."""
-    if fits.drive is None or not any(map(shows_lag, dead_times.values())):
+    has_lag = any(isinstance(one, LagInstead) for one in dead_times.values())
+    if fits.drive is None or not has_lag:
         return fits
     return replace(fits, drive=replace(fits.drive, explains=False))
