@@ -435,3 +435,12 @@ def convert_window(node: Temporal | Until) -> tuple[int, int | None]:
 
 def _convert(time_s: float) -> int:
     return round(min(time_s, _LONGEST_S) * 1e9)
+
+
+def measure_reach(node: Node, *, is_cut: bool) -> float:
+    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
+    children = node.list_children()
+    below = max((measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
+    if not isinstance(node, Temporal | Until):
+        return below
+    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)

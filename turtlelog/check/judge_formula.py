@@ -17,6 +17,7 @@ from turtlelog.check.formula_trace import (
     find_span,
     find_window,
     list_names,
+    measure_reach,
     read_signals,
 )
 from turtlelog.check.result import CheckResult, Grown, Verdict, find_metric_violation
@@ -154,7 +155,7 @@ def _judge_trace(
         failed_ns = find_violation(walk_formula(expression, trace, exact=True, unknown=math.inf))
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
     is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
-    reach_s = _measure_reach(expression.root, is_cut=is_cut)
+    reach_s = measure_reach(expression.root, is_cut=is_cut)
     unknown = FormulaResult(
         formula=expression.text,
         holds=None,
@@ -281,15 +282,6 @@ def _explain_violation(
     return _UNTIL if is_relieved(expression, trace, failed_ns) else ""
 
 
-def _measure_reach(node: expressions.Node, *, is_cut: bool) -> float:
-    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
-    children = node.list_children()
-    below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
-    if not isinstance(node, expressions.Temporal | expressions.Until):
-        return below
-    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)
-
-
 def _read_sides(
     expression: expressions.Expression,
     node: expressions.Node,
@@ -340,8 +332,7 @@ class _Judge:
         if check.when is not None and (skipped := self._judge_condition(check.when)) is not None:
             return skipped
         spec.require_known_names(formula, over_time=check.kind == "holds", run=self._run)
-        lacking = self._find_lacking(formula)
-        if lacking:
+        if lacking := self._find_lacking(formula):
             return self._leave_open(lacking)
         if check.kind == "holds":
             return self._judge_over_time()
@@ -359,8 +350,7 @@ class _Judge:
     def _judge_condition(self, condition: expressions.Expression) -> CheckResult | None:
         """Return the reason why a check is skipped or undecided; None if it applies."""
         spec.require_known_names(condition, over_time=False, run=self._run)
-        lacking = self._find_lacking(condition)
-        if lacking:
+        if lacking := self._find_lacking(condition):
             return self._leave_open(f"when: {lacking}")
         found = self._check_values(condition)
         if found.holds is None:
@@ -368,12 +358,10 @@ class _Judge:
         if found.holds:
             return None
         values = ", ".join(f"{name} = {value}" for name, value in found.values.items())
-        reason = f"only when {condition.text}; here {values}"
-        return self._build(Verdict.SKIPPED, reason=reason)
+        return self._build(Verdict.SKIPPED, reason=f"only when {condition.text}; here {values}")
 
     def _judge_over_time(self) -> CheckResult:
-        check, run = self._check, self._run
-        names = check.formula.names
+        check, run, names = self._check, self._run, self._check.formula.names
         window_ns = find_window(run, check.phase) if check.phase else find_span(run, names)
         if window_ns is None:
             return self._leave_open(spec.describe_missing_phase(run, check.phase or ""))
