@@ -127,9 +127,8 @@ class CheckResult:
         return self.check == _RECORDING and not self.is_decided
 
     def __repr__(self) -> str:
-        return escape_controls(
-            f"<{self.verdict} {self.check} of {self.file}: {describe_result(self)}>"
-        )
+        told = describe_result(self)
+        return escape_controls(f"<{self.verdict} {self.check} of {self.file}: {told}>")
 
     def _repr_html_(self) -> str:
         return _tabulate_html([self], title="")
@@ -177,8 +176,7 @@ class CheckOutcome:
 
     def _describe_first(self) -> str:
         more = len(self.failures) - 1
-        others = f" (and {more} more)" if more else ""
-        return f"{describe_result(self.failures[0])}{others}"
+        return describe_result(self.failures[0]) + (f" (and {more} more)" if more else "")
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
