@@ -286,7 +286,9 @@ def require_phase(phase: str, run: Run | None = None) -> None:
 
 
 def describe_missing_phase(run: Run, phase: str) -> str:
-    """Return why a phase is missing: the run does not reach it, or the law has other phases."""
+    """Return why a phase is missing: it takes no time, is not reached, or not the law's."""
+    if any(span.phase == phase for span in run.find_phase_spans()):
+        return f"no_phase (the phase {phase} takes 0 s: the next phase begins at its time)"
     known = [name for name in run.phase_names if name != DONE]
     if phase in known:
         return f"no_phase (the run has no phase {phase})"

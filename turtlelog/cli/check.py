@@ -148,7 +148,10 @@ def check(
         if kind != "txt" or reports.all_:
             raise UsageError("--marks prints a line for each recording; leave other formats out")
         return console.EXIT_FAILED if _print_marks(results) == "FAIL" else console.EXIT_FINE
-    verdict = _print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
+    reading = options.list_option_words(topics)
+    verdict = _print_results(
+        spec, results, reading, files=len(files), kind=kind, shows_all=reports.all_
+    )
     return console.EXIT_FAILED if verdict == "FAIL" else console.EXIT_FINE
 
 
@@ -387,7 +390,7 @@ def _write_report(
         return
     names = dict(zip(posed, tl.compare.name_runs([*posed.values()]), strict=True))
     results = [result for file in checked for result in file.results]
-    words = ["turtlelog", "check", str(spec.source), *runs, *options.list_reading_words(topics)]
+    words = ["turtlelog", "check", str(spec.source), *runs, *options.list_option_words(topics)]
     is_file = not str(spec.source).startswith("--")  # else no file contains the checks
     tl.draw.write_report(
         [*posed.values()],
@@ -411,6 +414,7 @@ def _write_artifacts(file: "JudgedFile", writer: "tl.check.ArtifactWriter") -> N
 def _print_results(
     spec: "tl.Spec",
     results: "Iterable[tl.check.CheckResult]",
+    reading: Sequence[str],
     *,
     files: int,
     kind: str = "txt",
@@ -422,7 +426,8 @@ def _print_results(
     """
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
-        console.print_verdicts(format_many(counted, files=files, spec=spec, shows_all=shows_all))
+        text = format_many(counted, files=files, spec=spec, shows_all=shows_all, reading=reading)
+        console.print_verdicts(text)
         return counted.verdict
     results = [*results]
     verdict = tl.check.join_verdicts(results)
@@ -431,7 +436,8 @@ def _print_results(
     elif kind == "csv":
         console.print_tables([tabulate_values(spec, results)], kind)
     elif kind == "txt":
-        console.print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
+        text = format_results(results, files=files, spec=spec, shows_all=shows_all, reading=reading)
+        console.print_verdicts(text)
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
         notes = (

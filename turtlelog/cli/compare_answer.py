@@ -87,7 +87,7 @@ def compare_across(
     code = console.print_errors(errors)
     # A single run is not compared with others.
     if not errors or len(summaries) > 1:
-        _print_across(summaries, choice, kind, options.list_reading_words(topics))
+        _print_across(summaries, choice, kind, options.list_option_words(topics))
     return code
 
 
@@ -326,7 +326,7 @@ def _list_next(
         metric = min(worst, key=_rank)
         first, last = (summaries[rows[metric]] for rows in (best, worst))
         option = "" if metric == "final.position_error" else f" --metric {metric}"
-        command = f"{console.name_explain(last.file, last.law)}{option}"
+        command = f"{console.name_explain(last.file, last.law, reading)}{option}"
         if last.is_lawless:  # `explain` needs samples of a controller
             files = console.quote_file(first.file, last.file, *reading)
             command = f"turtlelog compare {files} --why {metric}"

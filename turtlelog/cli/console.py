@@ -192,22 +192,22 @@ def quote_file(*files: object) -> str:
     return escape_controls(shlex.join(map(str, files)))
 
 
-def name_explain(file: object, law: object) -> str:
-    """Return the command that explains a run. Code that only its recording names must be trusted.
+def name_explain(file: object, law: object, reading: Sequence[str]) -> str:
+    """Return the command that explains a run, with the options for reading its file.
 
-    Laws of the user's own are named PLACE:NAME.
+    Code that only its recording names must be trusted. Laws of the user's own are named PLACE:NAME.
     """
     trust = " --trust-law" if ":" in str(law) else ""
-    return f"turtlelog explain {quote_file(file)}{trust}"
+    return f"turtlelog explain {quote_file(file, *reading)}{trust}"
 
 
-def advise_explain(file: Path | str) -> str | None:
+def advise_explain(file: Path | str, reading: Sequence[str]) -> str | None:
     """Return the command that explains a file; None if it has no samples of a controller."""
     with suppress(TurtlelogError):
         found = tl.log.read_file_info(file)
         lacks = "samples" in found.absent
-        return None if lacks else name_explain(file, found.parameters.get("law.kind"))
-    return name_explain(file, None)
+        return None if lacks else name_explain(file, found.parameters.get("law.kind"), reading)
+    return name_explain(file, None, reading)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -82,7 +82,7 @@ def identify(
     if json:
         console.print_json(build_identify_answer(files, model, scenario, robot))
     else:
-        words = options.list_reading_words(topics)
+        words = options.list_option_words(topics)
         console.print_text(
             format_robot(model, files, words, robot=robot, scenario=scenario, shows_details=details)
         )
@@ -257,8 +257,8 @@ def format_robot(
             notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
             told = f"The scenario {scenario}:\n{notes}"
         parts += ["", told]
-    words = [*map(str, files), *reading]
-    return "\n".join([*parts, "", *_list_next(model, words, scenario, shows_details=shows_details)])
+    following = _list_next(model, files, reading, scenario, shows_details=shows_details)
+    return "\n".join([*parts, "", *following])
 
 
 def describe_gain(axis: "tl.identify.AxisModel") -> str:
@@ -471,19 +471,24 @@ def _list_nav2(known: "Sequence[tl.identify.AxisModel]") -> list[str]:
 
 
 def _list_next(
-    model: "tl.RobotModel", words: Sequence[str], scenario: Path | None, *, shows_details: bool
+    model: "tl.RobotModel",
+    files: Sequence[Path],
+    reading: Sequence[str],
+    scenario: Path | None,
+    *,
+    shows_details: bool,
 ) -> Iterator[str]:
     if scenario is not None:
-        target = console.quote_file(scenario)
+        target, compared = (console.quote_file(scenario, *more) for more in ((), reading))
         yield f"Next: turtlelog theory {target}"
-        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
+        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {compared}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {console.advise_explain(words[0])}"
+        yield f"Why? {console.advise_explain(files[0], reading)}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis
-        command = f"turtlelog identify {console.quote_file(*words)} --scenario robot.toml"
+        command = f"turtlelog identify {console.quote_file(*files, *reading)} --scenario robot.toml"
         yield f"Simulate it and find gains: {command}"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):
         more = "" if scenario is None else ", and the source of each number"

@@ -1,6 +1,5 @@
 """`turtlelog info`: contents of a recording."""
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,14 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli import console
 from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
-from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
+from turtlelog.cli.options import (
+    Files,
+    Json,
+    TopicOptions,
+    list_files,
+    list_option_words,
+    require_files,
+)
 from turtlelog.cli.work import Jobs, count_jobs, watch_files
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
@@ -167,7 +173,8 @@ def info(
         console.print_text(_format_answers(found))
     elif found:
         is_alone = len(found) == 1
-        texts = (_format_answer(one, asked, is_alone=is_alone) for one in found)
+        words = list_option_words(reading)
+        texts = (_format_answer(one, asked, words, is_alone=is_alone) for one in found)
         console.print_text("\n\n".join(texts))
     return code
 
@@ -217,7 +224,9 @@ def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[s
     return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
-def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) -> str:
+def _format_answer(
+    answer: InfoAnswer, asked: InfoOptions, reading: Sequence[str], *, is_alone: bool
+) -> str:
     """Return the kind of a file, its contents, missing data, and, for one file, next commands."""
     topics, parameters = asked.topics, asked.parameters
     name, notes = _name_file(answer), []
@@ -251,7 +260,7 @@ def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) ->
         software = tl.run.describe_software(answer.simulated_by)
         lines += ["", console.fill_lines([f"simulated by {escape_controls(software)}"])]
     if is_alone:
-        lines += [*_list_next(answer, topics=topics, parameters=parameters)]
+        lines += [*_list_next(answer, reading, topics=topics, parameters=parameters)]
     return "\n".join(lines)
 
 
@@ -393,16 +402,18 @@ def _write_gains(known: Mapping[str, Any]) -> str:
     return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
 
 
-def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
+def _list_next(
+    answer: InfoAnswer, reading: Sequence[str], *, topics: bool, parameters: bool
+) -> Iterator[str]:
     """Yield the commands that can use a file, and the options that show more of it."""
-    file = shlex.quote(answer.file)
     if not answer.complete:
         has_rows = any(topic.count for topic in answer.topics)
-        recover = f"turtlelog convert --recover {file} -o OUT"
+        recover = f"turtlelog convert --recover {console.quote_file(answer.file)} -o OUT"
         yield f"Fix: {recover if has_rows else 'copy the file again from its source'}"
     elif answer.format_version is not None:
-        yield f"Next: turtlelog metrics {file}"
-        yield f"      {console.name_explain(answer.file, answer.parameters.get('law.kind'))}"
+        yield f"Next: turtlelog metrics {console.quote_file(answer.file, *reading)}"
+        law = answer.parameters.get("law.kind")
+        yield f"      {console.name_explain(answer.file, law, reading)}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

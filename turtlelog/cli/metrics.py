@@ -15,6 +15,7 @@ import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import (
+    list_motion,
     list_scatter,
     list_summary_metrics,
     print_chosen,
@@ -88,9 +89,11 @@ class MeasuredFile:
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        ending: End of the run at its goal, in words; None without a goal.
-        jumps: Jumps of the poses that the path length counts as driven, in words; None without.
-        scatter: Path and turning without steps back and forth, in words; None without such steps.
+        ending: End at the goal, in words; None without a goal.
+        jumps: Jumps that the path length contains, in words; None without jumps.
+        scatter: Path and turning without steps back and forth, in words.
+        gaps: Time without poses, in words; None without gaps.
+        rest: Motion that counts as rest, in words.
         metrics: Requested metrics. Default: all metrics.
     """
 
@@ -99,6 +102,8 @@ class MeasuredFile:
     ending: str | None
     jumps: str | None
     scatter: str | None
+    gaps: str | None
+    rest: str | None
     metrics: list[dict[str, Any]]
 
 
@@ -190,6 +195,8 @@ def metrics(
                     ending=None if one.goal_end is None else one.goal_end.describe(),
                     jumps=one.notes.get("jumps"),
                     scatter=next(list_scatter(one, "", one.metrics), None),
+                    gaps=next(list_motion(one, "", ["gaps"]), None),
+                    rest=next(list_motion(one, "", ["crept"]), None),
                     metrics=[metric.to_dict() for metric in one.metrics.values()],
                 )
                 for one in summaries
@@ -204,7 +211,7 @@ def metrics(
                 _refuse_patterns(patterns, [found.declaration for found in held])
             if is_short:
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
-                print_essential(held, kind, options.list_reading_words(topics))
+                print_essential(held, kind, options.list_option_words(topics))
             else:
                 print_chosen(held, kind)
     return console.print_errors(errors)

@@ -1,6 +1,6 @@
 """Text of `turtlelog metrics`: the end of a run first, then its loops side by side."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Final
@@ -197,7 +197,7 @@ def format_run(
     ]
     return "\n".join(
         [
-            console.fill_lines([*head, *remarks, *_list_why(summary)]),
+            console.fill_lines([*head, *remarks, *_list_why(summary, reading)]),
             console.fit_body(table),
             "",
             *([console.fill_lines(notes, indent=2)] if notes else []),
@@ -218,9 +218,9 @@ def _list_place(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield summary.notes["wall"]
 
 
-def _list_why(summary: "tl.compare.RunSummary") -> Iterator[str]:
+def _list_why(summary: "tl.compare.RunSummary", reading: Sequence[str]) -> Iterator[str]:
     if summary.goal_end is not None and summary.goal_end.is_away:
-        command = console.name_explain(summary.file or "FILE.mcap", summary.law)
+        command = console.name_explain(summary.file or "FILE.mcap", summary.law, reading)
         yield f"Why? {'' if summary.file else 'Record the run with -o FILE.mcap, then: '}{command}"
 
 
@@ -295,7 +295,7 @@ def _is_of_run(name: str) -> bool:
 
 
 def _list_next(summary: "tl.compare.RunSummary", count: int, reading: Sequence[str]) -> list[str]:
-    is_told = any(_list_why(summary))
+    is_told = any(_list_why(summary, reading))
     if not summary.file:
         return [] if is_told else ["To explain, plot or compare this run, record it: -o FILE.mcap"]
     file = console.quote_file(summary.file, *reading)
@@ -305,7 +305,7 @@ def _list_next(summary: "tl.compare.RunSummary", count: int, reading: Sequence[s
     if is_told:
         return [more]
     if not summary.is_lawless:
-        return [f"Why? {console.name_explain(summary.file, summary.law)}", more]
+        return [f"Why? {console.name_explain(summary.file, summary.law, reading)}", more]
     if "poses" in summary.lacks:
         return [f"Where they lead: turtlelog replay {robot}", more]
     if "commands" not in summary.lacks:
@@ -369,13 +369,9 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
     told: list[list[str]] = []
     for one in summaries:
         which = "" if len(summaries) == 1 else f" of {one.name}"
-        said = [
-            sentence.format(which=which, note=one.notes[name])
-            for name, sentence in _OF_MOTION.items()
-            # The remarks on a single run say that it moves to the side.
-            if name in one.notes and (which or name != "sideways")
-        ]
-        said += list_scatter(one, which, shown)
+        # The remarks on a single run say that it moves to the side.
+        names = (name for name in _OF_MOTION if which or name != "sideways")
+        said = [*list_motion(one, which, names), *list_scatter(one, which, shown)]
         told.extend([said] if said else [])
     first = [sentence for said in told[:_MOST_SAID] for sentence in said]
     if len(told) > _MOST_SAID:
@@ -394,6 +390,15 @@ _OF_MOTION: Final = {
     " straight line there.",
 }
 """Sentences by the notes of a run that they repeat."""
+
+
+def list_motion(
+    summary: "tl.compare.RunSummary", which: str, names: Iterable[str]
+) -> Iterator[str]:
+    """Yield the sentences of some notes on the motion of a run, if it has them."""
+    for name in names:
+        if name in summary.notes:
+            yield _OF_MOTION[name].format(which=which, note=summary.notes[name])
 
 
 def list_scatter(

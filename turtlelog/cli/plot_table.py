@@ -114,9 +114,6 @@ def draw_table(
     lines = list_map_lines(shown, limits, told)
     if kind == "tornado":
         lines = [lines[0], *list_sensitivity_lines(shown)]
-    lines = [
-        line if " run --from " in line else console.fill_lines([line], indent=2) for line in lines
-    ]
     lines += console.list_written([] if output is None else [output])
     console.print_text("\n".join(lines))
 
@@ -370,7 +367,7 @@ def list_sensitivity_lines(view: "SweptView") -> list[str]:
         found = tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
         lines += [f"{metric.name}: {_tell_sensitivity(metric, one)}" for one in found.keys]
         lines += found.notes
-    return lines
+    return [console.fill_lines([line], indent=2) for line in lines]
 
 
 def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
@@ -453,6 +450,7 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     ids = [one.id for one in told.metrics]
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
     lines.insert(0, f"{results.path}: {lines.pop(first + 1)}")
+    lines = [console.fill_lines([line], indent=2) for line in lines]
     command, path = console.find_command_name(), shlex.quote(str(results.path))
     for row, names in best.items():
         again = f"{command} run --from {path} --row {row}"

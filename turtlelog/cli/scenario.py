@@ -173,7 +173,8 @@ def apply_options(
     if options.law is not None:
         scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
         said = [_tell(f"law={options.law}")]
-    return name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
+    named = name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
+    return named[0]
 
 
 def list_given_keys(options: ScenarioOptions) -> list[str]:
@@ -184,8 +185,8 @@ def list_given_keys(options: ScenarioOptions) -> list[str]:
 
 def name_by_changes(
     scenario: "tl.Scenario", base: str, options: ScenarioOptions, *more: str
-) -> "tl.Scenario":
-    """Return a scenario that is named after its base and the changes.
+) -> "tuple[tl.Scenario, str]":
+    """Return a scenario that is named after its base and the changes, and the changes as text.
 
     A name from --set is kept.
     """
@@ -194,8 +195,9 @@ def name_by_changes(
     said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
     said += map(_tell, options.assignments or ())
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
+    if "name" in options.parse_assignments():
+        return scenario, f"called {scenario.name}"
+    return replace(scenario, name=" ".join([base, *said])), f"with {' '.join(said)}"
 
 
 def _tell(text: str) -> str:

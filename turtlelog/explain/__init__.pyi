@@ -16,6 +16,7 @@ from .answers import (
     EffectShift as EffectShift,
     ExplainedDifference as ExplainedDifference,
     Resolution as Resolution,
+    ResolutionReason as ResolutionReason,
     SeedRange as SeedRange,
     Side as Side,
     StartRange as StartRange,
@@ -54,7 +55,7 @@ from .run_difference import (
     explain_difference as explain_difference,
     find_departure as find_departure,
 )
-from .scenario_from_log.identification import (
+from .scenario_from_log import (
     Certainty as Certainty,
     Finding as Finding,
     Identification as Identification,

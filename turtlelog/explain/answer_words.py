@@ -249,7 +249,7 @@ def _write_bound(found: Attribution) -> str:
     is_bounded = is_bounded and "tolerance" not in found.causes
     if not is_bounded or found.without_all is None or found.without_all > found.resolution.size:
         return ""
-    if "tolerance" in found.resolution.reason:
+    if found.resolution.is_tolerance:
         return f"; the tolerances alone allow {_format_value(found, found.resolution.size)}"
     return f", not more than {_describe_resolution(found)}"
 
@@ -395,7 +395,7 @@ def _write_others(found: Attribution) -> list[str]:
     for one in found.others:
         change = math.inf if one.alone is None else abs(one.alone - found.divided)
         # The tolerance is not judged by the resolution that it makes.
-        makes = one.cause == "tolerance" and "tolerance" in found.resolution.reason
+        makes = one.cause == "tolerance" and found.resolution.is_tolerance
         least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
         if change <= least or not answers.is_clear(change, one.standard_error):
             continue

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Final
 
 from turtlelog.display import fit_line
@@ -11,6 +12,19 @@ SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12  # share of a value by which sums in another order may differ
+
+
+class ResolutionReason(StrEnum):
+    """Origin of the largest negligible change, as a clause."""
+
+    SAMPLE = "one sample period"
+    COUNT = "half a count"
+    SHARE = "1 % of the value"
+    POSITION_TOLERANCE = "heading tolerance times distance plus position tolerance"
+    HEADING_TOLERANCE = "the heading tolerance"
+    STEP_TOLERANCE = "the tolerance over the step"
+    NO_SCENARIO = "no scenario is known"
+    NO_RUN = "no run is simulated"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +37,17 @@ class Resolution:
     """
 
     size: float
-    reason: str
+    reason: ResolutionReason
+
+    @property
+    def is_tolerance(self) -> bool:
+        """Whether the tolerances of the law allow a change of this size."""
+        reasons = ResolutionReason
+        return self.reason in {
+            reasons.POSITION_TOLERANCE,
+            reasons.HEADING_TOLERANCE,
+            reasons.STEP_TOLERANCE,
+        }
 
 
 _CLEAR: Final = 3.0
@@ -108,7 +132,7 @@ class ValueSet:
 
     Attributes:
         causes: Acting causes; all other causes that take part are removed.
-        reason: Reason why the metric has no value; None if it has a value.
+        reason: Reason why the metric has no value.
     """
 
     causes: tuple[str, ...]
@@ -205,8 +229,7 @@ class Attribution:
             `this_seed` is the difference.
         others: Other causes in the scenario, each removed alone.
         resolution: Largest change that is negligible.
-        withheld: Reason why there are no contributions, in one clause; None if there are
-            contributions.
+        withheld: Reason why there are no contributions, in one clause.
         together: Parts that several causes add only together.
         without_value: Smallest sets of causes that leave the metric without a value.
         with_value: Smallest sets of causes that give the metric a value, if it has no value without
@@ -433,8 +456,7 @@ class ExplainedDifference:
         idle: Keys that differ (for robots, beyond their intervals) but never change the metric.
         unexplained: Part of the difference that neither the models of two robots nor the
             contributions explain; None if no robots are identified.
-        withheld: Reason why there are no contributions, in one clause; None if there are
-            contributions.
+        withheld: Reason why there are no contributions, in one clause.
         together: Parts that several groups add only if all of these groups are changed.
         without_value: Smallest sets of changes that leave the metric without a value.
         with_value: Smallest sets of changes that give the metric a value, if the first run has no

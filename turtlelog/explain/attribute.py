@@ -39,7 +39,7 @@ from turtlelog.explain.game import (
     iterate_outcomes,
     list_coalitions,
 )
-from turtlelog.explain.scenario_from_log.identification import (
+from turtlelog.explain.scenario_from_log import (
     LOOP_KEYS,
     Certainty,
     Finding,
@@ -354,7 +354,7 @@ def measure_luck(
     if found is None:
         metric = metric or choose_metric(run.declaration)
         if identified.scenario is None:
-            reason = next(iter(identified.notes), "too little is known").rstrip(".")
+            reason = identified.obstacle or "too little is known"
             raise ExplainError(f"no scenario stands for it: {reason}")
         found = attribute_run(
             run, metric=metric, identified=identified, trust_law=trust_law, work=work

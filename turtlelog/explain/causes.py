@@ -16,7 +16,7 @@ from typing import Any, Final
 from turtlelog import measure
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
-from turtlelog.explain.answers import Resolution
+from turtlelog.explain.answers import Resolution, ResolutionReason
 from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
@@ -344,13 +344,13 @@ def find_resolution(
     """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
     unit = measure.list_metrics(declaration)[metric].unit
     if unit == "s":
-        return Resolution(size=find_sample_period_s(scenario), reason="one sample period")
+        return Resolution(size=find_sample_period_s(scenario), reason=ResolutionReason.SAMPLE)
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
         return _find_tolerated(scenario, declaration, metric, unit)
     kind = metric.rpartition(".")[2]
     if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
-        return Resolution(size=_HALF_A_COUNT, reason="half a count")
-    return Resolution(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
+        return Resolution(size=_HALF_A_COUNT, reason=ResolutionReason.COUNT)
+    return Resolution(size=_SHARE * abs(value), reason=ResolutionReason.SHARE)
 
 
 def find_sample_period_s(scenario: Scenario) -> float:
@@ -373,11 +373,12 @@ def _find_tolerated(
         turn_rad = wrap_angle(turn_rad)
     distance_m, turn_rad = (max(abs(s), math.ulp(1.0)) for s in (math.hypot(x_m, y_m), turn_rad))
     if unit == "m":
-        reach = "heading tolerance times distance plus position tolerance"
-        return Resolution(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
+        size = allow_position(heading_rad, position_m, distance_m)
+        return Resolution(size=size, reason=ResolutionReason.POSITION_TOLERANCE)
     if unit == "deg":
-        return Resolution(size=math.degrees(heading_rad), reason="the heading tolerance")
+        size = math.degrees(heading_rad)
+        return Resolution(size=size, reason=ResolutionReason.HEADING_TOLERANCE)
     loop = declaration.find_loop(metric.rpartition(".")[0])
     turns = loop is not None and loop.signal == "heading"
     tolerance, step = (heading_rad, turn_rad) if turns else (position_m, distance_m)
-    return Resolution(size=100.0 * tolerance / step, reason="the tolerance over the step")
+    return Resolution(size=100.0 * tolerance / step, reason=ResolutionReason.STEP_TOLERANCE)

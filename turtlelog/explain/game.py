@@ -27,7 +27,7 @@ from turtlelog.explain.causes import (
     take_out,
     undo_changes,
 )
-from turtlelog.explain.scenario_from_log.identification import Identification
+from turtlelog.explain.scenario_from_log import Identification
 from turtlelog.explain.scenario_from_log.law_identification import describe_phase
 from turtlelog.laws import LAWS
 from turtlelog.measure import measure_run

@@ -61,7 +61,7 @@ def explain_robots(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=answers.Resolution(size=0.0, reason="no scenario is known"),
+        resolution=answers.Resolution(size=0.0, reason=answers.ResolutionReason.NO_SCENARIO),
     )
     one, other = (side.as_logged for side in sides)
     if one is None or other is None:

@@ -122,7 +122,7 @@ def explain_difference(
         for scenario in scenarios
         if scenario is not None
     ]
-    none = answers.Resolution(size=0.0, reason="no scenario is known")
+    none = answers.Resolution(size=0.0, reason=answers.ResolutionReason.NO_SCENARIO)
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
@@ -182,7 +182,7 @@ def _name_untrusted(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=answers.Resolution(size=0.0, reason="no run is simulated"),
+        resolution=answers.Resolution(size=0.0, reason=answers.ResolutionReason.NO_RUN),
         withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
         has_same_settings=is_same,
         departure=find_departure(first, second) if is_same else None,
@@ -258,7 +258,7 @@ def _stand_for(
         return replace(side, note=note), None
     identified = identify_run(run, trust_law=trust_law)
     if identified.scenario is None:
-        return replace(side, note=next(iter(identified.notes), note).rstrip(".")), None
+        return replace(side, note=identified.obstacle or note.rstrip(".")), None
     known = flatten_scenario(identified.scenario)
     unknown = tuple(
         key for key, one in identified.findings.items() if one.value is None and key in known

@@ -70,6 +70,14 @@ class TickDelays:
     largest_s: float
 
 
+Refusal = Literal[
+    "no_commands", "never_commanded", "negligible", "constant", "ramps", "implausible",
+    "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide", "repeated",
+    "at_bound", "hidden",
+]  # fmt: skip
+"""Cause why an axis has no values; `refused_axes` has the sentence of each."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisModel:
     """One axis: rate = gain exp(-dead_time s) / (lag s + 1), with commands under zero-order hold.
@@ -77,7 +85,8 @@ class AxisModel:
     Attributes:
         axis: `speed` or `turn_rate`.
         status: Whether the values of the axis are known.
-        reason: Reason why the values are unknown, in a sentence; empty if they are known.
+        refusal: Cause why the values are unknown; None if they are known.
+        reason: The same in a sentence; empty if they are known.
         advice: Test drive that would identify the values; empty if they are known.
         model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
             lag s + 1).
@@ -129,6 +138,7 @@ class AxisModel:
 
     axis: Axis
     status: Literal["ok", "not_identifiable"]
+    refusal: Refusal | None = None
     reason: str = ""
     advice: str = ""
     model: Literal["first_order", "second_order"] = "first_order"
@@ -268,7 +278,7 @@ class AxisModel:
     @property
     def is_idle(self) -> bool:
         """Whether the axis is never commanded, so that its values are not needed."""
-        return self.reason == f"the {NAMES[self.axis]} is never commanded"
+        return self.refusal == "never_commanded"
 
 
 ORDERS: Final[Mapping[str, Order]] = {

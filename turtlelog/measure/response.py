@@ -36,7 +36,7 @@ from turtlelog.run.stop_reasons import TIMEOUT
 from turtlelog.run.tables import ends_blocked
 
 if TYPE_CHECKING:
-    from turtlelog.measure.metric_list import MeasureSettings
+    from turtlelog.measure.run_context import MeasureSettings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -23,7 +23,7 @@ from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S, WORLD_SIZE_M
 from turtlelog.replay.differences import has_all_commands, has_ticks
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.angles import subtract_headings
-from turtlelog.run.loops import PUSH_KEYS, read_number
+from turtlelog.run.loops import find_disturbance
 
 _NEAR_TICK_NS: Final = 2_000_000
 """Largest difference between a tick and the usual time between poses of a real turtlesim [ns]."""
@@ -311,12 +311,9 @@ def place_commands(
     velocities, unexplained = placer.place_all(motion, starts)
     is_unexplained = np.array(unexplained, dtype=bool)
     is_disturbed = np.zeros(len(motion.time_ns), dtype=bool)
-    if any(read_number(run.parameters, key) for key in PUSH_KEYS):
-        # It acts from the first tick at its start on, and no longer in that at its end.
-        from_s = read_number(run.parameters, "disturbance.from_s")
-        to_s = read_number(run.parameters, "disturbance.to_s", np.inf)
-        is_disturbed = motion.time_ns >= round(from_s * 1e9)
-        is_disturbed &= motion.time_ns < np.rint(to_s * 1e9)
+    if (disturbed_ns := find_disturbance(run.parameters)) is not None:
+        is_disturbed = motion.time_ns >= disturbed_ns[0]
+        is_disturbed &= motion.time_ns < disturbed_ns[1]
     events = (event.text for event in run.events if event.kind == "commands_lost")
     lost = (re.match(r"The transport lost (\d+) ", text) for text in events)
     use = CommandUse(

@@ -8,17 +8,17 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from turtlelog.explain.scenario_from_log import gain_fit
-from turtlelog.explain.scenario_from_log.gain_fit import CommandFit, Reproduce
-from turtlelog.explain.scenario_from_log.identification import (
+from turtlelog.explain.scenario_from_log import (
     Certainty,
     Finding,
     bound_value,
     find_exactly,
     fit_value,
+    gain_fit,
     leave_open,
     miss,
 )
+from turtlelog.explain.scenario_from_log.gain_fit import CommandFit, Reproduce
 from turtlelog.explain.scenario_from_log.trace import Trace, Values
 from turtlelog.laws import SequentialPParameters
 from turtlelog.measure.motion import CERTAIN

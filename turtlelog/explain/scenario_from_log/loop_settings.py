@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from turtlelog.explain.scenario_from_log.gain_fit import find_quantile
-from turtlelog.explain.scenario_from_log.identification import (
+from turtlelog.explain.scenario_from_log import (
     LOOP_KEYS,
     Certainty,
     Finding,
@@ -18,6 +17,7 @@ from turtlelog.explain.scenario_from_log.identification import (
     leave_open,
     miss,
 )
+from turtlelog.explain.scenario_from_log.gain_fit import find_quantile
 from turtlelog.explain.scenario_from_log.resimulation import (
     Resimulation,
     describe_departure,
