@@ -281,10 +281,11 @@ def unwrap(angle_rad: Values) -> Values:
     return np.unwrap(angle_rad)
 
 
+@inlined
 def _follow_error(error_rad: Any) -> Any:
     for row in range(len(error_rad)):
         error_rad[row] = wrap_angle(error_rad[row])
-    unwrap(error_rad)
+    error_rad = unwrap(error_rad)
     turns_rad = _TURN_RAD * rint(error_rad[-1] / _TURN_RAD)
     for row in range(len(error_rad)):
         error_rad[row] -= turns_rad
