@@ -62,15 +62,15 @@ def number_loop(declaration: Declaration, loop: ControlLoop) -> LoopNumbers:
 
 
 class Ticks(NamedTuple):
-    """Regular times of poses, from 0: `count` of them from number `first` on."""
+    """Regular times of poses, from 0: `length` of them from number `first` on."""
 
     period_ns: int
     first: int
-    count: int
+    length: int
 
 
-def _count_until(times: Any, time_ns: int) -> int:
-    return min(max(time_ns // times.period_ns + 1 - times.first, 0), times.count)
+def _count_until(times: Ticks, time_ns: int) -> int:
+    return min(max(time_ns // times.period_ns + 1 - times.first, 0), times.length)
 
 
 @compiled_as(_count_until)
@@ -79,8 +79,8 @@ def count_until(times: NDArray[np.int64], time_ns: int) -> int:
     return int(np.searchsorted(times, time_ns, side="right"))
 
 
-def _is_usual_step(times: Any, row: int) -> bool:
-    return row < times.count
+def _is_usual_step(times: Ticks, row: int) -> bool:
+    return row < times.length
 
 
 @compiled_as(_is_usual_step)
@@ -296,7 +296,7 @@ def _follow_error(error_rad: Any) -> Any:
 def follow_error(error_rad: Values) -> Values:
     """Return the error of a heading without jumps, at the end within half a turn [rad]."""
     error_rad = np.unwrap(wrap_angle(error_rad))
-    return error_rad - _TURN_RAD * rint(error_rad[-1] / _TURN_RAD)
+    return np.asarray(error_rad - _TURN_RAD * rint(error_rad[-1] / _TURN_RAD))
 
 
 def _subtract_from(value: float, column: Any, out: Any) -> Any:

@@ -216,7 +216,7 @@ def read_controlled_distance(run: Run) -> Values | None:
 
 def project_on_line(xy_m: Values, line: GoalLine, *, along: bool) -> Values:
     """Return the coordinates of points along, or left of, the line from start to goal [m]."""
-    return np.asarray(project(*xy_m.T, aim_at(line, None, None), along))
+    return np.asarray(project(xy_m[:, 0], xy_m[:, 1], aim_at(line, None, None), along))
 
 
 _BLOCKS: Final = (2048, 64)

@@ -321,7 +321,8 @@ def _read_error(run: Run, axis: int) -> Values | None:
 def _read_distance(run: Run) -> Values | None:
     if run.goal_xy_m is None:
         return None
-    return np.asarray(find_distance(*run.poses.xy_m.T, *run.goal_xy_m))
+    x_m, y_m = run.poses.xy_m.T
+    return np.asarray(find_distance(x_m, y_m, *run.goal_xy_m))
 
 
 def _read_heading_error(run: Run) -> Values | None:
