@@ -10,15 +10,18 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.measure.test_reductions import tell
-from turtlelog.measure import loop_segment
+from tests.simulate.random_scenarios import build_random
+from turtlelog.measure import find_first_stretch, loop_segment
 from turtlelog.measure.loop_segment import (
     LoopNumbers,
     Ticks,
     count_until,
     find_last_acting,
     find_segment,
+    number_loop,
 )
 from turtlelog.run import angles
+from turtlelog.simulate import simulate_run
 from turtlelog.simulate.compiled_twins import take_twin
 
 PERIOD_NS = 10
@@ -108,3 +111,15 @@ def test_the_loop_that_acted_last_is_found_among_the_known_ones() -> None:
     found = [find_last_acting(phase, loops, known) for known in (0b111, 0b101, 0b001, 0b000)]
     assert found == [1, 2, 0, -1]
     assert find_last_acting(phase[3:], loops, 0b110) == 1
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_segment_lasts_as_long_as_the_first_spans_of_its_phases(seed: int) -> None:
+    run = simulate_run(build_random(seed))
+    for loop in run.declaration.loops:
+        numbers = number_loop(run.declaration, loop)
+        found = find_segment(run.samples, run.poses.time_ns, numbers, run.end_ns)
+        spans = find_first_stretch(run, loop)
+        assert (found.first_sample < found.after_sample) == bool(spans)
+        if spans:
+            assert (found.start_ns, found.end_ns) == (spans[0].start_ns, spans[-1].end_ns)
