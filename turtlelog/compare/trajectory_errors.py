@@ -18,8 +18,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from turtlelog.measure.reductions import Rows, Values
-from turtlelog.run.angles import find_quaternions
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory, find_quaternions
 
 DeltaUnit = Literal["frames", "m", "deg", "s"]
 

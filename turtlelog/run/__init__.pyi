@@ -1,14 +1,17 @@
 from . import angles as angles, loops as loops, paths as paths
-from .angles import find_quaternions as find_quaternions, turn_headings as turn_headings
+from .angles import (
+    Trajectory as Trajectory,
+    build_planar_trajectory as build_planar_trajectory,
+    build_trajectory as build_trajectory,
+    find_quaternions as find_quaternions,
+    turn_headings as turn_headings,
+)
 from .columns import (
     Clock as Clock,
     CommandColumns as CommandColumns,
     Event as Event,
     PoseColumns as PoseColumns,
     SampleColumns as SampleColumns,
-    Trajectory as Trajectory,
-    build_planar_trajectory as build_planar_trajectory,
-    build_trajectory as build_trajectory,
     take_rows as take_rows,
 )
 from .run import (
