@@ -287,8 +287,8 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
         run=ReadRun(
             kind=kind,
             duration_s=run.duration_s,
-            poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
-            commands=_describe_rows(run, "command_topic", run.commands.time_ns),
+            poses=_describe_rows(run.origin.poses, run.poses.time_ns),
+            commands=_describe_rows(run.origin.commands, run.commands.time_ns),
             samples=len(run.samples),
         ),
         missing=tuple(_list_missing(run, info)),
@@ -297,10 +297,10 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     )
 
 
-def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
+def _describe_rows(source: "tl.run.SourceTopic | None", time_ns: "NDArray[Any]") -> str:
     if not len(time_ns):
         return ""
-    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(run, note)
+    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(source)
     noun = "message" if topic else "row"
     return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
 
@@ -309,15 +309,17 @@ def _describe_kind(run: "tl.Run") -> str:
     """Return the source of poses, or the kind of a file without topics."""
     if not len(run.poses):
         return "commands without poses"
-    pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
-    if not _name_topic(run, "pose_topic"):
+    source = run.origin.poses
+    if source is None:
         return "a log of a controller" if len(run.samples) else "poses in a table"
-    if not pose_type.startswith("turtlesim"):
-        is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
+    if not source.type.startswith("turtlesim"):
+        is_named = _IMU.search(_name_topic(source)) is not None
         has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
         return "an IMU, which turns in one place" if is_named and not has_moved else "a robot"
     return (
-        "turtlesim" if tl.replay.moves_as_turtlesim(run) else f"a robot that publishes {pose_type}"
+        "turtlesim"
+        if tl.replay.moves_as_turtlesim(run)
+        else f"a robot that publishes {source.type}"
     )
 
 
@@ -327,7 +329,7 @@ _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\d)])")
 def _describe_run(run: "tl.Run", kind: str) -> str:
     if not len(run.poses):
         return f"no poses, {_describe_commands(run)}"
-    pose_topic = _name_topic(run, "pose_topic")
+    pose_topic = _name_topic(run.origin.poses)
     rate = _describe_rate(run.poses.time_ns)
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
     amount += f" {rate}" if rate and not pose_topic else ""
@@ -347,17 +349,17 @@ def _on(topic: str) -> str:
 
 
 def _describe_commands(run: "tl.Run") -> str:
-    topic, rate = _name_topic(run, "command_topic"), _describe_rate(run.commands.time_ns)
+    topic, rate = _name_topic(run.origin.commands), _describe_rate(run.commands.time_ns)
     if rate:
         return f"commands{_on(topic)} {rate}"
     return f"{describe_count(len(run.commands), 'command')}{_on(topic)}"
 
 
-def _name_topic(run: "tl.Run", note: str) -> str:
+def _name_topic(source: "tl.run.SourceTopic | None") -> str:
     """Return a topic, with the frames of transforms; empty if unknown."""
-    name, _, rest = run.notes.get(note, "").partition(" (")
-    frames = rest.partition("): ")[2]
-    return f"{name} ({frames})" if frames else name
+    if source is None or source.frames is None:
+        return "" if source is None else source.name
+    return f"{source.name} ({' -> '.join(source.frames)})"
 
 
 def _describe_rate(time_ns: "NDArray[Any]") -> str:

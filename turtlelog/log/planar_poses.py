@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
@@ -263,8 +264,8 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 
 def sort_rows(
     time_ns: NDArray[np.int64], values: Mapping[str, Values]
-) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
-    """Return the rows sorted by time without duplicates, and notes on the changes."""
+) -> tuple[NDArray[np.int64], dict[str, Values], Origin]:
+    """Return the rows sorted by time without duplicates, and the numbers of changed rows."""
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     if late:
         order = np.argsort(time_ns, kind="stable")
@@ -274,11 +275,17 @@ def sort_rows(
     for column in values.values():
         bits = column.view(np.int64)
         twice = twice[bits[twice] == bits[twice + 1]]
-    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
+    changed = Origin(sorted_rows=late, dropped_duplicates=len(twice))
     if len(twice):
         time_ns = np.delete(time_ns, twice + 1)
         values = {name: np.delete(column, twice + 1) for name, column in values.items()}
-    return time_ns, dict(values), notes
+    return time_ns, dict(values), changed
+
+
+def note_changes(origin: Origin) -> dict[str, str]:
+    """Return notes on the numbers of rows that were sorted, and dropped as duplicates."""
+    counts = (origin.sorted_rows, origin.dropped_duplicates)
+    return dict(zip(("sorted_rows", "dropped_duplicates"), map(str, counts), strict=True))
 
 
 def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:

@@ -4,11 +4,14 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Literal, TypedDict
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 from turtlelog.display import join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
+
+if TYPE_CHECKING:
+    from turtlelog.run import SourceTopic
 
 TimeSource = Literal["auto", "log", "stamp"]
 """Source of pose times: the recorder's clock, stamps mapped to it, or chosen from the bag
@@ -106,10 +109,12 @@ _OF_EVERY_FILE: Final = ("goal", "allow_partial", "allow_no_poses")
 _OF_BAGS: Final = tuple(name for name in _USUAL if name not in {*_OF_TABLES, *_OF_EVERY_FILE})
 
 
-def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
+def describe_unused(
+    choice: ReadChoice, kind: FileKind, commands: "SourceTopic | None" = None
+) -> str:
     """Return one line on the options that a file does not use, and why; empty without such options.
 
-    Recordings have one clock and turn rates as commands; `commands` are topic and type in a bag.
+    Recordings have one clock and turn rates as commands; `commands` are the topic of a bag.
     """
     given = choice.list_given()
     of_recording = (*_OF_TABLES, "time", "wheelbase")
@@ -126,9 +131,12 @@ def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> s
         verb = "is" if len(texts) == 1 else "are"
         reason = reasons.get(kind, "this is no table")
         parts.append(f"{join_words(texts)} {verb} not used: {reason}")
-    if kind == "bag" and "wheelbase" in given and "ackermann_msgs" not in commands:
-        found = f"the commands on {commands} are turn rates"
-        parts.append(f"--wheelbase is not used: {found if commands else 'no commands were read'}")
+    if kind == "bag" and "wheelbase" in given:
+        if commands is None:
+            parts.append("--wheelbase is not used: no commands were read")
+        elif not commands.type.startswith("ackermann_msgs"):
+            said = f"the commands on {commands.describe()} are turn rates"
+            parts.append(f"--wheelbase is not used: {said}")
     return "; ".join(parts)
 
 

@@ -10,8 +10,12 @@ from .columns import (
     Clock as Clock,
     CommandColumns as CommandColumns,
     Event as Event,
+    Lost as Lost,
+    Origin as Origin,
     PoseColumns as PoseColumns,
     SampleColumns as SampleColumns,
+    SourceTopic as SourceTopic,
+    find_greatest_loss as find_greatest_loss,
     take_rows as take_rows,
 )
 from .run import (

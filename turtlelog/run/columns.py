@@ -1,11 +1,11 @@
-"""The columns and events of a run, checked; their clock."""
+"""The columns and events of a run, checked; their clock and their origin."""
 
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import cache, partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,6 +255,85 @@ class Clock:
     ratio: float | None = None
     offset_s: float | None = None
     jitter_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceTopic:
+    """A topic from which a run was read.
+
+    Attributes:
+        name: Name of the topic.
+        type: Type of its messages.
+        frames: World frame and robot frame of poses from transforms; None for other messages.
+    """
+
+    name: str
+    type: str
+    frames: tuple[str, str] | None = None
+
+    def describe(self) -> str:
+        """Return name, type and frames in one line."""
+        frames = "" if self.frames is None else ": {} -> {}".format(*self.frames)
+        return f"{self.name} ({self.type}){frames}"
+
+
+Lost = Literal["nothing", "summary", "rows"]
+"""What a file has lost, from least to most: only its summary, or perhaps rows."""
+
+
+def find_greatest_loss(*lost: Lost) -> Lost:
+    """Return the greatest of several losses."""
+    return max(lost, key=get_args(Lost).index, default="nothing")
+
+
+_LATEST_NS: Final = 2**62
+"""Time beyond which no date is known [ns], in the year 2116: the sum of two fits into 64 bits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Facts on the source of a run; `Run.notes` tells them, and further remarks, in sentences.
+
+    Attributes:
+        began_ns: Time since 1970, UTC, at which the recording began [ns]; None if unknown.
+        start_ns: Time zero of the run on the clock of its source [ns]; None if unknown.
+        poses: Topic of the poses; None if they are not from a topic of a bag.
+        commands: Topic of the commands; None if they are not from a topic of a bag.
+        frame: Frame of the poses; empty if unknown.
+        robot: Robot that was read by its name, of several; None if no name was given.
+        table_run: Number of the run that was read, and number of runs, in a table of several.
+        goal_given_ns: Time at which the goal was given during the run [ns]; None if unknown.
+        path_given_ns: Time at which the path was given during the run [ns]; None if unknown.
+        was_clock_set: Whether the recorder's clock was set while it recorded.
+        has_courses: Whether headings are courses over ground, as of a satellite receiver.
+        has_leaps: Whether the poses alternate between two places, as of two programs.
+        sorted_rows: Number of rows that were out of order in time, and were sorted.
+        dropped_duplicates: Number of rows that repeated another, and were dropped.
+        unread_topics: Topics of turtlelog's own that were not read.
+        lost: What the file has lost.
+    """
+
+    began_ns: int | None = None
+    start_ns: int | None = None
+    poses: SourceTopic | None = None
+    commands: SourceTopic | None = None
+    frame: str = ""
+    robot: str | None = None
+    table_run: tuple[int, int] | None = None
+    goal_given_ns: int | None = None
+    path_given_ns: int | None = None
+    was_clock_set: bool = False
+    has_courses: bool = False
+    has_leaps: bool = False
+    sorted_rows: int = 0
+    dropped_duplicates: int = 0
+    unread_topics: tuple[str, ...] = ()
+    lost: Lost = "nothing"
+
+    def __post_init__(self) -> None:
+        for name in ("began_ns", "start_ns"):
+            if abs(getattr(self, name) or 0) >= _LATEST_NS:
+                object.__setattr__(self, name, None)
 
 
 AnyColumns = TypeVar("AnyColumns", PoseColumns, CommandColumns, SampleColumns)

@@ -151,6 +151,7 @@ def describe_run(run: Run) -> Head:
         more_topics=frozenset(name for name, is_there in more_topics.items() if is_there),
         declaration=run.declaration,
         clock=run.clock,
+        origin=run.origin,
         simulated_by=run.simulated_by,
         notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
     )
