@@ -42,16 +42,6 @@ time."""
 _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
 
-_TOLD: Final = (
-    *("goal", "path", "unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
-    *("held_transforms", "dropped_before_transforms", "robots", "heading", "origin", "wheels"),
-    "reported_rates",
-    *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
-    *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate"),
-    "other_command_topics",
-)
-"""Notes of a run on the bag from which it was read."""
-
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """Description of an incomplete file without messages."""
 
@@ -275,7 +265,8 @@ def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
 
 
 def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
-    notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
+    shown = (name for name, kind in tl.log.NOTES.items() if kind.in_info and name in run.notes)
+    notes = {name: run.notes[name] for name in shown}
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
     if sideways := tl.measure.describe_sideways(run):

@@ -12,7 +12,7 @@ from turtlelog import measure
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, release_frames
-from turtlelog.log import ReadChoice, read_as_chosen
+from turtlelog.log import NOTES, ReadChoice, read_as_chosen
 from turtlelog.measure import MeasureSettings, Metric, Metrics
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
@@ -395,16 +395,9 @@ UNLOCKS: Final = MappingProxyType(
 """Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 
-_DOUBTS: Final = {
-    "crowded": ", but the times of most poses are wrong",
-    "unlikely_units": ", in units that are unlikely",
-}
-"""Notes on a file that put its numbers in doubt, each with a clause."""
-
-
 def describe_end(summary: RunSummary) -> str:
     """Return place and time of a run's end; without a goal, the length of its path."""
-    doubts = [clause for name, clause in _DOUBTS.items() if name in summary.notes]
+    doubts = [kind.doubt for name, kind in NOTES.items() if name in summary.notes]
     if summary.origin.table_run is not None:
         doubts.append(", in run {} of {} in the table".format(*summary.origin.table_run))
     return f"{_describe_end(summary)}{''.join(doubts)}"

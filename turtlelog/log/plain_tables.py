@@ -29,7 +29,7 @@ from turtlelog.log.planar_poses import (
     sort_rows,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
+from turtlelog.log.read_choice import CHOSEN, RESTARTS
 from turtlelog.log.ros2.reported_motion import (
     PATH_NOTE,
     RATE_NOTE,
@@ -118,7 +118,7 @@ def import_plain_table(
             return run
         origin = replace(run.origin, robot=robot)
         name = f"{run.name}:{robot}"
-        return replace(run, name=name, origin=origin, notes={**run.notes, ROBOT: robot})
+        return replace(run, name=name, origin=origin, notes={**run.notes, "robot": robot})
 
 
 def _require_columns(
