@@ -19,7 +19,7 @@ from turtlelog.display import (
     parse_utc,
 )
 from turtlelog.explain.answers import ValueSet
-from turtlelog.explain.scenario_from_log.identification import Certainty
+from turtlelog.explain.scenario_from_log import Certainty
 from turtlelog.laws.loading import LAWS
 
 FILE: Final = "recordings/paper/kp10.mcap"

@@ -5,7 +5,14 @@ from itertools import pairwise
 import pytest
 
 from turtlelog.charts.attribution_steps import choose_step_scale, list_attribution_steps
-from turtlelog.explain import Attribution, Contribution, Resolution, SeedRange, attribute_scenario
+from turtlelog.explain import (
+    Attribution,
+    Contribution,
+    Resolution,
+    ResolutionReason,
+    SeedRange,
+    attribute_scenario,
+)
 from turtlelog.scenario import get_preset
 
 
@@ -26,7 +33,7 @@ def make_attribution(**changes: object) -> Attribution:
         causes=("b", "a"),
         contributions=(make_share("b", -3.0), make_share("a", 8.0)),
         others=(),
-        resolution=Resolution(size=0.1, reason="1 % of the value"),
+        resolution=Resolution(size=0.1, reason=ResolutionReason.SHARE),
     )
     return replace(found, **changes)  # type: ignore[arg-type]
 
@@ -141,7 +148,7 @@ def test_a_value_within_the_tolerances_says_so(value: float, *, says: bool) -> N
         resimulated=value,
         without_all=value,
         contributions=(),
-        resolution=Resolution(size=0.1, reason="the heading tolerance"),
+        resolution=Resolution(size=0.1, reason=ResolutionReason.HEADING_TOLERANCE),
     )
     for step in list_attribution_steps(found):
         assert ("no more than the tolerances leave" in step.text) == says

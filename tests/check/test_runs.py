@@ -119,6 +119,18 @@ def test_a_phase_that_the_run_does_not_have_fails() -> None:
     assert (result.verdict, result.reason) == ("FAIL", "no_phase (the run has no phase rotate)")
 
 
+@pytest.mark.parametrize("count", [5, 6])
+def test_a_phase_that_takes_no_time_does_not_show_the_values_of_the_next(count: int) -> None:
+    run = simulate("paper-kp4")
+    assert run.samples.time_ns[4] == run.samples.time_ns[5] < run.samples.time_ns[6]
+    phase = np.where(np.arange(len(run.samples)) < count, 0, 2).astype(run.samples.phase.dtype)
+    run = dataclasses.replace(run, samples=dataclasses.replace(run.samples, phase=phase))
+    result = judge(run, holds="always(phase == 'rotate')", phase="rotate")
+    said = "no_phase (the phase rotate takes 0 s: the next phase begins at its time)"
+    expected = ("FAIL", False, said) if count == 5 else ("PASS", True, "")
+    assert (result.verdict, result.is_decided, result.reason) == expected
+
+
 def test_a_run_that_was_cut_does_not_pass_what_it_does_not_reach() -> None:
     cut = simulate("paper-kp4", max_duration_s=3.0)
     assert judge(cut, holds="always[0, 9](speed <= 1)").reason.startswith("the recording ends")

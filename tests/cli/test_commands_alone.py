@@ -159,9 +159,11 @@ def test_replay_drives_a_robot_model_and_keeps_its_path(call: Call, bag: Path) -
 
 
 def test_replay_says_when_the_turtle_runs_into_a_wall(call: Call, bag: Path) -> None:
-    early = call("replay", bag, "--set", "start.x_m=10.5")
+    early = call("replay", bag, "--set", "start.x_m=10.5", "--time", "log")
     # 11.089 - 10.5 m at 0.2 m/s.
     assert "At 2.96 s it runs into a wall" in early.flat
+    command = f"turtlelog replay {bag} --set=start.x_m=10.5 --time=log -o path.mcap"
+    assert early.flat.endswith(f"Keep the path: {command}")
     assert "wall" not in call("replay", bag, "--set", "start.x_m=9").flat
 
 

@@ -86,9 +86,9 @@ def test_without_noise_there_is_no_share(call: Call, bag: Path, tmp_path: Path) 
     quiet = write_scenario(tmp_path / "quiet.TOML", PLANT)
     (run,) = call("compare", bag, quiet, "--json").json["runs"]
     assert {error["within_share"] for error in run["errors"]} == {None}
-    words = call("compare", bag, quiet).flat
+    words = call("compare", bag, quiet, "--time=log").flat
     assert "there is no band" in words
-    assert words.endswith(f"Curves: turtlelog compare {bag} {quiet} --plot FILE.pdf")
+    assert words.endswith(f"Curves: turtlelog compare {bag} {quiet} --time=log --plot FILE.pdf")
 
 
 def test_several_bags_have_their_rows_and_one_that_cannot_be_read_is_told(

@@ -54,6 +54,32 @@ def test_info_goes_on_after_a_bad_file(call: Call, kp4: Path, words: list[str]) 
     assert second.startswith("turtlelog: error: also-missing: ")
 
 
+@pytest.mark.parametrize(
+    ("words", "advised"),
+    [
+        ("info KP4", "Next: turtlelog metrics KP4 --partial turtlelog explain KP4 --partial"),
+        ("metrics KP10", "Why? turtlelog explain KP10 --partial"),
+        ("compare KP4 KP10", "Why is paper-kp10 worse? turtlelog explain KP10 --partial"),
+        ("compare KP4 --reference KP10", "turtlelog check --init KP10 --partial"),
+        (
+            "compare KP4 --reference KP10 --rpe 1m --align sim2",
+            "turtlelog compare KP4 --reference KP10 --ate --rpe=1m --partial --align=sim2 --plot",
+        ),
+        (
+            "check KP10 --expect final.position_error<0.01",
+            "turtlelog explain KP10 --partial",
+        ),
+    ],
+)
+def test_advised_commands_repeat_the_given_options(
+    words: str, advised: str, call: Call, kp4: Path, kp10: Path
+) -> None:
+    words, advised = (
+        text.replace("KP4", str(kp4)).replace("KP10", str(kp10)) for text in (words, advised)
+    )
+    assert advised in call(*words.split(), "--partial").flat
+
+
 def test_metrics_puts_runs_side_by_side(call: Call, kp4: Path, kp10: Path) -> None:
     answer = call("metrics", kp4, kp10, "--metric", "rotate.*")
     assert answer.code == 0

@@ -107,6 +107,8 @@ def test_time_without_poses_is_told_and_left_out(
     assert "share of the time at rest 0 %" in answer
     said = f"Rates and rest leave out {told} without poses; the path length counts a straight line"
     assert (said in answer) is (told is not None)
+    gaps = call("metrics", table, "--json").json[0]["gaps"]
+    assert gaps == (None if told is None else f"{said} there.")
 
 
 def test_repeated_poses_are_told(call: Call, tmp_path: Path) -> None:
@@ -160,6 +162,19 @@ def test_a_robot_that_swings_does_not_rest_when_it_is_back(
     answer = call("metrics", table).flat
     assert f"share of the time at rest {rest}" in answer
     assert "judged over half a second" not in answer
+
+
+@pytest.mark.parametrize(("speed_m_s", "crept"), [(0.001, "0.1 m"), (0.02, None)])
+def test_motion_that_counts_as_rest_is_told(
+    speed_m_s: float, crept: str | None, call: Call, tmp_path: Path
+) -> None:
+    rows = [f"{i / 50},{speed_m_s * i / 50:.6f},0,0" for i in range(0, 5001, 5)]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    rest = call("metrics", table, "--json").json[0]["rest"]
+    said = f"Rest, judged over half a second, includes {crept} of slow or brief motion."
+    assert rest == (None if crept is None else said)
+    assert (said in call("metrics", table).flat) is (crept is not None)
 
 
 def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(

@@ -45,8 +45,8 @@ def test_the_first_line_names_what_the_recommended_gains_leave_out(
 ) -> None:
     text = call("theory", "--dead-time", ticks, "--kp", "4").out
     assert re.match(
-        r"Recommended for 5 % overshoot: P with Kp = [\d.]+ 1/s\."
-        rf" This holds without command {left_out}\.",
+        rf"Recommended without command {left_out}: P with Kp = [\d.]+ 1/s\."
+        r" This is for 5 % overshoot\.",
         " ".join(text.split()),
     )
 
@@ -54,10 +54,18 @@ def test_the_first_line_names_what_the_recommended_gains_leave_out(
 @pytest.mark.parametrize(
     ("kp", "first", "kept"),
     [
-        ("3.66", "Recommended for 5 % overshoot: P with Kp = 4.95 1/s.\n", None),
-        ("3.68", "Kp = 3.68 1/s needs no change: no overshoot", 3.68),
-        ("4.95", "Kp = 4.95 1/s needs no change: overshoots by 5", 4.95),
-        ("5", "Recommended for 5 % overshoot: P with Kp = 4.95 1/s.\n", None),
+        ("3.66", "Recommended without command limits: P with Kp = 4.95 1/s.\n", None),
+        (
+            "3.68",
+            "Without command limits, Kp = 3.68 1/s needs no change.\nStep response: no over",
+            3.68,
+        ),
+        (
+            "4.95",
+            "Without command limits, Kp = 4.95 1/s needs no change.\nStep response: over",
+            4.95,
+        ),
+        ("5", "Recommended without command limits: P with Kp = 4.95 1/s.\n", None),
     ],
 )
 def test_gains_are_kept_that_overshoot_no_more_and_settle_no_later_than_recommended_ones(
@@ -123,8 +131,8 @@ def test_theory_reads_well_in_a_terminal(call: Call) -> None:
     assert (answer.code, answer.err) == (0, "")
     lines = answer.out.splitlines()
     assert lines[:7] == [
-        "Kp = 4 1/s needs no change: overshoots by 0.29 %, settles in 0.512 s.",
-        "This holds without command limits.",
+        "Without command limits, Kp = 4 1/s needs no change.",
+        "Step response: overshoots by 0.29 %, settles in 0.512 s.",
         "Kp = 4.95 1/s for 5 % overshoot is no better: overshoots by 5.00 %, settles in",
         "0.624 s.",
         "Overshoot begins above Kp = 3.541 1/s, instability at 15.07 1/s.",
@@ -227,8 +235,8 @@ def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
     assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
     assert re.search(r"overshoots +by 22.43 % +without end", text)
     lines = text.splitlines()
-    first = "Recommended for 5 % overshoot: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2."
-    assert lines[:2] == [first, "This holds without command limits."]
+    first = "Recommended without command limits: PI with Kp = 1.58 1/s and Ki = 0.139 1/s^2."
+    assert lines[:2] == [first, "This is for 5 % overshoot."]
     assert lines[2].startswith(
         "Better than Kp = 2 1/s and Ki = 1 1/s^2 in overshoot (5 % instead of 22.4 "
     )
@@ -423,8 +431,8 @@ def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
     assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
     assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
     words = ("theory", "--dead-time", "6", "--phase-margin", "90", "--kp", "1")
-    first = "Recommended for the rule of SIMC: P with Kp = 4.81 1/s."
-    assert call(*words).out.startswith(f"{first}\n")
+    first = "Recommended without command limits: P with Kp = 4.81 1/s."
+    assert call(*words).out.startswith(f"{first}\nThis is for the rule of SIMC.\n")
     text = " ".join(call(*words, "--details").out.split())
     assert "No P for 90 deg margin and PI for 90 deg margin: the integrator alone lags" in text
 

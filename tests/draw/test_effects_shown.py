@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 import turtlelog as tl
 from tests.draw.rerun.rrds import list_entities, read_rows, read_static, read_times
 from tests.effects_cases import build_case
-from turtlelog.charts.curves import find_disturbance
+from turtlelog.charts.curves import find_disturbed_time
 from turtlelog.draw.rerun.live_viewer import GrowingStream, LiveScene
 from turtlelog.run import Run
 from turtlelog.simulate import RunCollector, iterate_ticks
@@ -103,7 +103,7 @@ def test_the_axis_of_a_command_has_room_for_what_a_disturbance_adds() -> None:
 def test_a_disturbance_is_shown_within_the_run(
     changes: dict[str, Any], expected: tuple[float, float] | None
 ) -> None:
-    found = find_disturbance(tl.simulate_run(tl.override_scenario(SCENARIO, changes)))
+    found = find_disturbed_time(tl.simulate_run(tl.override_scenario(SCENARIO, changes)))
     assert found == (None if expected is None else pytest.approx(expected))
 
 

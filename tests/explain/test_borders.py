@@ -8,6 +8,7 @@ import pytest
 
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
+from turtlelog.explain.scenario_from_log import LAW_KEYS, LOOP_KEYS
 from turtlelog.explain.scenario_from_log.driven_plant import drive_plant
 from turtlelog.explain.scenario_from_log.gain_fit import (
     PoseNoise,
@@ -16,7 +17,6 @@ from turtlelog.explain.scenario_from_log.gain_fit import (
     fit_gain,
     measure_pose_noise,
 )
-from turtlelog.explain.scenario_from_log.identification import LAW_KEYS, LOOP_KEYS
 from turtlelog.explain.scenario_from_log.law_identification import (
     PHASES,
     RULE_KEYS,

@@ -9,7 +9,7 @@ import pytest
 from tests.explain.logs import as_log, forget, simulate
 from turtlelog.explain import Certainty, Finding, identify_run
 from turtlelog.measure import DeadTime, Missing, find_dead_time
-from turtlelog.measure.dead_time import shows_lag
+from turtlelog.measure.dead_time import LagInstead
 from turtlelog.measure.motion import find_coarse_step, is_within_steps
 from turtlelog.run import Run
 
@@ -95,8 +95,7 @@ def find_turning(size: float, **values: Any) -> DeadTime | Missing:
 
 def test_a_lag_that_the_motion_shows_leaves_no_dead_time() -> None:
     found = find_turning(1e-4)
-    assert shows_lag(found)
-    assert isinstance(found, Missing)
+    assert isinstance(found, LagInstead)
     assert found.reason.startswith("with a lag a shorter dead time explains the motion better than")
 
 

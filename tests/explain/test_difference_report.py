@@ -11,6 +11,7 @@ from turtlelog.explain import (
     Depth,
     ExplainedDifference,
     Resolution,
+    ResolutionReason,
     Side,
     explain_difference,
 )
@@ -38,7 +39,7 @@ def make(
         ),
         difference=sum(sizes),
         contributions=tuple(changes),
-        resolution=Resolution(size=resolution, reason="a test"),
+        resolution=Resolution(size=resolution, reason=ResolutionReason.COUNT),
     )
 
 

@@ -22,7 +22,7 @@ from turtlelog.explain import (
     simulate_without,
     write_sentences,
 )
-from turtlelog.explain.scenario_from_log.identification import LAW_KEYS, find_dead_times
+from turtlelog.explain.scenario_from_log import LAW_KEYS, find_dead_times
 from turtlelog.measure import DeadTime, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration

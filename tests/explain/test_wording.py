@@ -10,6 +10,7 @@ from turtlelog.explain import (
     Attribution,
     Contribution,
     Resolution,
+    ResolutionReason,
     SeedRange,
     StartRange,
     Together,
@@ -50,7 +51,7 @@ def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attri
             make_contribution(cause="pause", contribution=pause, alone=1.0 - pause),
         ),
         others=(),
-        resolution=Resolution(size=0.01, reason="heading tolerance"),
+        resolution=Resolution(size=0.01, reason=ResolutionReason.HEADING_TOLERANCE),
         effects=("queue", "delay", "pause", "wrap"),
     )
     return replace(found, **changes)
@@ -170,7 +171,7 @@ def test_contributions_that_cancel_are_named_all_the_same() -> None:
     assert write_sentences(describe(queue=0.3, pause=-0.299))[1:] == (
         "Two effects of the implementation change it: queue +0.3 m and pause -0.299 m.",
         "Without queue it would be 0.7 m, without pause 1.299 m, without both 0.999 m. Together"
-        " they change it by not more than 0.01 m (heading tolerance).",
+        " they change it by not more than 0.01 m (the heading tolerance).",
     )
 
 
@@ -251,16 +252,16 @@ def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_na
 
 @pytest.mark.parametrize(("alone", "is_named"), [(1.199, False), (1.201, True)])
 def test_a_property_is_named_beyond_the_resolution(alone: float, *, is_named: bool) -> None:
-    resolution = Resolution(size=0.2, reason="heading tolerance")
+    resolution = Resolution(size=0.2, reason=ResolutionReason.HEADING_TOLERANCE)
     sentences = write_sentences(describe(resolution=resolution, **take_out("float32", alone)))
     assert any("float32. Without it" in text for text in sentences) == is_named
 
 
 def test_the_tolerance_is_not_judged_by_the_resolution_that_it_makes() -> None:
-    tolerated = Resolution(size=2.0, reason="the heading tolerance")
+    tolerated = Resolution(size=2.0, reason=ResolutionReason.HEADING_TOLERANCE)
     sentences = write_sentences(describe(resolution=tolerated, **take_out("tolerance", 0.1)))
     assert sentences[-1].startswith("Design parameter: tolerance. Without it")
-    period = Resolution(size=2.0, reason="one sample period")
+    period = Resolution(size=2.0, reason=ResolutionReason.SAMPLE)
     sentences = write_sentences(describe(resolution=period, **take_out("tolerance", 0.1)))
     assert not any("tolerance" in text for text in sentences)
 

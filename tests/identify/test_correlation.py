@@ -11,9 +11,9 @@ import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from tests.known import known
 from turtlelog.cli.identify import build_identify_answer, format_robot
-from turtlelog.identify import refused_axes
+from turtlelog.identify import robot_identification
 from turtlelog.identify.axis_motion import AxisMotion, read_axis_motion
-from turtlelog.identify.refused_axes import find_correlation_delay
+from turtlelog.identify.robot_identification import find_correlation_delay
 
 NOISY = Log(duration_s=25.0, poses_hz=20.0, noise_rad=2e-3, turn_rate=Truth(lag_s=0.3))
 """Of steps that hold for 0.5 to 3 s: the best delay in the long run is 0.28 s."""
@@ -79,7 +79,7 @@ def test_a_range_wider_than_its_best_delay_names_none(
     def find_end(_: Callable[[float], bool], __: float, step_s: float) -> float:
         return 0.0 if step_s < 0.0 else width_s * best_s
 
-    monkeypatch.setattr(refused_axes, "_find_end", find_end)
+    monkeypatch.setattr(robot_identification, "_find_end", find_end)
     assert (find_correlation_delay([motion])[0] is not None) is is_told
 
 

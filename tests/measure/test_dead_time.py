@@ -8,7 +8,7 @@ import pytest
 from tests import sequential
 from tests.log.runs import find_shared
 from tests.simulate.random_scenarios import build_random
-from turtlelog.explain.scenario_from_log.identification import find_dead_times
+from turtlelog.explain.scenario_from_log import find_dead_times
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, DeadTimeChange, Missing, Status, find_dead_time, measure_run
 from turtlelog.measure.dead_time import model_run_loops

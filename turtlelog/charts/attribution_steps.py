@@ -210,7 +210,7 @@ def _explain_little(found: Attribution, value: float) -> str:
     """Return a sentence that the tolerances allow the remainder, for a bounded final error."""
     if found.metric not in {"final.position_error", "final.heading_error"}:
         return ""
-    if abs(value) > found.resolution.size or "tolerance" not in found.resolution.reason:
+    if abs(value) > found.resolution.size or not found.resolution.is_tolerance:
         return ""
     return ", no more than the tolerances leave"
 

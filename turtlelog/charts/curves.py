@@ -16,7 +16,7 @@ from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
-from turtlelog.run.loops import DONE, PAUSE, PUSH_KEYS, REFERENCE_WORDS, ControlLoop, read_number
+from turtlelog.run.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop, find_disturbance
 from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
@@ -146,15 +146,12 @@ def read_sensed(run: Run, signal: str) -> Curve | None:
     return read_curve(run, f"sensed_{signal}") if signal in SENSED_SIGNALS else None
 
 
-def find_disturbance(run: Run) -> tuple[float, float] | None:
+def find_disturbed_time(run: Run) -> tuple[float, float] | None:
     """Return start and end of the plant's disturbance within the run [s]; None without one."""
-    if not any(read_number(run.parameters, key) for key in PUSH_KEYS):
-        return None
-    from_s = read_number(run.parameters, "disturbance.from_s")
-    to_s = read_number(run.parameters, "disturbance.to_s", np.inf)
-    zero_s, end_s = run.start_ns / 1e9, run.end_ns / 1e9
-    first_s = max(from_s, float(run.poses.time_ns[0]) / 1e9)
-    return (first_s - zero_s, min(to_s, end_s) - zero_s) if first_s < min(to_s, end_s) else None
+    from_ns, to_ns = find_disturbance(run.parameters) or (0, 0)
+    first_ns, last_ns = max(from_ns, int(run.poses.time_ns[0])), min(to_ns, run.end_ns)
+    zero_ns = run.start_ns
+    return ((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9) if first_ns < last_ns else None
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:

@@ -72,9 +72,10 @@ def find_loss(run: Run) -> str | None:
 
 
 def find_window(run: Run, phase: str) -> tuple[int, int] | None:
-    """Return the first segment of a phase with its pause [ns]; None if the phase never occurs.
+    """Return the first segment of a phase with its pause [ns]; None if the phase takes no time.
 
-    It ends before the time of the next phase, whose first sample holds at this time.
+    It ends before the time of the next phase, whose first sample holds at this time. Therefore, a
+    phase whose samples share that time never holds.
     """
     spans = run.find_phase_spans()
     for index, span in enumerate(spans):
@@ -83,7 +84,9 @@ def find_window(run: Run, phase: str) -> tuple[int, int] | None:
         after = spans[index + 1 : index + 2]
         is_paused = bool(after) and after[0].phase == PAUSE
         last = after[0] if is_paused else span
-        return span.start_ns, max(span.start_ns, last.end_ns - (last is not spans[-1]))
+        end_ns = last.end_ns - (last is not spans[-1])
+        if end_ns >= span.start_ns:
+            return span.start_ns, end_ns
     return None
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import ChainMap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -43,7 +43,6 @@ from turtlelog.measure import (
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 
-_NO_VALUE: Final = "no value: "
 _TOO_SHORT: Final = "the recording ends before the formula's window does"
 _BEYOND: Final = "its window begins after the end, where the last values hold"
 _UNTIL: Final = "its left side ends when its right side begins, but must hold then too"
@@ -141,6 +140,16 @@ def check_formula(
         raise CheckError(f"signals: expected a Run or values by name, found {signals!r:.60}")
     expression = _parse(expression)
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
+    return _judge_trace(expression, trace, declaration)
+
+
+def _judge_trace(
+    expression: expressions.Expression,
+    trace: FormulaTrace,
+    declaration: Declaration | None,
+    explain_none: Callable[[str], str] = lambda _: "",
+) -> FormulaResult:
+    """Return the verdict. `explain_none` returns why a name has no value; empty if unknown."""
     holds, margin, critical = _decide(expression, trace)
     failed_ns = None
     if holds is False:  # a violation is certain only with unknown parts at their best
@@ -158,7 +167,7 @@ def check_formula(
         is_covered=trace.start_ns + reach_s * 1e9 <= trace.end_ns,
     )
     if critical is None:
-        return replace(unknown, reason=_explain_unknown(expression, trace))
+        return replace(unknown, reason=_explain_unknown(expression, trace, explain_none))
     decisive = trace.read_values(critical.time_ns)
     sides = _read_sides(expression, critical.node, decisive, declaration or Declaration())
     return replace(
@@ -210,14 +219,12 @@ def check_run(
     signals = read_signals(run, expression.names)
     window_ns = window_ns or find_span(run, expression.names)
     ending = find_ending(run) if window_ns[1] >= run.end_ns else RunEnding.SETTLED
-    found = check_formula(
-        signals, expression, window_ns=window_ns, ending=ending, declaration=run.declaration
-    )
-    lacking = [name for name in signals if signals[name] is None and name in known]
-    reasons = dict.fromkeys(explain_no_signal(run, name) for name in lacking if name not in others)
-    if found.holds is None and found.reason.startswith(_NO_VALUE) and any(reasons):
-        return replace(found, reason=f"{found.reason} ({'; '.join(filter(None, reasons))})")
-    return found
+    trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
+
+    def explain_none(name: str) -> str:
+        return explain_no_signal(run, name) if name in known and name not in others else ""
+
+    return _judge_trace(expression, trace, run.declaration, explain_none)
 
 
 _Decision = tuple[bool, float, CriticalPart] | tuple[None, float, None]
@@ -244,7 +251,9 @@ def _decide(expression: expressions.Expression, trace: FormulaTrace) -> _Decisio
     return None, margin, None
 
 
-def _explain_unknown(expression: expressions.Expression, trace: FormulaTrace) -> str:
+def _explain_unknown(
+    expression: expressions.Expression, trace: FormulaTrace, explain_none: Callable[[str], str]
+) -> str:
     if trace.ending is not RunEnding.SETTLED:
         settled = replace(trace, ending=RunEnding.SETTLED)
         if _decide(expression, settled)[0] is not None:
@@ -258,7 +267,11 @@ def _explain_unknown(expression: expressions.Expression, trace: FormulaTrace) ->
             advice = f"; a window with an end, {window}" if is_open and recorded_ms else ""
             return f"{_TOO_SHORT}, and {trace.ending.value}{advice}"
     missing = [name for name, value in trace.constants.items() if value is None]
-    return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
+    if not missing:
+        return "a number has no value"
+    reasons = dict.fromkeys(filter(None, map(explain_none, missing)))
+    why = f" ({'; '.join(reasons)})" if reasons else ""
+    return f"no value: {', '.join(missing)}{why}"
 
 
 def _explain_violation(

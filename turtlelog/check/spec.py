@@ -270,6 +270,17 @@ def names_metrics_alone(formula: expressions.Expression) -> bool:
     return not formula.is_temporal and are_metrics
 
 
+def build_spec(formulas: Iterable[str], source: str = "--expect") -> Spec:
+    """Return the specification of formulas; those of metrics alone are checked as `expect`."""
+    checks = []
+    for text in formulas:
+        formula = expressions.parse_expression(text, source=source)
+        require_known_names(formula, over_time=True)
+        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
+        checks.append(Check(name=text, kind=kind, formula=formula))
+    return Spec(checks=tuple(checks), source=source)
+
+
 def is_in_tables(name: str) -> bool:
     """Return whether a name is a signal, a metric or a key that every run may have."""
     tables = {*SIGNALS, *OTHER_UNITS, *_list_parameters()}
@@ -286,7 +297,9 @@ def require_phase(phase: str, run: Run | None = None) -> None:
 
 
 def describe_missing_phase(run: Run, phase: str) -> str:
-    """Return why a phase is missing: the run does not reach it, or the law has other phases."""
+    """Return why a phase is missing: it takes no time, is not reached, or not the law's."""
+    if any(span.phase == phase for span in run.find_phase_spans()):
+        return f"no_phase (the phase {phase} takes 0 s: the next phase begins at its time)"
     known = [name for name in run.phase_names if name != DONE]
     if phase in known:
         return f"no_phase (the run has no phase {phase})"

@@ -12,7 +12,7 @@ from turtlelog.check.formula_trace import RunEnding, find_ending, find_loss
 from turtlelog.check.spec import ASSOCIATIONS, FORMAT, READ_TEXTS
 from turtlelog.compare import ALIGNMENTS
 from turtlelog.compare.trajectory_comparison import ALIGN_IN
-from turtlelog.display import format_number
+from turtlelog.display import describe_count, format_number
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.measure import (
@@ -61,15 +61,16 @@ def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = Non
     the run was read, so that other recordings are read equally.
     """
     doubt = find_doubt(run)
+    checks = [*(_list_of_motion(run) if run.is_lawless else _list_of_law(run))]
+    count = describe_count("\n".join(checks).count("[checks."), "check")
     head = (
-        f"# What runs like {_comment(run.name)} are held to: turtlelog check SPEC RUN...",
+        f"# {count} read off 1 run, {_comment(run.name)}: turtlelog check SPEC RUN...",
         "# Bounds marked observed = true were read off that run. Ask of each what it should be,",
         "# change it, and take the mark away.",
         *([] if doubt is None else [f"# Was it a good run? {_comment(doubt)}"]),
         "format = 1",
         f"reference = {_quote(reference)}",
     )
-    checks = _list_of_motion(run) if run.is_lawless else _list_of_law(run)
     return "\n".join([*head, *_list_read(read or ReadChoice()), *checks]) + "\n"
 
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.charts.curve_marks import SignalSearch, ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Curve
+from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.check.formula_trace import (
     FormulaTrace,
     Signals,
@@ -53,6 +53,14 @@ _SAME: Final = 1e-9
 """Relative difference up to which a metric equals a signal's value at its time."""
 
 _NO_BAND: Final = "what is compared is no band around a signal"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSearch:
+    """The violated signal of a check, or the reason why no signal is found."""
+
+    signal: ViolatedSignal | None = None  # None if the violation has no signal, or no time
+    reason: str = ""  # reason why there is no signal; empty if there is a signal
 
 
 def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:

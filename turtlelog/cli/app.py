@@ -152,13 +152,17 @@ app = App(
 )
 
 
+_PLACES: Final = {"list": "list_names:list_", "demo": "run:demo"}
+"""Module and function of commands that have no module of their name."""
+
+
 def _register() -> None:
     for rank, (title, commands) in enumerate(_COMMANDS.items()):
         group = Group(title, sort_key=rank)
         for order, (name, (words, _)) in enumerate(commands.items()):
             usage = f"Usage: turtlelog {name} [OPTIONS] {words}".rstrip()
             # As text, so that a command loads only its own module, and help none.
-            place = "list_names:list_" if name == "list" else f"{name}:{name}"
+            place = _PLACES.get(name, f"{name}:{name}")
             app.command(
                 f"turtlelog.cli.{place}", name=name, group=group, sort_key=order, usage=usage
             )

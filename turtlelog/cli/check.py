@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -16,7 +16,6 @@ from turtlelog.cli import console, options
 from turtlelog.cli.check_answers import (
     CheckAnswer,
     CountedResults,
-    build_results,
     conclude,
     format_many,
     format_results,
@@ -148,13 +147,16 @@ def check(
         if kind != "txt" or reports.all_:
             raise UsageError("--marks prints a line for each recording; leave other formats out")
         return console.EXIT_FAILED if _print_marks(results) == "FAIL" else console.EXIT_FINE
-    verdict = _print_results(spec, results, files=len(files), kind=kind, shows_all=reports.all_)
+    reading = options.list_option_words(topics)
+    verdict = _print_results(
+        spec, results, reading, files=len(files), kind=kind, shows_all=reports.all_
+    )
     return console.EXIT_FAILED if verdict == "FAIL" else console.EXIT_FINE
 
 
 def _load_spec(path: Path, formulas: Sequence[str], reference: Path | None) -> "tl.Spec":
     """Return the specification of --expect, or else of a file, with a reference that it needs."""
-    from turtlelog.check.spec import TRAJECTORY_VALUES, list_formula_names
+    from turtlelog.check.spec import TRAJECTORY_VALUES, build_spec, list_formula_names
 
     if not formulas:
         return tl.load_spec(path, reference=reference)
@@ -205,19 +207,6 @@ def _require_targets(reports: ReportOptions, output: Path | None, words: Sequenc
     options.require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
     options.require_apart([path for path in targets if path is not None])
-
-
-def build_spec(formulas: Sequence[str]) -> "tl.Spec":
-    """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
-    from turtlelog.check.spec import Check, names_metrics_alone, require_known_names
-
-    checks = []
-    for text in formulas:
-        formula = tl.expressions.parse_expression(text, source="--expect")
-        require_known_names(formula, over_time=True)
-        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
-        checks.append(Check(name=text, kind=kind, formula=formula))
-    return tl.Spec(checks=tuple(checks), source="--expect")
 
 
 def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.ReadingOptions) -> None:
@@ -387,7 +376,7 @@ def _write_report(
         return
     names = dict(zip(posed, tl.compare.name_runs([*posed.values()]), strict=True))
     results = [result for file in checked for result in file.results]
-    words = ["turtlelog", "check", str(spec.source), *runs, *options.list_reading_words(topics)]
+    words = ["turtlelog", "check", str(spec.source), *runs, *options.list_option_words(topics)]
     is_file = not str(spec.source).startswith("--")  # else no file contains the checks
     tl.draw.write_report(
         [*posed.values()],
@@ -411,6 +400,7 @@ def _write_artifacts(file: "JudgedFile", writer: "tl.check.ArtifactWriter") -> N
 def _print_results(
     spec: "tl.Spec",
     results: "Iterable[tl.check.CheckResult]",
+    reading: Sequence[str],
     *,
     files: int,
     kind: str = "txt",
@@ -422,16 +412,18 @@ def _print_results(
     """
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
-        console.print_verdicts(format_many(counted, files=files, spec=spec, shows_all=shows_all))
+        text = format_many(counted, files=files, spec=spec, shows_all=shows_all, reading=reading)
+        console.print_verdicts(text)
         return counted.verdict
     results = [*results]
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
-        console.print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
+        console.print_json(CheckAnswer(verdict=verdict.value, results=results))
     elif kind == "csv":
         console.print_tables([tabulate_values(spec, results)], kind)
     elif kind == "txt":
-        console.print_verdicts(format_results(results, files=files, spec=spec, shows_all=shows_all))
+        text = format_results(results, files=files, spec=spec, shows_all=shows_all, reading=reading)
+        console.print_verdicts(text)
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
         notes = (

@@ -1,7 +1,6 @@
 """Results of checks as counts, tables, reasons, text and JSON."""
 
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,65 +17,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResultAnswer:
-    """A check of a recording.
-
-    Attributes:
-        file: The recording.
-        check: Name of the check.
-        verdict: PASS, FAIL or SKIPPED.
-        expected: Expected formula or tolerance.
-        value: Measured value.
-        limit: Limit of the value.
-        margin: Distance of the value to the limit; negative beyond it.
-        unit: Unit of these three.
-        value_s: Time of the value [s].
-        decided_by: The part of the formula that decides.
-        first_violation_s: Time of the first violation [s].
-        reason: Reason why the check fails or is skipped.
-        decided: Whether there was enough to judge.
-        why: Reason why the run differs from its reference, in lines; empty without a reference.
-    """
-
-    file: str
-    check: str
-    verdict: str
-    expected: str | None
-    value: float | None
-    limit: float | None
-    margin: float | None
-    unit: str | None
-    value_s: float | None
-    decided_by: str | None
-    first_violation_s: float | None
-    reason: str | None
-    decided: bool
-    why: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CheckAnswer:
     """The verdict on all recordings, and every check of each."""
 
     verdict: str
-    results: list[ResultAnswer]
-
-
-def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
-    """Return results as entries of the answer."""
-    return [
-        console.copy_fields(
-            ResultAnswer,
-            result,
-            verdict=result.verdict.value,
-            expected=result.expected or None,
-            unit=result.unit or None,
-            decided_by=result.decided_by or None,
-            reason=result.reason or None,
-            decided=result.is_decided,
-        )
-        for result in results
-    ]
+    results: "Sequence[CheckResult]"
 
 
 _MOST_FAILURES: Final = 40
@@ -163,22 +108,28 @@ def format_results(
     files: int,
     spec: "Spec | None" = None,
     shows_all: bool = False,
+    reading: Sequence[str] = (),
 ) -> str:
-    """Return the verdict, then the failed checks."""
+    """Return the verdict, then the failed checks. `reading`: options of further commands."""
     counted = CountedResults(results)
     if files > 1 and not shows_all:
-        return format_many(counted, files=files, spec=spec)
+        return format_many(counted, files=files, spec=spec, reading=reading)
     shown = [*results] if shows_all else [one for one in results if one.verdict != "PASS"]
     valued = shown if shows_all else [one for one in shown if one.value is not None]
     tables = [*tabulate_files(valued), *(tabulate_matrix(shown) if shows_all else ())]
     tables = [replace(table, title="") for table in tables] if files == 1 else tables
     lines, causes = [*list_verdict_reasons(spec, shown)], [*list_failure_reasons(shown)]
     head = _write_head(counted, files, spec, causes)
-    return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
+    return _join(head, tables, lines, [*_list_next(counted, spec, reading, shows_all=shows_all)])
 
 
 def format_many(
-    counted: CountedResults, *, files: int, spec: "Spec | None", shows_all: bool = False
+    counted: CountedResults,
+    *,
+    files: int,
+    spec: "Spec | None",
+    shows_all: bool = False,
+    reading: Sequence[str] = (),
 ) -> str:
     """Return the verdict, and for each check the number and the names of failing recordings."""
     tables = [count_checks(counted, shows_all=shows_all)]
@@ -197,7 +148,7 @@ def format_many(
         lines.append(f"{more} more failures are not shown: --csv and --json show them")
     tables = [table for table in tables if table.rows]
     head = _write_head(counted, files, spec)
-    return _join(head, tables, lines, [*_list_next(counted, spec, shows_all=shows_all)])
+    return _join(head, tables, lines, [*_list_next(counted, spec, reading, shows_all=shows_all)])
 
 
 def _write_head(
@@ -306,7 +257,9 @@ def _tell_value(result: "CheckResult", *, with_limit: bool = True) -> str:
     return f"{value}, limit {format_short(result.limit, result.unit)}"
 
 
-def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool) -> Iterator[str]:
+def _list_next(
+    counted: CountedResults, spec: "Spec | None", reading: Sequence[str], *, shows_all: bool
+) -> Iterator[str]:
     if spec is None:
         return
     observed = sum(check.is_observed for check in spec.checks)
@@ -314,7 +267,7 @@ def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool)
         were = "1 bound was" if observed == 1 else f"{observed} bounds were"
         yield f"{were} read off a run: look at observed = true in {spec.source}"
     measured = next((one for one in counted.failures if one.value is not None), None)
-    if measured is not None and (advice := _advise(measured, spec)):
+    if measured is not None and (advice := _advise(measured, spec, reading)):
         has_cause = any(one.why for one in counted.failures)
         question = "Within the run:" if has_cause else "Why?"
         yield f"{question} {advice}"
@@ -322,17 +275,16 @@ def _list_next(counted: CountedResults, spec: "Spec | None", *, shows_all: bool)
         yield "All checks with their margins: --all"
 
 
-def _advise(failed: "CheckResult", spec: "Spec") -> str | None:
-    file = shlex.quote(failed.file)
+def _advise(failed: "CheckResult", spec: "Spec", reading: Sequence[str]) -> str | None:
     formulas = (check.formula for check in spec.checks if check.name == failed.check)
     is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)
     if spec.reference is not None and is_error:
-        reference = shlex.quote(str(spec.reference))
-        return f"turtlelog compare {file} --reference {reference} --ate --plot FILE.pdf"
+        words = console.quote_file(failed.file, "--reference", spec.reference, "--ate", *reading)
+        return f"turtlelog compare {words} --plot FILE.pdf"
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
     option = f" --metric {name}" if is_metric and name != "final.position_error" else ""
-    command = console.advise_explain(failed.file)
+    command = console.advise_explain(failed.file, reading)
     return command and f"{command}{option}"
 
 

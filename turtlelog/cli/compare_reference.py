@@ -1,6 +1,5 @@
 """`turtlelog compare` against a reference: runs against a run, robots against a scenario."""
 
-import shlex
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +14,12 @@ from turtlelog.cli.compare_answer import (
     narrow_columns,
     take_metric,
 )
-from turtlelog.cli.options import ReadingOptions, read_runs, require_pictures
+from turtlelog.cli.options import (
+    ReadingOptions,
+    list_option_words,
+    read_runs,
+    require_pictures,
+)
 from turtlelog.cli.work import show_progress, watch_files
 from turtlelog.compare.difference import compare_measured
 from turtlelog.display import format_number, format_short, join_words
@@ -125,7 +129,8 @@ def compare_with_reference(
         if kind != "txt":
             console.print_tables(_tabulate(first, compared, kind), kind)
             return
-        console.print_text(_format_reference(first, compared, shows_signals=against.details))
+        words = list_option_words(topics)
+        console.print_text(_format_reference(first, compared, words, shows_signals=against.details))
 
 
 def _measure_known(run: "tl.Run", names: Sequence[str]) -> "Mapping[str, tl.Metric]":
@@ -148,7 +153,7 @@ def _tabulate(
 
 
 def _format_reference(
-    first: "RunSummary", found: Sequence[Compared], *, shows_signals: bool
+    first: "RunSummary", found: Sequence[Compared], reading: Sequence[str], *, shows_signals: bool
 ) -> str:
     """Return the distances of runs from a reference's path, then metrics and signals."""
     summaries, changes = tl.compare.shorten_names([first, *(one.summary for one in found)])
@@ -161,6 +166,7 @@ def _format_reference(
     across = replace(across, notes=(*reasons, *changes, *told))
     comparisons = [one.comparison for one in found]
     signals = tl.compare.tabulate_differences(comparisons, names=names, reference=reference)
+    file = console.quote_file(first.file, *reading)
     parts = [console.fit_body(across)]
     if shows_signals or len(found) <= _MOST_RUNS:
         parts.append(f"\n{signals.title}\n" + console.fit_body(replace(signals, notes=())))
@@ -172,7 +178,7 @@ def _format_reference(
             *parts,
             "",
             console.fill_lines(signals.notes),
-            "Verdicts with tolerances: turtlelog check --init " + console.quote_file(first.file),
+            f"Verdicts with tolerances: turtlelog check --init {file}",
         ]
     )
 
@@ -298,7 +304,7 @@ def compare_with_robot(
             console.print_error(str(err))
             is_fine = False
     if found:
-        _print(found, scenario_file, kind)
+        _print(found, scenario_file, list_option_words(topics), kind)
         first = found[0][1]
         console.write_asked(plot, lambda path: tl.draw.write_prediction_figure(first, path))
         console.write_asked(rrd, lambda path: tl.draw.write_prediction_rrd(first, path))
@@ -306,20 +312,28 @@ def compare_with_robot(
 
 
 def _print(
-    found: "Sequence[tuple[Path, tl.compare.RobotComparison]]", scenario: Path, kind: str
+    found: "Sequence[tuple[Path, tl.compare.RobotComparison]]",
+    scenario: Path,
+    reading: Sequence[str],
+    kind: str,
 ) -> None:
     robots = [one for _, one in found]
     if kind == "json":
         runs = [_build_robot(file, one) for file, one in found]
         console.print_json(_RobotAnswer(reference=str(scenario), seeds=robots[0].seeds, runs=runs))
     elif kind == "txt":
-        console.print_text(_format_robots(robots, [str(file) for file, _ in found], str(scenario)))
+        files = [str(file) for file, _ in found]
+        command = f"turtlelog compare {console.quote_file(files[0], scenario, *reading)}"
+        console.print_text(_format_robots(robots, files, command))
     else:
         console.print_tables([tl.compare.tabulate_robots(robots)], kind)
 
 
-def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], scenario: str) -> str:
-    """Return the distances of recorded robots from a simulated one, their meaning, and a table."""
+def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], command: str) -> str:
+    """Return the distances of recorded robots from a simulated one, their meaning, and a table.
+
+    `command` repeats the comparison of the first robot.
+    """
     found = [
         one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.label_file(file))
         for one, file in zip(found, files, strict=True)
@@ -345,7 +359,7 @@ def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], sce
     )
     following = [
         f"The simulated robot is driven with the recorded commands. {means}",
-        f"Curves: turtlelog compare {shlex.join([files[0], scenario])} --plot FILE.pdf",
+        f"Curves: {command} --plot FILE.pdf",
     ]
     head = console.fill_lines([*heads, *table.notes], indent=2)
     return "\n".join([head, console.fit_body(narrow), "", console.fill_lines(following)])

@@ -1,7 +1,6 @@
 """`turtlelog compare --ate` and `--rpe`: errors of trajectories relative to a reference."""
 
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,7 +11,13 @@ from cyclopts import Group, Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.options import Place, ReadingOptions, refuse_given, require_pictures
+from turtlelog.cli.options import (
+    Place,
+    ReadingOptions,
+    list_option_words,
+    refuse_given,
+    require_pictures,
+)
 from turtlelog.cli.work import show_progress
 from turtlelog.display import LATEST_S, ROUNDING, describe_count, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, UsageError
@@ -138,7 +143,9 @@ def compare_with_trajectory(
         except TurtlelogError as err:
             console.print_error(str(err))
     if found:
-        _print(found, reference, options, kind)
+        words = list_option_words(replace(options, ate=True), topics)
+        words += [] if against.align is None else [f"--align={against.align}"]
+        _print(found, reference, options, words, kind)
         first = found[0][1]
         console.write_asked(plot, lambda path: tl.draw.write_trajectory_figure(first, path))
     return console.EXIT_FINE if len(found) == len(files) else console.EXIT_BAD_INPUT
@@ -156,8 +163,10 @@ def _print(
     found: "Sequence[tuple[Path, TrajectoryComparison]]",
     reference: Path,
     options: TrajectoryOptions,
+    words: Sequence[str],
     kind: str,
 ) -> None:
+    """Print the errors. `words` are the options of a command that repeats the comparison."""
     if kind == "json":
         runs = [_build_answer(file, one) for file, one in found]
         console.print_json(TrajectoriesAnswer(reference=str(reference), runs=runs))
@@ -178,15 +187,15 @@ def _print(
             f"Compared: {what} of {count} moments, {how}; {one.name} has {ours} poses,"
             f" {one.reference_name} {theirs}."
         )
-    file = shlex.quote(str(found[0][0]))
-    hint = f"turtlelog compare {file} --reference {shlex.quote(str(reference))} --ate --plot FILE"
+    again = console.quote_file(found[0][0], "--reference", reference, *words)
+    picture = f"Picture: turtlelog compare {again} --plot FILE.pdf"
     console.print_text(
         "\n".join(
             [
                 console.fill_lines(heads, indent=2),
                 "",
                 console.fit_table(_shorten(table, console.find_width())),
-                console.fill_lines([*told, *table.notes, f"Picture: {hint}.pdf"], indent=2),
+                console.fill_lines([*told, *table.notes, picture], indent=2),
             ]
         )
     )

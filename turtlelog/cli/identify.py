@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -82,7 +82,7 @@ def identify(
     if json:
         console.print_json(build_identify_answer(files, model, scenario, robot))
     else:
-        words = options.list_reading_words(topics)
+        words = options.list_option_words(topics)
         console.print_text(
             format_robot(model, files, words, robot=robot, scenario=scenario, shows_details=details)
         )
@@ -92,63 +92,6 @@ def identify(
     console.write_asked(plot, lambda path: tl.draw.write_robot_figure(model, runs[0], path))
     console.write_asked(rrd, lambda path: tl.draw.write_robot_rrd(model, runs[0], path))
     return console.EXIT_FINE if any(axis.is_known for axis in model.axes) else console.EXIT_FAILED
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
-    """A value with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisAnswer:
-    """One axis, with the fields of `AxisModel`; a field is None if its value is not known."""
-
-    axis: str
-    status: str
-    reason: str | None
-    advice: str | None
-    model: str
-    gain: Interval | None
-    dead_time_s: Interval | None
-    lag_s: Interval | None
-    total_delay_s: Interval | None
-    lag_product_s2: Interval | None
-    rate_limit: Interval | None
-    limit_acts: str | None
-    rate_limit_beside: Interval | None
-    jerk_time_s: Interval | None
-    bound: Interval | None
-    bound_acts: str | None
-    bound_beside: Interval | None
-    deadband: Interval | None
-    reverse_gain: Interval | None
-    friction: Interval | None
-    drift: Interval | None
-    doubts: tuple[str, ...]
-    correlation_delay_s: Interval | None
-    correlation_reason: str | None
-    silent_stops_s: tuple[float, ...]
-    explained: float | None
-    whiteness: float | None
-    outliers: int
-    steps: int
-    steps_in_all: int
-    changes: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventAnswer:
-    """A place in the log that no command explains, with the fields of `RobotEvent`."""
-
-    file: str
-    axis: str
-    time_s: float
-    size: float
-    text: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,9 +108,9 @@ class IdentifyAnswer:
 
     files: list[str]
     clock: "tl.run.Clock | None"
-    axes: list[AxisAnswer]
+    axes: "tuple[tl.identify.AxisModel, ...]"
     tick_delays: "tl.identify.TickDelays | None"
-    events: list[EventAnswer]
+    events: "tuple[tl.identify.RobotEvent, ...]"
     notes: tuple[str, ...]
     scenario: ScenarioAnswer | None
 
@@ -183,25 +126,8 @@ def build_identify_answer(
         IdentifyAnswer,
         model,
         files=[*map(str, files)],
-        axes=[*map(_build_axis, model.axes)],
-        events=[console.copy_fields(EventAnswer, event) for event in model.events],
         scenario=robot and ScenarioAnswer(file=str(scenario), notes=robot.notes),
     )
-
-
-_MAY_BE_EMPTY: Final = ("reason", "advice", "limit_acts", "bound_acts", "correlation_reason")
-"""Texts of an axis that are null in the answer if they are empty."""
-
-
-def _build_axis(axis: "tl.identify.AxisModel") -> AxisAnswer:
-    texts = {name: getattr(axis, name) or None for name in _MAY_BE_EMPTY}
-    found = {one.name: getattr(axis, one.name) for one in fields(axis)}
-    intervals = {
-        name: console.copy_fields(Interval, value)
-        for name, value in found.items()
-        if isinstance(value, tl.identify.Estimate)
-    }
-    return console.copy_fields(AxisAnswer, axis, **texts, **intervals)
 
 
 _DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}
@@ -257,8 +183,8 @@ def format_robot(
             notes = console.fill_lines([f"- {note}" for note in robot.notes], indent=2)
             told = f"The scenario {scenario}:\n{notes}"
         parts += ["", told]
-    words = [*map(str, files), *reading]
-    return "\n".join([*parts, "", *_list_next(model, words, scenario, shows_details=shows_details)])
+    following = _list_next(model, files, reading, scenario, shows_details=shows_details)
+    return "\n".join([*parts, "", *following])
 
 
 def describe_gain(axis: "tl.identify.AxisModel") -> str:
@@ -471,19 +397,24 @@ def _list_nav2(known: "Sequence[tl.identify.AxisModel]") -> list[str]:
 
 
 def _list_next(
-    model: "tl.RobotModel", words: Sequence[str], scenario: Path | None, *, shows_details: bool
+    model: "tl.RobotModel",
+    files: Sequence[Path],
+    reading: Sequence[str],
+    scenario: Path | None,
+    *,
+    shows_details: bool,
 ) -> Iterator[str]:
     if scenario is not None:
-        target = console.quote_file(scenario)
+        target, compared = (console.quote_file(scenario, *more) for more in ((), reading))
         yield f"Next: turtlelog theory {target}"
-        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {target}"
+        yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {compared}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {console.advise_explain(words[0])}"
+        yield f"Why? {console.advise_explain(files[0], reading)}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis
-        command = f"turtlelog identify {console.quote_file(*words)} --scenario robot.toml"
+        command = f"turtlelog identify {console.quote_file(*files, *reading)} --scenario robot.toml"
         yield f"Simulate it and find gains: {command}"
     if not shows_details and any(axis.is_known and axis.explained for axis in model.axes):
         more = "" if scenario is None else ", and the source of each number"

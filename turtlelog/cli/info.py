@@ -1,6 +1,5 @@
 """`turtlelog info`: contents of a recording."""
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +13,22 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
-from turtlelog.cli.options import Files, Json, TopicOptions, list_files, require_files
+from turtlelog.cli.info_summary import (
+    NOTHING_LEFT,
+    ReadRun,
+    Summary,
+    count_read,
+    holds_nothing,
+    summarise,
+)
+from turtlelog.cli.options import (
+    Files,
+    Json,
+    TopicOptions,
+    list_files,
+    list_option_words,
+    require_files,
+)
 from turtlelog.cli.work import Jobs, count_jobs, watch_files
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import TurtlelogError, release_frames
@@ -167,7 +180,8 @@ def info(
         console.print_text(_format_answers(found))
     elif found:
         is_alone = len(found) == 1
-        texts = (_format_answer(one, asked, is_alone=is_alone) for one in found)
+        words = list_option_words(reading)
+        texts = (_format_answer(one, asked, words, is_alone=is_alone) for one in found)
         console.print_text("\n\n".join(texts))
     return code
 
@@ -217,7 +231,9 @@ def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[s
     return tuple(dict.fromkeys([*more, *recording.absent]))
 
 
-def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) -> str:
+def _format_answer(
+    answer: InfoAnswer, asked: InfoOptions, reading: Sequence[str], *, is_alone: bool
+) -> str:
     """Return the kind of a file, its contents, missing data, and, for one file, next commands."""
     topics, parameters = asked.topics, asked.parameters
     name, notes = _name_file(answer), []
@@ -251,7 +267,7 @@ def _format_answer(answer: InfoAnswer, asked: InfoOptions, *, is_alone: bool) ->
         software = tl.run.describe_software(answer.simulated_by)
         lines += ["", console.fill_lines([f"simulated by {escape_controls(software)}"])]
     if is_alone:
-        lines += [*_list_next(answer, topics=topics, parameters=parameters)]
+        lines += [*_list_next(answer, reading, topics=topics, parameters=parameters)]
     return "\n".join(lines)
 
 
@@ -283,8 +299,7 @@ def _name_kind(answer: InfoAnswer) -> str:
 
 def _tell_state(answer: InfoAnswer) -> str:
     if not answer.complete:
-        is_empty = answer.summary.endswith(NOTHING_LEFT)
-        return "truncated: nothing left" if is_empty else "not complete"
+        return "truncated: nothing left" if holds_nothing(answer) else "not complete"
     ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
     return ending or _tell_reason(answer)
 
@@ -303,14 +318,14 @@ def _write_head(answer: InfoAnswer) -> str:
         length = f", {answer.run.duration_s:.1f} s"  # without the steps of the clock
     if answer.format_version is not None:
         state = "complete" if answer.complete else "not complete"
-        state = NOTHING_LEFT if answer.summary.endswith(NOTHING_LEFT) else state
+        state = NOTHING_LEFT if holds_nothing(answer) else state
         return f"turtlelog recording, {state}{length}"
     if answer.run is None:
         return answer.summary
-    kind = answer.run.kind
+    what = answer.run.kind
     if not answer.topics:
-        return f"{kind}{length}"
-    what = f"{kind} (not turtlesim)" if kind.startswith("a robot") else kind
+        return f"{what}{length}"
+    what += " (not turtlesim)" if answer.run.is_robot else ""
     return f"ROS {1 if answer.source == 'ros1' else 2} bag of {what}{length}"
 
 
@@ -330,7 +345,7 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         ]
         yield f"robot {robot.name}", "; ".join(parts)
     told = [_tell_reason(answer), (answer.ending or "").removeprefix("ended ")]
-    if any(told) and not answer.summary.endswith(NOTHING_LEFT):
+    if any(told) and not holds_nothing(answer):
         yield "ended", ": ".join(filter(None, told))
 
 
@@ -393,16 +408,18 @@ def _write_gains(known: Mapping[str, Any]) -> str:
     return "".join(f", Kp = {gain:g} 1/s {axis}" for gain, axis in gains)
 
 
-def _list_next(answer: InfoAnswer, *, topics: bool, parameters: bool) -> Iterator[str]:
+def _list_next(
+    answer: InfoAnswer, reading: Sequence[str], *, topics: bool, parameters: bool
+) -> Iterator[str]:
     """Yield the commands that can use a file, and the options that show more of it."""
-    file = shlex.quote(answer.file)
     if not answer.complete:
         has_rows = any(topic.count for topic in answer.topics)
-        recover = f"turtlelog convert --recover {file} -o OUT"
+        recover = f"turtlelog convert --recover {console.quote_file(answer.file)} -o OUT"
         yield f"Fix: {recover if has_rows else 'copy the file again from its source'}"
     elif answer.format_version is not None:
-        yield f"Next: turtlelog metrics {file}"
-        yield f"      {console.name_explain(answer.file, answer.parameters.get('law.kind'))}"
+        yield f"Next: turtlelog metrics {console.quote_file(answer.file, *reading)}"
+        law = answer.parameters.get("law.kind")
+        yield f"      {console.name_explain(answer.file, law, reading)}"
     more = [] if topics or not answer.topics else ["Topics: --topics"]
     more += [] if parameters or not answer.parameters else ["Scenario: --parameters"]
     if more:

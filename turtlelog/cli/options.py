@@ -149,14 +149,17 @@ class ReadingOptions(TopicOptions):
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
 
 
-def list_reading_words(options: TopicOptions) -> list[str]:
-    """Return the words of a command that repeat these options, without defaults."""
+def list_option_words(*groups: Any) -> list[str]:
+    """Return the words of a command that repeat these groups of options, without defaults."""
     words: list[str] = []
-    for one in fields(options):
-        value, name = getattr(options, one.name), f"--{one.name.replace('_', '-')}"
+    for group, one in [(given, one) for given in groups for one in fields(given)]:
+        parameters: Any = getattr(one.type, "__metadata__", ())
+        usual = f"--{one.name.replace('_', '-')}"
+        name = next((part.name[0] for part in parameters if part.name), usual)
+        value = getattr(group, one.name)
         if value is True:
             words.append(name)
-        elif value and value != one.default:
+        elif value is not None and value != one.default:
             # With "=", because a goal may begin with a minus sign.
             words += [f"{name}={text}" for text in (value if isinstance(value, list) else [value])]
     return words

@@ -26,15 +26,6 @@ if TYPE_CHECKING:
     Only = Collection[str] | Mapping[str, FigureKind]
 
 
-TIMELESS: Final = frozenset(
-    {
-        *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
-        *("gains", "luck", "strips"),
-    }
-)
-"""Figures that a time window cannot cut: they have no time axis, and no driven path."""
-
-
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageOptions:
@@ -82,7 +73,7 @@ class PageOptions:
         for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
             if bound_s is not None and not math.isfinite(bound_s):
                 raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
-            if bound_s is not None and names and TIMELESS.issuperset(names):
+            if bound_s is not None and names and _are_timeless(names):
                 found = ", ".join(names)
                 raise UsageError(f"{option}: needs a figure over time, not {found}")
         if self.dpi is not None and "png" not in formats:
@@ -97,14 +88,16 @@ class PageOptions:
         )
 
 
+def _are_timeless(names: Iterable[str]) -> bool:
+    kinds = tl.draw.FIGURES
+    return all(name in kinds and kinds[name].is_timeless for name in names)
+
+
 _DRAWABLE: Final = (
     "a signal in a band (always(abs(cross_track) <= 0.05)) or a metric that is a signal's value at"
     " a moment (final.position_error <= 0.05)"
 )
 """Subjects that the figure violation can draw."""
-
-
-_OF_METRICS: Final = ("attribution", "gains", "luck", "strips")
 
 
 @Parameter(name="*")
@@ -125,13 +118,15 @@ class AskedOptions:
 
     def require_figures(self, names: Sequence[str]) -> None:
         """Refuse an option whose figure is not drawn, and a figure without its option."""
-        if {*names}.isdisjoint(_OF_METRICS):
-            needed = "needs --only attribution, gains, luck or strips"
-            options.refuse_given({"--metric": self.metric}, needed)
-        if "violation" not in names:
-            options.refuse_given({"--expect": self.expect}, "needs --only violation")
+        if self.metric is not None and not _list_figures(names, *_BY_METRIC):
+            known = join_words(sorted(_list_figures(tl.draw.FIGURES, *_BY_METRIC)), last="or")
+            raise UsageError(f"--metric: needs --only {known}")
+        by_formula = _list_figures(names, "formula")
+        if not by_formula:
+            known = join_words(_list_figures(tl.draw.FIGURES, "formula"), last="or")
+            options.refuse_given({"--expect": self.expect}, f"needs --only {known}")
         elif self.expect is None:
-            raise UsageError("--only violation: needs --expect FORMULA")
+            raise UsageError(f"--only {by_formula[0]}: needs --expect FORMULA")
 
     def bind(self, names: Sequence[str], runs: "Sequence[tl.Run]") -> "Only":
         """Return figures by name, with the requested content."""
@@ -139,39 +134,40 @@ class AskedOptions:
             return names
         found = {name: tl.draw.FIGURES[name] for name in names}
         for name, kind in found.items():
-            content = {} if kind.find_lack(runs) else _read_content(self, name, runs)
+            content = {} if kind.find_lack(runs) else self._read_content(name, kind, runs)
             if content and kind.draw is not None:
                 found[name] = replace(kind, draw=partial(kind.draw, **content))
         return found
 
-
-def _read_content(asked: AskedOptions, name: str, runs: "Sequence[tl.Run]") -> dict[str, Any]:
-    """Return the requested content of a figure, which may take seconds; empty for the usual one."""
-    match name:
-        case "gains" | "strips":
-            return {"metrics": options.split_names(asked.metric, "--metric")}
-        case "attribution":
-            from turtlelog.draw.figures.explanation_figures import explain_for_figure
-
-            with show_progress("explaining", 100.0, "%") as progress:
-                found = explain_for_figure(runs, metric=asked.metric, report=progress.count)
-            return {"explained": found}
-        case "luck":
-            from turtlelog.draw.figures.explanation_figures import measure_luck_for_figure
-
+    def _read_content(
+        self, name: str, kind: "FigureKind", runs: "Sequence[tl.Run]"
+    ) -> Mapping[str, Any]:
+        """Return the requested content of a figure, which may take seconds; empty if usual."""
+        if kind.content == "metrics":
+            return {"metrics": options.split_names(self.metric, "--metric")}
+        if kind.prepare is not None:
             with show_progress("simulated", 100.0, "%") as progress:
                 work = tl.explain.Work(jobs=None, report=progress.count)
-                return {"luck": measure_luck_for_figure(runs, metric=asked.metric, work=work)}
-        case "violation" if len(runs) == 1 and asked.expect is not None:
+                return kind.prepare(runs, metric=self.metric, work=work)
+        if kind.content == "formula" and len(runs) == 1 and self.expect is not None:
+            from turtlelog.check.spec import build_spec
             from turtlelog.check.violation import find_judged_signal
-            from turtlelog.cli.check import build_spec
 
-            (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
+            (result,) = tl.check_runs(build_spec([self.expect]), [(runs[0].name, runs[0])])
             judged = find_judged_signal(runs[0], result)
             if judged.signal is None:
-                raise ShowError(f"figure violation: needs {_DRAWABLE}: {judged.reason}")
+                raise ShowError(f"figure {name}: needs {_DRAWABLE}: {judged.reason}")
             return {"violated": judged.signal}
-    return {}
+        return {}
+
+
+_BY_METRIC: Final = ("metric", "metrics")
+
+
+def _list_figures(names: Iterable[str], *contents: str) -> list[str]:
+    """Return the named figures whose content a user may choose like that."""
+    kinds = tl.draw.FIGURES
+    return [name for name in names if name in kinds and kinds[name].content in contents]
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
@@ -287,7 +283,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 
 def _tell_whole(names: Iterable[str], page: "tl.draw.Page") -> None:
     """Print the names of figures that the page's time window does not cut."""
-    whole = [name for name in names if name in TIMELESS]
+    whole = [name for name in names if tl.draw.FIGURES[name].is_timeless]
     if whole and (page.from_s is not None or page.to_s is not None):
         print_note(f"plot: not cut in time: {', '.join(dict.fromkeys(whole))}")
 
@@ -318,11 +314,11 @@ class PlotAnswer:
 
     Attributes:
         files: Names of the files, as given.
-        ending: Ends of the runs, in words; None without runs.
+        ending: Ends of the runs, in words.
         figures: The figures.
         tables: Files of tables.
         left_out: Figures that were not drawn, with reasons.
-        movie: The movie; None without a movie.
+        movie: The movie.
     """
 
     files: list[str]

@@ -14,6 +14,7 @@ import turtlelog as tl
 from turtlelog.cli import console
 from turtlelog.cli.list_names import complete_keys
 from turtlelog.cli.options import PICTURES, refuse_given, require_new_target
+from turtlelog.cli.usage import find_command_name
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import TurtlelogError, UsageError
@@ -114,9 +115,6 @@ def draw_table(
     lines = list_map_lines(shown, limits, told)
     if kind == "tornado":
         lines = [lines[0], *list_sensitivity_lines(shown)]
-    lines = [
-        line if " run --from " in line else console.fill_lines([line], indent=2) for line in lines
-    ]
     lines += console.list_written([] if output is None else [output])
     console.print_text("\n".join(lines))
 
@@ -370,7 +368,7 @@ def list_sensitivity_lines(view: "SweptView") -> list[str]:
         found = tl.sweep.find_sensitivities(view.results, metric, dict(view.held))
         lines += [f"{metric.name}: {_tell_sensitivity(metric, one)}" for one in found.keys]
         lines += found.notes
-    return lines
+    return [console.fill_lines([line], indent=2) for line in lines]
 
 
 def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
@@ -453,7 +451,8 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     ids = [one.id for one in told.metrics]
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
     lines.insert(0, f"{results.path}: {lines.pop(first + 1)}")
-    command, path = console.find_command_name(), shlex.quote(str(results.path))
+    lines = [console.fill_lines([line], indent=2) for line in lines]
+    command, path = find_command_name(), shlex.quote(str(results.path))
     for row, names in best.items():
         again = f"{command} run --from {path} --row {row}"
         lines.append(f"best {join_words(names)}: {again}")

@@ -1,6 +1,5 @@
 """`turtlelog replay`: replay of a recording."""
 
-import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import degrees
@@ -11,7 +10,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.check_answers import build_results, format_results
+from turtlelog.cli.check_answers import format_results
 from turtlelog.cli.replay_answer import (
     CommandReplayAnswer,
     LawReplayAnswer,
@@ -25,7 +24,7 @@ from turtlelog.cli.replay_answer import (
     format_plant,
     tell_time,
 )
-from turtlelog.cli.scenario import ScenarioOptions, change_scenario, name_by_changes
+from turtlelog.cli.scenario import ScenarioOptions, change_scenario, choose_replayed
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls
@@ -34,10 +33,6 @@ from turtlelog.run.stop_reasons import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
-
-
-_OF_LAW: Final = ("law", "shaping", "limits", "goal")
-"""Tables of a scenario that have an effect if poses are given."""
 
 
 @Parameter(name="*")
@@ -118,7 +113,8 @@ def replay(
     (run,) = options.read_runs([file], topics, allow_no_poses=True)
     with options.name_as_typed(file, run):
         if not len(run.poses):
-            _print(*_replay_commands(file, run, mode, changes, output), json=json)
+            words = options.list_option_words(mode, changes, topics)
+            _print(*_replay_commands(file, run, mode, changes, output, words), json=json)
             return console.EXIT_FINE
         if mode.plant:
             found: tl.replay.LawReplay | tl.replay.LoopReplay | tl.replay.PlantReplay
@@ -126,8 +122,11 @@ def replay(
             answer: ReplayAnswer = build_plant(file, run, driven)
             text = format_plant(file, run, driven)
         else:
-            scenario = _choose_replayed(run, mode, changes, *words)
-            answer, text, found = _replay(file, run, scenario, mode, output)
+            keeps_poses = mode.law is not None
+            changed = choose_replayed(
+                run, changes, *words, base=mode.scenario, keeps_poses=keeps_poses
+            )
+            answer, text, found = _replay(file, run, changed, mode, output)
     failed = False
     if mode.expect_equal:
         from turtlelog.check.reference import judge_replay
@@ -135,7 +134,7 @@ def replay(
         results = judge_replay(run, found, file=str(file))
         verdict = tl.check.join_verdicts(results)
         failed = verdict == "FAIL"
-        answer = replace(answer, verdict=verdict.value, results=build_results(results))
+        answer = replace(answer, verdict=verdict.value, results=results)
         text = f"{text}\n\n{format_results(results, files=1)}"
     _print(answer, text, json=json)
     return console.EXIT_FAILED if failed else console.EXIT_FINE
@@ -149,7 +148,11 @@ def _print(answer: ReplayAnswer | CommandReplayAnswer, text: str, *, json: bool)
 
 
 def _replay(
-    file: Path, run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
+    file: Path,
+    run: "Run",
+    changed: "tuple[Scenario, str] | None",
+    mode: ReplayOptions,
+    output: Path | None,
 ) -> "tuple[ReplayAnswer, str, tl.replay.LawReplay | tl.replay.LoopReplay]":
     """Replay a run through a law or in closed loop, and write the run of the closed loop."""
     settings: dict[str, Any] = {
@@ -157,6 +160,7 @@ def _replay(
         "trust_law": mode.trust_law,
         "step_budget_s": options.choose_step_budget(mode.step_budget_ms),
     }
+    scenario, change = changed or (None, "")
     if mode.law is not None:
         by_law = tl.replay_law(run, scenario, **settings)
         of_law = answer_law_replay(file, run, by_law)
@@ -164,7 +168,7 @@ def _replay(
     found = tl.replay_loop(run, scenario, **settings)
     console.write_asked(output, lambda path: tl.write_recording(found.run, path))
     answer = build_loop(file, run, found, output)
-    return answer, _format_loop(run, found, answer, details=mode.details), found
+    return answer, _format_loop(run, found, answer, change, details=mode.details), found
 
 
 def _replay_commands(
@@ -173,8 +177,12 @@ def _replay_commands(
     mode: ReplayOptions,
     changes: ScenarioOptions,
     output: Path | None,
+    words: Sequence[str],
 ) -> tuple[CommandReplayAnswer, str]:
-    """Drive a plant with the commands of a run without poses, and write the plant's path."""
+    """Drive a plant with the commands of a run without poses, and write the plant's path.
+
+    `words` are the given options.
+    """
     compared = {"--law": mode.law, "--expect-equal": mode.expect_equal}
     advice = f"leave it out, {file} holds commands alone: no poses"
     options.refuse_given({**compared, "--tolerance": mode.tolerance}, advice)
@@ -194,11 +202,14 @@ def _replay_commands(
         wall_s=found.wall_s,
         output=None if output is None else str(output),
     )
-    return answer, _format_commands(file, found, answer)
+    return answer, _format_commands(file, found, answer, words)
 
 
 def _format_commands(
-    file: Path, found: "tl.replay.CommandReplay", answer: CommandReplayAnswer
+    file: Path,
+    found: "tl.replay.CommandReplay",
+    answer: CommandReplayAnswer,
+    words: Sequence[str],
 ) -> str:
     kind = "turtlesim" if found.plant == "turtlesim" else "the robot model"
     end, name = answer.end, escape_controls(file.name)
@@ -215,10 +226,10 @@ def _format_commands(
             " robot.toml, which turtlelog identify --scenario writes, or --scenario lagged."
         )
     sentences.append("No poses were read: nothing tells whether the robot went there.")
-    following = f"Keep the path: turtlelog replay {shlex.quote(str(file))} -o path.mcap"
+    following = f"Keep the path: turtlelog replay {console.quote_file(file, *words)} -o path.mcap"
     if answer.output is not None:
-        following = f"Next: turtlelog plot {shlex.quote(answer.output)} -o path.png"
-    return f"{console.fill_lines(sentences)}\n{following}"
+        following = f"Next: turtlelog plot {console.quote_file(answer.output)} -o path.png"
+    return console.fill_lines([*sentences, following])
 
 
 def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path | None) -> None:
@@ -242,53 +253,6 @@ def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path |
         raise UsageError(
             f"--plant: leave out {wrong[0]}; the recorded commands are used as they are"
         )
-
-
-def _choose_replayed(
-    run: "Run", mode: ReplayOptions, changes: ScenarioOptions, kind: str | None = None
-) -> "Scenario | None":
-    """Return the scenario to replay; None for the unchanged scenario of the recording."""
-    assigned = changes.parse_assignments()
-    for key in assigned if mode.law is not None else ():
-        if key.partition(".")[0] not in _OF_LAW:
-            raise UsageError(
-                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
-                " from the recording"
-            )
-    if changes == ScenarioOptions() and kind is None and mode.scenario is None:
-        return None
-    named = kind or assigned.get("law.kind")
-    if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
-        # The recorded law is replaced, and may be impossible to load.
-        kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
-        run = replace(run, parameters=kept)
-    scenario = _find_base(run, mode.scenario)
-    if kind is not None:
-        scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
-    # Without a given law, the recording's declaration is used, so that no code runs.
-    is_recorded = not isinstance(named, str) and mode.scenario is None
-    declared = run.declaration if is_recorded else None
-    changed = change_scenario(scenario, changes, declared)
-    said = [] if mode.scenario is None else [f"as {Path(mode.scenario).stem}"]
-    return name_by_changes(changed, run.name, changes, *said)
-
-
-def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
-    if name_or_path is None:
-        return tl.scenario.restore_scenario(run)
-    base = tl.load_scenario(name_or_path)
-    if run.scenario_is_complete:
-        return base
-    base = tl.scenario.resolve_scenario(base)
-    completed, was = tl.scenario.complete_scenario(run, base), tl.scenario.flatten_scenario(base)
-    kept = [
-        f"{key} = {value} ({was.get(key, 'none')})"
-        for key, value in tl.scenario.flatten_scenario(completed).items()
-        if value != was.get(key)
-    ]
-    if kept:
-        console.print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
-    return completed
 
 
 def _describe_software(run: "Run", changes: "Sequence[tl.run.SoftwareChange]") -> list[str]:
@@ -349,9 +313,14 @@ def _format_declaration(found: "tl.replay.LawReplay | tl.replay.LoopReplay") -> 
 
 
 def _format_loop(
-    run: "Run", found: "tl.replay.LoopReplay", answer: LoopReplayAnswer, *, details: bool
+    run: "Run",
+    found: "tl.replay.LoopReplay",
+    answer: LoopReplayAnswer,
+    change: str,
+    *,
+    details: bool,
 ) -> str:
-    first, changes = found.first_difference, found.run.name.removeprefix(run.name).strip()
+    first = found.first_difference
     name = escape_controls(Path(answer.file).name)
     if first is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
@@ -362,16 +331,15 @@ def _format_loop(
     else:
         departs = f"departs in {_format_difference(run, first, found.signals)}."
         lines = [f"{name}: the replay {departs}"]
-        if changes:
+        if change:
             # For a changed scenario, a difference is expected: its result is the answer.
-            given = "with" if found.run.name.startswith(run.name) else "called"
-            change = escape_controls(f"{given} {changes}")
+            change = escape_controls(change)
             result = _describe_result(run, found.run, answer.metrics)
             lines = [f"{name}: {change}, the replay {departs}"]
             if result:
                 lines = [f"{name}: {change}, {result}", f"The replay {departs}"]
     lines += _format_declaration(found)
-    lines += [] if first is None or changes else _describe_software(run, answer.software)
+    lines += [] if first is None or change else _describe_software(run, answer.software)
     told = [
         f"{count.recorded} {name}"
         if count.recorded == count.replayed
@@ -384,7 +352,7 @@ def _format_loop(
     counts = [f"Recorded: {'; '.join(told)}.", f"{escape_controls(end)}."]
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
-    parts = [console.fill_lines(lines if changes else [*lines, *counts])]
+    parts = [console.fill_lines(lines if change else [*lines, *counts])]
     if first is not None:
         heads = ("metric", "unit", "recorded", "replayed", "difference")
         rows_of_metrics = []
@@ -394,7 +362,7 @@ def _format_loop(
             rows_of_metrics.append((one.id, one.unit, before, after, one.difference))
         name = "Metrics of the recording and of the replay"
         parts.append(f"\n{console.fit_table(console.build_table(name, heads, rows_of_metrics))}")
-    parts += [console.fill_lines(counts)] if changes and counts else []
+    parts += [console.fill_lines(counts)] if change and counts else []
     return "\n".join([*parts, _format_signals(run, found, title, details=details)])
 
 

@@ -15,7 +15,7 @@ from turtlelog.display import format_number
 from turtlelog.errors import ExplainError, TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog.charts.curve_marks import ViolatedSignal
+    from turtlelog.charts.violated_signal import ViolatedSignal
     from turtlelog.check import CheckResult
 
 
@@ -61,7 +61,7 @@ def report(
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
-    words += options.list_reading_words(topics)
+    words += options.list_option_words(topics)
     with show_progress("drawing"):
         tl.draw.write_report(
             runs,
@@ -107,7 +107,7 @@ class ReportAnswer:
         bytes: Size of the report [bytes].
         runs: Runs in the report.
         explained: Name of the explained run; None if no run is explained.
-        verdict: Verdict of all checks; None without a specification.
+        verdict: Verdict of all checks.
     """
 
     ending: str

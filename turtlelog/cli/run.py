@@ -1,6 +1,5 @@
-"""`turtlelog run`: simulation of a scenario."""
+"""`turtlelog run`: simulation of a scenario; `turtlelog demo`: the paper's experiment."""
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -20,10 +19,18 @@ from turtlelog.cli.scenario import (
     list_given_keys,
     load_changed_scenario,
 )
-from turtlelog.cli.work import ProgressLine, show_progress, watch_ticks
-from turtlelog.display import describe_count
+from turtlelog.cli.usage import find_command_name
+from turtlelog.cli.work import (
+    ProgressLine,
+    read_texts,
+    show_progress,
+    wait_for_save,
+    watch_ticks,
+)
+from turtlelog.display import describe_count, format_short
 from turtlelog.errors import SimulationError, TurtlelogError, UsageError
 from turtlelog.files.urls import make_path
+from turtlelog.libraries import load_library
 from turtlelog.run.stop_reasons import INTERRUPTED, find_goal_end
 
 if TYPE_CHECKING:
@@ -163,11 +170,11 @@ def _watch(
     told: Sequence[Path] = ()
     with _open_viewer(live) as (window, url), suppress(KeyboardInterrupt):
         while True:
-            seen = _read_texts(files)
+            seen = read_texts(files)
             try:
                 chosen = load_changed_scenario(scenario, changes)
                 files = _list_watched(file, chosen.law.kind)
-                seen = {**_read_texts(files), **seen}
+                seen = {**read_texts(files), **seen}
                 result = _run(_resolve(chosen, changes, record), record, live, url)
                 code = _answer(result, record, before=before)
                 if code != console.EXIT_FINE:
@@ -180,7 +187,7 @@ def _watch(
                 names = ", ".join(map(str, files))
                 console.print_note(f"watching {names}: every save runs again, Ctrl-C ends")
                 told = files
-            saved = _wait_for_save(files, seen, window)
+            saved = wait_for_save(files, seen, lambda: window is not None and window.has_ended)
             if saved is None:
                 return console.EXIT_FINE
             console.print_note(f"saved: {saved}")
@@ -318,8 +325,8 @@ class RunAnswer:
 
     Attributes:
         name: Name of the run.
-        file: Written recording; None without a recording.
-        rrd: Written Rerun recording; None without a Rerun recording.
+        file: Written recording.
+        rrd: Written Rerun recording.
         samples: Number of samples.
         stop_reason: Reason why the run ended.
         ending: End of the run at its goal, in words; None without a goal.
@@ -352,13 +359,6 @@ def _describe_ending(run: "Run", *, file: Path | None, before: "Run | None") -> 
     return format_run(summary, name, facts=facts)
 
 
-_POLL_S: Final = 0.1
-"""Time between two checks of the files [s]: too short to notice, and long enough that reading some
-kilobytes takes no measurable time."""
-
-_Texts = Mapping[Path, tuple[int, bytes] | None]
-
-
 def _list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
     """Return the files that determine a run: of the scenario and of the law, at least one."""
     place = (kind or "").rpartition(":")[0]
@@ -389,34 +389,57 @@ def _describe_change(run: "Run", before: "Run") -> str:
     return f"{text}\n{describe_count(same, 'essential metric')} did not change." if same else text
 
 
-def _wait_for_save(
-    files: Sequence[Path], seen: _Texts, window: "ViewerProcess | None"
-) -> Path | None:
-    """Return the first saved file after two equal checks of all files; None at the end.
+def demo(
+    *, output: Annotated[options.Place, Parameter(name=("--output", "-o"))] = Path("demo-out")
+) -> None:
+    """Simulate and record the paper's four runs (Kp = 1, 2, 4, 10) and compare them.
 
-    Editors write in several steps, or delete a file and write it again. A file that has changed
-    since the last check may change again, and a missing file is not saved yet.
+    Example: turtlelog demo -o demo-out
+
+    Args:
+        output: Folder of the recordings (.mcap), Rerun recordings (.rrd) and Table 1.
     """
-    last: _Texts = {}
-    while window is None or not window.has_ended:
-        time.sleep(_POLL_S)
-        now = _read_texts(files)
-        saved = [file for file in files if now[file] not in (None, seen.get(file))]
-        if saved and now == last:
-            return saved[0]
-        last = now
-    return None
+    load_library("rerun")
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise UsageError(f"{output}: cannot be a folder: {err.strerror}") from err
+    runs = [_record_preset(name, output) for name in tl.scenario.PAPER_RUNS]
+    tl.write_comparison_rrd(runs, output / "comparison.rrd")
+    console.print_note(f"wrote {output / 'comparison.rrd'}")
+    table1 = tl.compare.tabulate_table1(runs, beside_paper=True)
+    for kind in tl.draw.TABLE_FORMATS:
+        console.write_text(output / f"table1.{kind}", tl.draw.format_table(table1, kind))
+    console.print_note(f"wrote {output / 'table1'}.{{{','.join(tl.draw.TABLE_FORMATS)}}}")
+    console.print_note("")
+    tables = [
+        tl.draw.format_table(replace(table, notes=()), width=console.find_width())
+        + console.fill_lines([*table.notes, ""])
+        for table in (table1, tl.compare.tabulate_whole_runs(runs))
+    ]
+    name = "final.position_error"
+    errors = {run.name: tl.measure_run(run, only=[name])[name].value or 0.0 for run in runs}
+    near, far = (choose(errors, key=errors.__getitem__) for choose in (min, max))
+    answer = (
+        f"{output}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
+        f" {far} {format_short(errors[far], 'm')}."
+    )
+    command = find_command_name()
+    following = (
+        f"See the four runs:   {command} view {output / 'comparison.rrd'}\n"
+        f"See one of them:     {command} view {output / 'kp10.rrd'}\n"
+        f"Why does it miss?    {command} explain {output / 'kp10.mcap'}\n"
+        f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
+    )
+    console.print_text("\n".join([f"{console.fill_lines([answer])}\n", *tables, following]))
 
 
-def _read_texts(files: Sequence[Path]) -> _Texts:
-    """Return time and content of each file; None for a file that cannot be read.
-
-    The time shows a save without changes; the content shows a second save within one tick of the
-    file system's clock, which may be two seconds long.
-    """
-    found: dict[Path, tuple[int, bytes] | None] = {}
-    for file in files:
-        found[file] = None
-        with suppress(OSError):
-            found[file] = file.stat().st_mtime_ns, file.read_bytes()
-    return found
+def _record_preset(name: str, folder: Path) -> "tl.Run":
+    """Simulate, record, read back and show a preset. Only the file's contents are measured."""
+    stem = name.removeprefix("paper-")
+    recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
+    tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)
+    run = tl.read_recording(recording)
+    tl.write_run_rrd(run, rrd)
+    console.print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
+    return run

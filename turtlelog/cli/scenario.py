@@ -1,4 +1,4 @@
-"""`turtlelog scenario`: printing of a scenario; options that choose and change scenarios."""
+"""`turtlelog scenario`: printing of a scenario; choice and change of scenarios by options."""
 
 import re
 from dataclasses import dataclass, replace
@@ -173,7 +173,72 @@ def apply_options(
     if options.law is not None:
         scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
         said = [_tell(f"law={options.law}")]
-    return name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
+    named = name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
+    return named[0]
+
+
+_OF_LAW: Final = ("law", "shaping", "limits", "goal")
+"""Tables of a scenario that have an effect if poses are given."""
+
+
+def choose_replayed(
+    run: "tl.Run",
+    changes: ScenarioOptions,
+    law: str | None = None,
+    *,
+    base: str | None,
+    keeps_poses: bool,
+) -> "tuple[tl.Scenario, str] | None":
+    """Return the scenario to replay, and its changes as text; None for the recording's own.
+
+    Args:
+        run: Recorded run.
+        changes: Changes to its scenario.
+        law: Kind of another law.
+        base: Preset or file of another scenario.
+        keeps_poses: Whether the poses are the recorded ones, so that only the law can change.
+    """
+    assigned = changes.parse_assignments()
+    for key in assigned if keeps_poses else ():
+        if key.partition(".")[0] not in _OF_LAW:
+            raise UsageError(
+                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
+                " from the recording"
+            )
+    if changes == ScenarioOptions() and law is None and base is None:
+        return None
+    named = law or assigned.get("law.kind")
+    if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
+        # The recorded law is replaced, and may be impossible to load.
+        kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
+        run = replace(run, parameters=kept)
+    scenario = _find_base(run, base)
+    if law is not None:
+        scenario = tl.override_scenario(scenario, {"law.kind": law}, source="--law")
+    # Without a given law, the recording's declaration is used, so that no code runs.
+    is_recorded = not isinstance(named, str) and base is None
+    declared = run.declaration if is_recorded else None
+    changed = change_scenario(scenario, changes, declared)
+    said = [] if base is None else [f"as {Path(base).stem}"]
+    return name_by_changes(changed, run.name, changes, *said)
+
+
+def _find_base(run: "tl.Run", name_or_path: str | None) -> "tl.Scenario":
+    if name_or_path is None:
+        return tl.scenario.restore_scenario(run)
+    base = tl.load_scenario(name_or_path)
+    if run.scenario_is_complete:
+        return base
+    base = tl.scenario.resolve_scenario(base)
+    completed, was = tl.scenario.complete_scenario(run, base), tl.scenario.flatten_scenario(base)
+    kept = [
+        f"{key} = {value} ({was.get(key, 'none')})"
+        for key, value in tl.scenario.flatten_scenario(completed).items()
+        if value != was.get(key)
+    ]
+    if kept:
+        print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
+    return completed
 
 
 def list_given_keys(options: ScenarioOptions) -> list[str]:
@@ -184,8 +249,8 @@ def list_given_keys(options: ScenarioOptions) -> list[str]:
 
 def name_by_changes(
     scenario: "tl.Scenario", base: str, options: ScenarioOptions, *more: str
-) -> "tl.Scenario":
-    """Return a scenario that is named after its base and the changes.
+) -> "tuple[tl.Scenario, str]":
+    """Return a scenario that is named after its base and the changes, and the changes as text.
 
     A name from --set is kept.
     """
@@ -194,8 +259,9 @@ def name_by_changes(
     said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
     said += map(_tell, options.assignments or ())
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
+    if "name" in options.parse_assignments():
+        return scenario, f"called {scenario.name}"
+    return replace(scenario, name=" ".join([base, *said])), f"with {' '.join(said)}"
 
 
 def _tell(text: str) -> str:
@@ -229,11 +295,10 @@ def change_scenario(
     try:
         return tl.override_scenario(scenario, changes, source="--set")
     except ScenarioError as err:
-        if "law.kp: unknown key" not in str(err):
+        if err.unknown_key != "law.kp":
             raise
-        kp, law = changes["law.kp"], scenario.law.kind
-        problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")
-        problem = re.sub(r"\bkp_", "law.kp_", problem)
+        kp, advice = changes[err.unknown_key], re.sub(r"\bkp_", "law.kp_", err.advice)
+        problem = f"{scenario.law.kind} has no key law.kp; {advice}"
         raise UsageError(f"{problem} --kp {kp} sets the gain of every loop") from err
 
 

@@ -41,7 +41,7 @@ _MOST_COLUMNS: Final = 3
 """Largest number of loops side by side in a table; more loops do not fit a line."""
 
 _IDEAL: Final = "without command limits"
-"""Condition of recommended gains, in the second sentence."""
+"""Condition of recommended gains."""
 
 _LIMITED: Final = "with all limits of speed and acceleration"
 
@@ -372,12 +372,12 @@ def _list_recommended(
         return
     wish = wishes.describe(best.rule)
     if given.gains and recommended.keeps(given):
-        yield f"{show_gains(given.gains)} needs no change: {tell_step(given.motion)}."
-        yield f"This holds {ideal}."
+        yield f"{ideal.capitalize()}, {show_gains(given.gains)} needs no change."
+        yield f"Step response: {tell_step(given.motion)}."
         yield f"{show_gains(best.gains)} for {wish} is no better: {tell_step(best.motion)}."
         return
-    yield f"Recommended for {wish}: {best.controller} with {show_gains(best.gains)}."
-    yield f"This holds {ideal}."
+    yield f"Recommended {ideal}: {best.controller} with {show_gains(best.gains)}."
+    yield f"This is for {wish}."
     compared = compare_gains(best, given)
     yield f"{compared[:1].upper()}{compared[1:]}"
 

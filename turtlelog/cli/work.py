@@ -1,10 +1,10 @@
-"""Work of a command: its processes, its progress, and the tables of recordings that it writes."""
+"""Work of a command: processes, progress, tables of recordings, and the wait for saved files."""
 
 import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
@@ -272,3 +272,43 @@ def summarise_table(done: "tl.sweep.TabulatedFiles") -> str:
     files = "1 file" if done.files == 1 else f"{done.files} files"
     counts = f"{done.read} read, {done.files - done.read} unchanged"
     return f"wrote {done.output}: {files}, {counts}, {done.failed} cannot be read"
+
+
+_POLL_S: Final = 0.1
+"""Time between two checks of the files [s]: too short to notice, and long enough that reading some
+kilobytes takes no measurable time."""
+
+_Texts = Mapping[Path, tuple[int, bytes] | None]
+
+
+def wait_for_save(
+    files: Sequence[Path], seen: _Texts, has_ended: Callable[[], bool]
+) -> Path | None:
+    """Return the first saved file after two equal checks of all files; None once `has_ended`.
+
+    Editors write in several steps, or delete a file and write it again. A file that has changed
+    since the last check may change again, and a missing file is not saved yet.
+    """
+    last: _Texts = {}
+    while not has_ended():
+        time.sleep(_POLL_S)
+        now = read_texts(files)
+        saved = [file for file in files if now[file] not in (None, seen.get(file))]
+        if saved and now == last:
+            return saved[0]
+        last = now
+    return None
+
+
+def read_texts(files: Sequence[Path]) -> _Texts:
+    """Return time and content of each file; None for a file that cannot be read.
+
+    The time shows a save without changes; the content shows a second save within one tick of the
+    file system's clock, which may be two seconds long.
+    """
+    found: dict[Path, tuple[int, bytes] | None] = {}
+    for file in files:
+        found[file] = None
+        with suppress(OSError):
+            found[file] = file.stat().st_mtime_ns, file.read_bytes()
+    return found

@@ -301,7 +301,8 @@ def _align(
             scales=align.startswith("sim"),
         )
     except trajectory_errors.DegenerateError as err:
-        other = "origin" if align.endswith("2") or "still" in str(err) else "se2"
+        stands = isinstance(err, trajectory_errors.StandstillError)
+        other = "origin" if align.endswith("2") or stands else "se2"
         raise CompareError(
             f"{name}: not aligned to {reference}: {err}, so the rotation of an alignment in"
             f" {NAMES[align]} is not determined; align by {other} or none"

@@ -60,6 +60,10 @@ class DegenerateError(ValueError):
     """Points that do not determine an alignment. The message names the missing direction."""
 
 
+class StandstillError(DegenerateError):
+    """Points that determine no alignment because they are all in one place."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alignment:
     """Rotation matrix, then translation, of a scaled estimate into the frame of its reference."""
@@ -206,7 +210,7 @@ def _require_spread(singular: Values, sizes: list[float], means: list[Values]) -
     for who, size, mean in zip(("reference", "estimate"), sizes, means, strict=True):
         # Rounding of coordinates far from the origin is no motion.
         if size <= _LEAST_SPREAD * max(1.0, float(np.abs(mean).max())):
-            raise DegenerateError(f"the {who} stands still")
+            raise StandstillError(f"the {who} stands still")
     if singular[-2] <= _LEAST_SPREAD * sizes[0] * sizes[1]:
         raise DegenerateError("all positions lie on one line")
 

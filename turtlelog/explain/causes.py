@@ -10,13 +10,13 @@ The metric to explain is chosen and checked here as well, and its resolution is 
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from typing import Any, Final
 
 from turtlelog import measure
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
-from turtlelog.explain.answers import Resolution
 from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
@@ -338,19 +338,55 @@ _COUNTS: Final = (
 )
 
 
+class ResolutionReason(StrEnum):
+    """Origin of the largest negligible change, as a clause."""
+
+    SAMPLE = "one sample period"
+    COUNT = "half a count"
+    SHARE = "1 % of the value"
+    POSITION_TOLERANCE = "heading tolerance times distance plus position tolerance"
+    HEADING_TOLERANCE = "the heading tolerance"
+    STEP_TOLERANCE = "the tolerance over the step"
+    NO_SCENARIO = "no scenario is known"
+    NO_RUN = "no run is simulated"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resolution:
+    """The largest change of a metric that is negligible.
+
+    Attributes:
+        size: Size of the change, in the metric's unit.
+        reason: Origin of a change of this size, in one clause.
+    """
+
+    size: float
+    reason: ResolutionReason
+
+    @property
+    def is_tolerance(self) -> bool:
+        """Whether the tolerances of the law allow a change of this size."""
+        reasons = ResolutionReason
+        return self.reason in {
+            reasons.POSITION_TOLERANCE,
+            reasons.HEADING_TOLERANCE,
+            reasons.STEP_TOLERANCE,
+        }
+
+
 def find_resolution(
     scenario: Scenario, declaration: Declaration, metric: str, value: float
 ) -> Resolution:
     """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
     unit = measure.list_metrics(declaration)[metric].unit
     if unit == "s":
-        return Resolution(size=find_sample_period_s(scenario), reason="one sample period")
+        return Resolution(size=find_sample_period_s(scenario), reason=ResolutionReason.SAMPLE)
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
         return _find_tolerated(scenario, declaration, metric, unit)
     kind = metric.rpartition(".")[2]
     if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
-        return Resolution(size=_HALF_A_COUNT, reason="half a count")
-    return Resolution(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
+        return Resolution(size=_HALF_A_COUNT, reason=ResolutionReason.COUNT)
+    return Resolution(size=_SHARE * abs(value), reason=ResolutionReason.SHARE)
 
 
 def find_sample_period_s(scenario: Scenario) -> float:
@@ -373,11 +409,12 @@ def _find_tolerated(
         turn_rad = wrap_angle(turn_rad)
     distance_m, turn_rad = (max(abs(s), math.ulp(1.0)) for s in (math.hypot(x_m, y_m), turn_rad))
     if unit == "m":
-        reach = "heading tolerance times distance plus position tolerance"
-        return Resolution(size=allow_position(heading_rad, position_m, distance_m), reason=reach)
+        size = allow_position(heading_rad, position_m, distance_m)
+        return Resolution(size=size, reason=ResolutionReason.POSITION_TOLERANCE)
     if unit == "deg":
-        return Resolution(size=math.degrees(heading_rad), reason="the heading tolerance")
+        size = math.degrees(heading_rad)
+        return Resolution(size=size, reason=ResolutionReason.HEADING_TOLERANCE)
     loop = declaration.find_loop(metric.rpartition(".")[0])
     turns = loop is not None and loop.signal == "heading"
     tolerance, step = (heading_rad, turn_rad) if turns else (position_m, distance_m)
-    return Resolution(size=100.0 * tolerance / step, reason="the tolerance over the step")
+    return Resolution(size=100.0 * tolerance / step, reason=ResolutionReason.STEP_TOLERANCE)

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError, ScenarioError, SimulationError
-from turtlelog.explain.answers import Attribution
+from turtlelog.explain.answers import AttributedValue
 from turtlelog.explain.causes import (
     SAMPLING,
     draws_random,
@@ -27,7 +27,7 @@ from turtlelog.explain.causes import (
     take_out,
     undo_changes,
 )
-from turtlelog.explain.scenario_from_log.identification import Identification
+from turtlelog.explain.scenario_from_log import Identification
 from turtlelog.explain.scenario_from_log.law_identification import describe_phase
 from turtlelog.laws import LAWS
 from turtlelog.measure import measure_run
@@ -353,7 +353,7 @@ has little space."""
 
 def simulate_what_ifs(
     identified: Identification,
-    found: Attribution,
+    found: AttributedValue,
     *,
     report: Callable[[int, int], None] | None = None,
 ) -> Mapping[str, Run]:

@@ -8,7 +8,7 @@ from typing import Final
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
 from turtlelog.explain import answers
-from turtlelog.explain.answers import SEED, Attribution, Change, ExplainedDifference, Side
+from turtlelog.explain.answers import SEED, AttributedValue, Change, Side
 from turtlelog.explain.attribute import attribute_scenario
 from turtlelog.explain.causes import (
     choose_metric,
@@ -18,6 +18,7 @@ from turtlelog.explain.causes import (
     set_values,
 )
 from turtlelog.explain.contributions import ORDERS, divide_game, sample_game, vary_both_starts
+from turtlelog.explain.difference_report import ExplainedDifference
 from turtlelog.explain.game import SEEDS, ChangeGame, Work
 from turtlelog.explain.robot_difference import explain_robots
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
@@ -122,7 +123,7 @@ def explain_difference(
         for scenario in scenarios
         if scenario is not None
     ]
-    none = answers.Resolution(size=0.0, reason="no scenario is known")
+    none = answers.Resolution(size=0.0, reason=answers.ResolutionReason.NO_SCENARIO)
     answer = ExplainedDifference(
         metric=metric,
         unit=unit,
@@ -182,7 +183,7 @@ def _name_untrusted(
         unit=unit,
         first=sides[0],
         second=sides[1],
-        resolution=answers.Resolution(size=0.0, reason="no run is simulated"),
+        resolution=answers.Resolution(size=0.0, reason=answers.ResolutionReason.NO_RUN),
         withheld=f"{join_words(laws)} {does} trusted (--trust-law)",
         has_same_settings=is_same,
         departure=find_departure(first, second) if is_same else None,
@@ -258,7 +259,7 @@ def _stand_for(
         return replace(side, note=note), None
     identified = identify_run(run, trust_law=trust_law)
     if identified.scenario is None:
-        return replace(side, note=next(iter(identified.notes), note).rstrip(".")), None
+        return replace(side, note=identified.obstacle or note.rstrip(".")), None
     known = flatten_scenario(identified.scenario)
     unknown = tuple(
         key for key, one in identified.findings.items() if one.value is None and key in known
@@ -293,7 +294,7 @@ def _divide(
         changes=tuple(listed),
         difference=None if before is None or after is None else after - before,
     )
-    base = Attribution(
+    base = AttributedValue(
         metric=found.metric,
         unit=found.unit,
         resimulated=after,
@@ -334,7 +335,7 @@ def _divide(
 
 def _list_contributions(
     found: ExplainedDifference,
-    divided: Attribution,
+    divided: AttributedValue,
     game: ChangeGame,
     scenarios: Sequence[Scenario],
 ) -> tuple[Change, ...]:

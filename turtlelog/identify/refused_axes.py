@@ -1,16 +1,10 @@
-"""Reasons why commands and motion do not identify an axis, advice, and a second estimate.
+"""Causes why commands and motion do not identify an axis, advice, and what a log leaves open."""
 
-The second estimate uses no model: it is the delay with the largest correlation of commands and
-motion. A flat correlation gives no single delay. Therefore the result is a range: the delays that
-explain the motion as well as the best delay, within the differences between parts of the log.
-"""
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-import scipy
 
 from turtlelog.display import describe_count
 from turtlelog.identify.axis_fit import DEAD_TIME, LAG, AxisFit, NoGainError, fit_axis
@@ -22,11 +16,14 @@ from turtlelog.identify.axis_motion import (
     UNITS,
     Axis,
     AxisMotion,
+    find_rests,
     get_commands,
+    read_axis_motion,
 )
-from turtlelog.identify.fit_values import describe_fit
+from turtlelog.identify.fit_values import cover_waiting, describe_fit
 from turtlelog.identify.held_response import COUPLED, Values
-from turtlelog.identify.robot_model import AxisModel, Estimate
+from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
+from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
@@ -66,42 +63,93 @@ _OPPOSITE_WHY: Final[Mapping[Axis, str]] = {
 }
 
 
-def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
-    """Return the reason why the commands of runs cannot identify an axis; empty if they can."""
-    name = NAMES[axis]
+_SENTENCES: Final[Mapping[Refusal, str]] = {
+    "no_commands": "no commands were recorded",
+    "never_commanded": "the {name} is never commanded",
+    "negligible": "the commanded {name} is at most {fastest:.2g} {unit}, which moves nothing",
+    "constant": "the commanded {name} never changes",
+    "ramps": (
+        "the {name} is commanded in ramps: within {within_s:g} s it changes by at most {change:.2g}"
+        " of {span:.2g} {unit}"
+    ),
+    "implausible": "the {what} reach {largest:.3g} {of_unit}, more than any robot does",
+    "few_steps": (
+        "expected at least {fewest} steps between poses at most 1 s apart while commands act, found"
+        " {steps}"
+    ),
+    "no_gain": "{error}",
+    "opposite": (
+        "the {name} follows its commands with the opposite sign: gain {gain}, dead time"
+        " {dead_time_s:.3f} s, lag {lag_s:.3f} s"
+    ),
+    "late": (
+        "the best dead time is the largest that is tried, {most_s:g} s: commands and poses may have"
+        " different clocks, or the commands change too slowly"
+    ),
+    "unexplained": (
+        "the commands explain nothing of how the motion changes: are they this robot's, and of the"
+        " clock of its poses?"
+    ),
+    "jump": "commands act in only {count} of {steps} between poses, which may be a jump",
+    "wide": (
+        "the interval of the {what}, {found.low:.3g} to {high}{of_unit}, is wider than its value of"
+        " {found.value:.3g}{of_unit}"
+    ),
+    "repeated": (
+        "the commands {how}, so gains of {own[0]:.3g} with a dead time of {own[1]:.3g} s and"
+        " {other[0]:.3g} with {other[1]:.3g} s explain the motion alike"
+    ),
+    "at_bound": (
+        "{every} positive command reaches the limit of {bound:.3g} {unit}, so that the gain of"
+        " smaller ones is only known to be at least {least:.3g}; the total delay is {delay_s:.3f} s"
+    ),
+    "hidden": "no pose shows a change of the commanded {name}",
+}
+
+
+def refuse_axis(axis: Axis, refusal: Refusal, *, drive: str = "", **facts: Any) -> AxisModel:
+    """Return an axis without values. `drive` completes the advised test drive."""
+    advice = f"step the {NAMES[axis]} ten times for 2 s{drive}"
+    if refusal == "no_commands":
+        advice = f"record the topic of the commands beside the poses, and {advice}"
+    reason = _SENTENCES[refusal].format(name=NAMES[axis], unit=UNITS[axis], **facts)
+    return AxisModel(
+        axis=axis, status="not_identifiable", refusal=refusal, reason=reason, advice=advice
+    )
+
+
+def refuse_commands(runs: Sequence[Run], axis: Axis) -> AxisModel | None:
+    """Return an axis without values if the commands cannot identify it; else None."""
     commands = [get_commands(run, axis) for run in runs]
     if not any(len(command) for command in commands):
-        return "no commands were recorded"
+        return refuse_axis(axis, "no_commands")
     if not any(command.any() for command in commands):
-        return f"the {name} is never commanded"
+        return refuse_axis(axis, "never_commanded")
     fastest = max(float(np.abs(command).max(initial=0.0)) for command in commands)
     if fastest < _NEGLIGIBLE:
-        return f"the commanded {name} is at most {fastest:.2g} {UNITS[axis]}, which moves nothing"
+        return refuse_axis(axis, "negligible", fastest=fastest)
     if not any(np.diff(command).any() for command in commands):
-        return f"the commanded {name} never changes"
-    largest = max(_find_sudden(run, axis) for run in runs)
-    both = np.concatenate([*commands, np.zeros(1)])
-    span = float(np.ptp(both))
-    if largest < _SUDDEN_SHARE * span:
-        return (
-            f"the {name} is commanded in ramps: within {_SUDDEN_S:g} s it changes by at most"
-            f" {largest:.2g} of {span:.2g} {UNITS[axis]}"
-        )
-    return ""
+        return refuse_axis(axis, "constant")
+    change = max(_find_sudden(run, axis) for run in runs)
+    span = float(np.ptp(np.concatenate([*commands, np.zeros(1)])))
+    if change < _SUDDEN_SHARE * span:
+        return refuse_axis(axis, "ramps", within_s=_SUDDEN_S, change=change, span=span)
+    return None
 
 
-def find_absurd(runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis) -> str:
-    """Return the implausible value of an axis as text; empty if there is none."""
+def refuse_implausible(
+    runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis
+) -> AxisModel | None:
+    """Return an axis without values if its commands or steps are implausible; else None."""
     unit = UNITS[axis]
-    columns = (
+    for what, of_unit, values in (
         ("commands", unit, [get_commands(run, axis) for run in runs]),
         ("steps between poses", unit.removesuffix("/s"), [motion.moved for motion in motions]),
-    )
-    for what, its_unit, values in columns:
-        largest = max((float(np.abs(value).max()) for value in values if len(value)), default=0.0)
+    ):
+        largest = max(float(np.abs(value).max(initial=0.0)) for value in values)
         if largest > _ABSURD:
-            return f"the {what} reach {largest:.3g} {its_unit}, more than any robot does"
-    return ""
+            return refuse_axis(axis, "implausible", what=what, largest=largest, of_unit=of_unit)
+    return None
 
 
 def _find_sudden(run: Run, axis: Axis) -> float:
@@ -112,30 +160,17 @@ def _find_sudden(run: Run, axis: Axis) -> float:
     return float(np.abs(command - command[np.maximum(held, 0)]).max())
 
 
-def refuse_axis(axis: Axis, reason: str) -> AxisModel:
-    """Return an axis without values."""
-    advice = f"step the {NAMES[axis]} ten times for 2 s"
-    if reason.startswith("no commands"):
-        advice = f"record the topic of the commands beside the poses, and {advice}"
-    return AxisModel(axis=axis, status="not_identifiable", reason=reason, advice=advice)
-
-
 def refuse_fit(
     axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit, found: AxisModel
 ) -> AxisModel | None:
     """Return an axis without values if a fit does not identify it, with the reason; else None."""
-    opposite = None
-    reason = _find_doubt(found, fit)
-    if reason or found.explained is None or found.explained < _OPPOSITE_EXPLAINS:
-        opposite = find_opposite(axis, motions, fit)
-    repetition = None if reason or opposite else find_repetition(motions)
-    if repetition is not None:
-        reason, is_opposite = _tell_twin(fit, *repetition)
-        opposite = find_opposite(axis, motions, None) if is_opposite else None
-    if opposite or not reason:
+    refused = _doubt_fit(found, fit)
+    explains = found.explained is not None and found.explained >= _OPPOSITE_EXPLAINS
+    if (refused or not explains) and (opposite := refuse_opposite(axis, motions, fit)):
         return opposite
-    refused = refuse_axis(axis, reason)
-    if found.gain is None or found.bound is None or not _is_wide(found.gain):
+    if refused is None and (repetition := find_repetition(motions)):
+        refused = _refuse_twin(axis, motions, fit, *repetition)
+    if refused is None or not (found.gain and found.bound and _is_wide(found.gain)):
         return refused
     # Commands at the bound show no gain: any larger one leads there, too.
     most = found.bound.value / found.gain.value
@@ -145,7 +180,7 @@ def refuse_fit(
     return replace(refused, advice=f"{refused.advice}, {how}")
 
 
-def find_opposite(
+def refuse_opposite(
     axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit | None
 ) -> AxisModel | None:
     """Return an axis without values if the robot moves in the opposite direction; else None."""
@@ -155,72 +190,45 @@ def find_opposite(
         return None
     found = describe_fit(axis, other, 0)
     explains = found.explained is not None and found.explained >= _OPPOSITE_EXPLAINS
-    if not explains or _find_doubt(found, other):
+    if not explains or _doubt_fit(found, other):
         return None
     if fit is not None and fit.badness - other.badness < _OPPOSITE_CLEARLY:
         return None
     gain = found.gain
     told = "" if gain is None else f"{-gain.value:.3f} ({-gain.high:.3f} to {-gain.low:.3f})"
     dead_time_s, lag_s = other.parameters[[DEAD_TIME, LAG]].tolist()
-    name, why = NAMES[axis], _OPPOSITE_WHY[axis]
-    return AxisModel(
-        axis=axis,
-        status="not_identifiable",
-        reason=(
-            f"the {name} follows its commands with the opposite sign: gain {told}, dead time"
-            f" {dead_time_s:.3f} s, lag {lag_s:.3f} s"
-        ),
-        advice=f"reverse the sign of the {name}, in the robot's driver or in the commands: {why}",
-    )
+    refused = refuse_axis(axis, "opposite", gain=told, dead_time_s=dead_time_s, lag_s=lag_s)
+    how = f"reverse the sign of the {NAMES[axis]}, in the robot's driver or in the commands"
+    return replace(refused, advice=f"{how}: {_OPPOSITE_WHY[axis]}")
 
 
-def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
-    """Return why fitted values are invalid. A delay within one step is well known."""
+def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
+    """Return an axis without values if they are invalid. A delay within one step is well known."""
     if fit.parameters[DEAD_TIME] >= LARGEST_DEAD_TIME_S:
-        return (
-            f"the best dead time is the largest that is tried, {LARGEST_DEAD_TIME_S:g} s:"
-            " commands and poses may have different clocks, or the commands change too slowly"
-        )
+        return refuse_axis(found.axis, "late", most_s=LARGEST_DEAD_TIME_S)
     if found.explained is None or found.explained <= 0.0:
-        return (
-            "the commands explain nothing of how the motion changes: are they this robot's, and of"
-            " the clock of its poses?"
-        )
+        return refuse_axis(found.axis, "unexplained")
     size = np.abs(fit.model.moved - fit.residual) / fit.model.duration_s
     moving = int(np.count_nonzero(size > STANDING * size.max()))
     if moving < _FEWEST_MOVING:
         count = describe_count(moving, "step")
-        return f"commands act in only {count} of {len(size)} between poses, which may be a jump"
-    return _find_wide(found, float(np.median(fit.model.duration_s)))
+        return refuse_axis(found.axis, "jump", count=count, steps=len(size))
+    return _refuse_wide(found, float(np.median(fit.model.duration_s)))
 
 
-def refuse_wide(found: AxisModel, how: str) -> AxisModel | None:
-    """Return an axis without values if an interval is wider than its value; else None.
-
-    `how` says how else to drive, to know it.
-    """
-    reason = _find_wide(found, 0.0)
-    if not reason:
-        return None
-    refused = refuse_axis(found.axis, reason)
-    return replace(refused, advice=f"{refused.advice}, {how}")
-
-
-def _find_wide(found: AxisModel, fine_s: float) -> str:
-    """Return which interval of an axis is wider than its value; empty if none is."""
-    for name, value, fine in (
+def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> AxisModel | None:
+    """Return an axis without values if an interval is wider than its value; else None."""
+    for what, value, fine in (
         ("gain", found.gain, 0.0),
         ("total delay", found.total_delay_s, fine_s),
     ):
         if value is not None and _is_wide(value, fine):
-            unit = "" if value.unit == "1" else f" {value.unit}"
             most = _ENDLESS * value.value
             high = f"more than {most:.3g}" if value.high > most else f"{value.high:.3g}"
-            return (
-                f"the interval of the {name}, {value.low:.3g} to {high}{unit}, is wider than its"
-                f" value of {value.value:.3g}{unit}"
-            )
-    return ""
+            unit = "" if value.unit == "1" else f" {value.unit}"
+            facts = {"what": what, "found": value, "high": high, "of_unit": unit}
+            return refuse_axis(found.axis, "wide", drive=drive, **facts)
+    return None
 
 
 def _is_wide(value: Estimate, fine: float = 0.0) -> bool:
@@ -271,11 +279,10 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
     return None
 
 
-def _tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
-    """Return why a dead time is ambiguous, and whether the other sign explains the motion better.
-
-    The reason is empty if the motion resolves the ambiguity.
-    """
+def _refuse_twin(
+    axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit, shift_s: float, sign: int
+) -> AxisModel | None:
+    """Return an axis without values if the motion leaves a dead time ambiguous; else None."""
     gain, dead_time_s, lag_s, *extra = fit.parameters.tolist()
     count = int(LARGEST_DEAD_TIME_S / shift_s) + 1
     for number in range(-count, count + 1):
@@ -286,12 +293,12 @@ def _tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
         if ratio is not None and ratio <= _BETTER:
             continue
         how = f"repeat every {shift_s:.3g} s" + (" with the other sign" if sign < 0 else "")
-        reason = (
-            f"the commands {how}, so gains of {gain:.3g} with a dead time of {dead_time_s:.3g} s"
-            f" and {its_sign * gain:.3g} with {other_s:.3g} s explain the motion alike"
-        )
-        return reason, its_sign < 0 and ratio is not None and ratio >= 1.0 / _BETTER
-    return "", False
+        is_opposite = its_sign < 0 and ratio is not None and ratio >= 1.0 / _BETTER
+        if is_opposite and (opposite := refuse_opposite(axis, motions, None)):
+            return opposite
+        own, other = (gain, dead_time_s), (its_sign * gain, other_s)
+        return refuse_axis(axis, "repeated", how=how, own=own, other=other)
+    return None
 
 
 def _sample(motion: AxisMotion) -> Values:
@@ -323,135 +330,120 @@ def _compare(fit: AxisFit, twin: Values) -> float | None:
     return left[0] / max(left[1], np.finfo(float).tiny)
 
 
-_LARGEST_S: Final = 3.0
-"""Largest delay that is searched [s]: the largest dead time and an equal time constant."""
+_SAME_SIZE: Final = 0.05
+"""Largest relative difference of commands of equal size. A smaller difference does not show whether
+the gain varies."""
 
-_COARSE_S, _FINE_S = 0.05, 0.005
-"""Distances of tried delays [s]: first over the whole range, then near the best delay and the
-ends."""
-
-_MOST_STEPS: Final = 20_000
-
-_PART_S: Final = 1.0
-"""Length of parts of the log that count as independent [s]: a usual time constant has faded."""
-
-_FEWEST_PARTS: Final = 8  # smallest number of parts whose scatter is meaningful
-_CHANCE: Final = 0.05  # probability that the range does not contain the true best delay
-
-_NEAR: Final = 0.6
-"""Factor of Student's t from which a delay is worse than the best. The excess residual grows with
-the square of the distance, its scatter with the distance. Therefore half of t is sufficient near
-the best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
+_MOSTLY: Final = 0.95
+"""Share of an axis's commands beside one command of the other axis, above which no commands are
+left to compare: less than a twentieth of the commands gives no interval of its own."""
 
 
-def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:
-    """Return the delay of the motion after the commands, as the best value and a range [s].
+def list_open_questions(runs: Sequence[Run], models: Sequence[AxisModel]) -> list[str]:
+    """Return what the log does not show of known axes, as sentences."""
+    notes = (_note_one_size, _note_one_beside, _note_backward, _note_drift)
+    return [text for note in notes for model in models for text in note(runs, model)]
 
-    Commands are averaged over each step between poses, so that nothing is resampled.
 
-    Returns:
-        The delay and an empty text. If the correlation shows no delay, None and a sentence with the
-        reason.
+def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:
+    return np.concatenate([get_commands(run, axis) for run in runs])
+
+
+def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    sizes = np.abs(_join_commands(runs, model.axis))
+    moving, name = sizes[sizes > 0.0], NAMES[model.axis]
+    if model.is_known and float(np.ptp(moving)) <= _SAME_SIZE * float(moving.max()):
+        yield (
+            f"All {name} commands have the same magnitude. The log does not show whether smaller"
+            f" commands have the same gain, nor the largest {name}."
+        )
+
+
+def _find_reaching(runs: Sequence[Run], model: AxisModel, sign: float) -> tuple[str, float] | None:
+    """Return how many moving commands of one sign reach the bound, and the smallest of them.
+
+    The result is None if enough commands stay below the bound to show their gain.
     """
-    motions = [motion for motion in motions if len(motion.moved)]
-    most = _MOST_STEPS // max(len(motions), 1)
-    misfit = _Misfit([motion.take(slice(most)) for motion in motions])
-    if misfit.parts < _FEWEST_PARTS:
-        return None, (
-            "the log is too short for a correlation of commands and motion, which needs"
-            f" {_FEWEST_PARTS * _PART_S:g} s of motion"
-        )
-    if repetition := find_repetition(motions):
-        shift_s, sign = repetition
-        # Commands that repeat with opposite sign repeat equally after twice that time.
-        period_s = shift_s if sign > 0 else 2.0 * shift_s
-        return None, (
-            f"the correlation of commands and motion says nothing: the commands repeat every"
-            f" {period_s:.3g} s, and delays so far apart correlate alike"
-        )
-    coarse = np.arange(0.0, _LARGEST_S, _COARSE_S)
-    near_s = float(coarse[np.argmin([misfit.measure(delay_s) for delay_s in coarse.tolist()])])
-    fine = np.arange(max(near_s - _COARSE_S, 0.0), near_s + _COARSE_S, _FINE_S)
-    best_s = float(fine[np.argmin([misfit.measure(delay_s) for delay_s in fine.tolist()])])
-    if not misfit.is_worse(None, best_s):
-        return None, "commands and motion do not clearly correlate"
-    alike = [
-        delay_s for delay_s in (*coarse.tolist(), best_s) if not misfit.is_worse(delay_s, best_s)
-    ]
-    low_s, high_s = (
-        _find_end(lambda delay_s: misfit.is_worse(delay_s, best_s), end_s, step_s)
-        for end_s, step_s in ((min(alike), -_FINE_S), (max(alike), _FINE_S))
+    # A command that reaches the bound within its interval fits any larger gain as well. The way to
+    # a bound of the rate shows the gain anyway.
+    if model.gain is None or model.bound is None or model.bound_acts == "rate":
+        return None
+    sizes = sign * _join_commands(runs, model.axis)
+    sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
+    gain = model.reverse_gain if sign < 0.0 and model.reverse_gain else model.gain
+    friction = 0.0 if model.friction is None else model.friction.value
+    reaches = gain.high * (sizes - friction) >= model.bound.low
+    if not len(sizes) or np.mean(~reaches) >= LEAST_BELOW:
+        return None
+    return "every" if reaches.all() else "nearly every", float(sizes[reaches].min())
+
+
+def refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel | None:
+    """Return an axis without values if the motion shows only the gain of negative commands.
+
+    The gain of positive ones may have any value above the bound divided by the smallest of them.
+    """
+    found = _find_reaching(runs, model, 1.0)
+    if found is None:
+        return None
+    every, smallest = found
+    bound, delay = (0.0 if one is None else one.value for one in (model.bound, model.total_delay_s))
+    return refuse_axis(
+        model.axis,
+        "at_bound",
+        drive=f", also to less than {smallest:.2g} {UNITS[model.axis]}",
+        every=every,
+        bound=bound,
+        least=bound / smallest,
+        delay_s=delay,
     )
-    usual_s = float(np.median(misfit.duration_s))
-    if high_s - low_s > max(best_s, usual_s):
-        return None, (
-            "the correlation of commands and motion says nothing: it does not tell delays from"
-            f" {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms apart"
+
+
+def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    found = _find_reaching(runs, model, -1.0)
+    if found is not None and model.bound is not None:
+        yield (
+            f"{found[0].capitalize()} negative command of the {NAMES[model.axis]} reaches the limit"
+            f" of {model.bound.value:.3g} {UNITS[model.axis]}. The log does not show whether the"
+            " gain holds for smaller ones."
         )
-    return Estimate(value=best_s, low=low_s, high=high_s), ""
 
 
-def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) -> float:
-    end_s = begin_s
-    while 0.0 < end_s < _LARGEST_S and abs(end_s - begin_s) < _COARSE_S:
-        end_s += step_s
-        if is_worse(end_s):
-            break
-    return max(end_s, 0.0)
+def _note_drift(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    """Yield a note if no rest shows the drift of a known axis."""
+    if model.drift is None or model.dead_time_s is None or model.lag_s is None:
+        return
+    motions = [read_axis_motion(run, model.axis) for run in runs]
+    rests = find_rests(motions, model.dead_time_s.value, model.lag_s.value)
+    rested_s = float(np.concatenate([one.duration_s for one in motions])[rests].sum())
+    if rested_s < RESTED_S:
+        yield (
+            f"The robot never rests long enough in this log. The drift of the {NAMES[model.axis]}"
+            " is the one that its motion beside commands shows, and may be different at rest."
+        )
 
 
-class _Misfit:
-    """Residual of the steps' rates for delayed commands, each with the best gain and offset.
+def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
+    """Yield a note if a known axis is only commanded beside one command of the other axis."""
+    # Wheels that reach their limit together show only this one gain; other commands may have a
+    # larger gain.
+    other = OTHER[model.axis]
+    own, beside = (np.abs(_join_commands(runs, axis)) for axis in (model.axis, other))
+    beside = beside[own > 0.0]
+    if not model.is_known or not len(beside):
+        return
+    usual = float(np.median(beside))
+    if usual and np.mean(np.abs(beside - usual) <= _SAME_SIZE * usual) >= _MOSTLY:
+        yield (
+            f"Nearly all commands of the {NAMES[model.axis]} come together with a {NAMES[other]} of"
+            f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
+            f" {NAMES[model.axis]} without this {NAMES[other]}."
+        )
 
-    The residual is smallest at the delay with the largest correlation.
-    """
 
-    def __init__(self, motions: Sequence[AxisMotion]) -> None:
-        self._motions = motions
-        self.duration_s = np.concatenate([motion.duration_s for motion in motions])
-        rate = np.concatenate([motion.moved for motion in motions]) / self.duration_s
-        # Clipped, so that a single jump does not decide.
-        rate = np.clip(rate, *np.quantile(rate, [0.01, 0.99]))
-        self._rate = rate - rate.mean()
-        counts = [int(motion.duration_s.sum() / _PART_S) for motion in motions]
-        first = np.cumsum([0, *counts])
-        # The rest at the end of a run belongs to its last part.
-        parts = [
-            begin + np.minimum(np.cumsum(motion.duration_s) // _PART_S, max(count, 1) - 1)
-            for begin, count, motion in zip(first.tolist(), counts, motions, strict=False)
-        ]
-        self._part = np.unique(np.concatenate(parts), return_inverse=True)[1]
-        self.parts = sum(counts)
-        self._squares: dict[float, Values] = {}
-
-    def measure(self, delay_s: float) -> float:
-        """Return the residual sum of squares for a delay."""
-        return float(self._list_squares(delay_s).sum())
-
-    def is_worse(self, delay_s: float | None, best_s: float) -> bool:
-        """Return whether a delay is significantly worse; None stands for no commands.
-
-        The excess is summed over parts of the log, whose scatter shows its uncertainty.
-        """
-        more = self._list_squares(delay_s) - self._list_squares(best_s)
-        sums = np.bincount(self._part, weights=more)
-        error = float(np.std(sums, ddof=1)) * float(np.sqrt(len(sums)))
-        most = float(scipy.special.stdtrit(len(sums) - 1, 1.0 - 0.5 * _CHANCE))
-        return float(sums.sum()) > _NEAR * most * error
-
-    def _list_squares(self, delay_s: float | None) -> Values:
-        if delay_s is None:
-            return np.asarray(self._rate**2)
-        if delay_s in self._squares:
-            return self._squares[delay_s]
-        ways = []
-        for motion in self._motions:
-            way = motion.commands.place(motion.time_s - delay_s).way
-            ways.append(way[motion.first + 1] - way[motion.first])
-        asked = np.concatenate(ways) / self.duration_s
-        asked -= asked.mean()
-        size, along = float(asked @ asked), float(asked @ self._rate)
-        # A motion against the commands is not a correlation.
-        gain = along / size if size > 0.0 and along > 0.0 else 0.0
-        self._squares[delay_s] = (self._rate - gain * asked) ** 2
-        return self._squares[delay_s]
+def doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> AxisModel:
+    """Return an axis in doubt if it may wait for the other axis; without values if that is all."""
+    covered = cover_waiting(runs, model, other)
+    if covered is model:
+        return model
+    return _refuse_wide(covered, drive=f", while the {NAMES[other.axis]} rests") or covered

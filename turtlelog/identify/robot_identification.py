@@ -1,10 +1,16 @@
-"""Identification of a robot's dynamics from commands and motion; for turtlesim tick by tick."""
+"""Identification of a robot's dynamics from commands and motion; for turtlesim tick by tick.
 
-from collections.abc import Iterable, Iterator, Sequence
+A second estimate uses no model: the delay with the largest correlation of commands and motion. A
+flat correlation gives no single delay. Therefore the result is a range: the delays that explain the
+motion as well as the best delay, within the differences between parts of the log.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
@@ -14,18 +20,16 @@ from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, fit_axi
 from turtlelog.identify.axis_motion import (
     AXES,
     NAMES,
-    OTHER,
-    UNITS,
     Axis,
+    AxisMotion,
     count_steps,
-    find_rests,
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.fit_values import cover_parts, cover_rivals, cover_waiting, describe_fit
+from turtlelog.identify.fit_values import cover_parts, cover_rivals, describe_fit
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel, TickDelays
-from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S, choose_structure
+from turtlelog.identify.structure_choice import choose_structure
 from turtlelog.measure.pose_quality import describe_sideways, find_travel_direction
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import TICK_S
@@ -39,18 +43,6 @@ from turtlelog.run import Run, list_runs
 
 _DIFFERENT: Final = 3.0
 """Standard deviations by which two runs must differ: by chance in 0.3 % of pairs."""
-
-_ALIKE: Final = 0.05
-"""Largest relative difference of commands of equal size. A smaller difference does not show whether
-the gain varies."""
-
-_MOSTLY: Final = 0.95
-"""Share of an axis's commands beside one command of the other axis, above which no commands are
-left to compare: less than a twentieth of the commands gives no interval of its own."""
-
-_JOINTLY: Final = 0.9
-"""Share of the changes of an axis together with the other axis, above which its delay alone is
-unknown: one change in ten does not outweigh the others."""
 
 _FEWEST_STEPS: Final = 50
 """Smallest number of steps that shows the noise: a second and a half at 30 Hz."""
@@ -86,15 +78,16 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     if exact is not None:
         return exact
     (speed, speed_events), (turn_rate, turn_events) = (_identify_axis(runs, axis) for axis in AXES)
-    models = _doubt_waiting(runs, speed, turn_rate), _doubt_waiting(runs, turn_rate, speed)
+    doubt = refused_axes.doubt_waiting
+    models = doubt(runs, speed, turn_rate), doubt(runs, turn_rate, speed)
     notes = [doubt for model in models for doubt in model.doubts]
     notes += [
         f"{run.name} is {sideways}. Only the motion ahead or back is identified."
         for run in runs
         if (sideways := describe_sideways(run))
     ]
-    for note in (_compare_runs, _note_one_size, _note_one_beside, _note_backward, _note_drift):
-        notes += [text for model in models for text in note(runs, model)]
+    notes += [text for model in models for text in _compare_runs(runs, model)]
+    notes += refused_axes.list_open_questions(runs, models)
     notes += [
         f"The {NAMES[model.axis]} stops by itself where no command comes,"
         f" {describe_count(len(waits_s), 'time')}: it is down to half {min(waits_s):.2f} to"
@@ -108,7 +101,12 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
         for model in models
         if model.steps < model.steps_in_all
     ]
-    notes += _note_travel(runs, models[0])
+    notes += [
+        f"In {run.name}, {found.describe()}. No sideways speed is commanded, so the heading is"
+        " taken as measured at this angle, and the speed is that in the direction of travel."
+        for run in runs
+        if models[0].is_known and (found := find_travel_direction(run)) is not None
+    ]
     pairs = zip(models, (speed_events, turn_events), strict=True)
     return RobotModel(
         files=files,
@@ -120,40 +118,26 @@ def identify_robot(runs: Run | Iterable[Run]) -> RobotModel:
     )
 
 
-def _note_travel(runs: Sequence[Run], speed: AxisModel) -> Iterator[str]:
-    """Yield notes on runs whose speed is measured at an angle to the heading."""
-    for run in runs if speed.is_known else ():
-        if (found := find_travel_direction(run)) is not None:
-            yield (
-                f"In {run.name}, {found.describe()}. No sideways speed is commanded, so the heading"
-                " is taken as measured at this angle, and the speed is that in the direction of"
-                " travel."
-            )
-
-
 def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[RobotEvent]]:
-    reason = refused_axes.find_no_excitation(runs, axis)
     motions = [read_axis_motion(run, axis) for run in runs]
-    steps, sparse = count_steps(motions), ""
-    reason = reason or refused_axes.find_absurd(runs, motions, axis)
+    steps = count_steps(motions)
+    refused = refused_axes.refuse_commands(runs, axis)
+    refused = refused or refused_axes.refuse_implausible(runs, motions, axis)
+    if refused is None and steps < _FEWEST_STEPS:
+        refused = refused_axes.refuse_axis(axis, "few_steps", fewest=_FEWEST_STEPS, steps=steps)
+        if all(_find_usual_step(run) > _SPARSE_S for run in runs):
+            advice = f"record poses at most {_SPARSE_S:g} s apart, and {refused.advice}"
+            refused = replace(refused, advice=advice)
+    if refused is not None:
+        return refused, []
     if steps > MOST_STEPS:
         share = MOST_STEPS / steps
         motions = [motion.take(slice(int(share * len(motion.moved)))) for motion in motions]
-    if not reason and steps < _FEWEST_STEPS:
-        reason = (
-            f"expected at least {_FEWEST_STEPS} steps between poses at most 1 s apart while"
-            f" commands act, found {steps}"
-        )
-        if all(_find_usual_step(run) > _SPARSE_S for run in runs):
-            sparse = f"record poses at most {_SPARSE_S:g} s apart"
-    if reason:
-        unknown = refused_axes.refuse_axis(axis, reason)
-        return replace(unknown, advice=", and ".join(filter(None, (sparse, unknown.advice)))), []
     try:
         fit = fit_axis(motions)
     except NoGainError as err:
-        opposite = refused_axes.find_opposite(axis, motions, None)
-        return opposite or refused_axes.refuse_axis(axis, str(err)), []
+        opposite = refused_axes.refuse_opposite(axis, motions, None)
+        return opposite or refused_axes.refuse_axis(axis, "no_gain", error=err), []
     fit, rivals = choose_structure(fit)
     columns = [np.diff(get_commands(run, axis), prepend=0.0) for run in runs]
     changes = sum(int(np.count_nonzero(column)) for column in columns)
@@ -164,12 +148,11 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     )
     found = cover_parts(found, fit)
     refused = refused_axes.refuse_fit(axis, motions, fit, found)
-    if refused is None and not _shows_gain(runs, found, 1.0):
-        refused = _refuse_forward(runs, found)
+    refused = refused or refused_axes.refuse_forward(runs, found)
     if refused is not None:
         return refused, []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
-    correlation_delay_s, correlation_reason = refused_axes.find_correlation_delay(motions)
+    correlation_delay_s, correlation_reason = find_correlation_delay(motions)
     waits_s = [stop.stop_s - stop.begin_s for motion in motions for stop in motion.stops]
     found = replace(
         found,
@@ -185,120 +168,6 @@ def _find_usual_step(run: Run) -> float:
     """Return the usual time between poses [s]; 0 for fewer than two poses."""
     steps_ns = np.diff(run.poses.time_ns)
     return float(np.median(steps_ns)) / 1e9 if len(steps_ns) else 0.0
-
-
-def _join_commands(runs: Sequence[Run], axis: Axis) -> Values:
-    return np.concatenate([get_commands(run, axis) for run in runs])
-
-
-def _note_one_size(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    sizes = np.abs(_join_commands(runs, model.axis))
-    moving, name = sizes[sizes > 0.0], NAMES[model.axis]
-    if model.is_known and float(np.ptp(moving)) <= _ALIKE * float(moving.max()):
-        yield (
-            f"All {name} commands have the same magnitude. The log does not show whether smaller"
-            f" commands have the same gain, nor the largest {name}."
-        )
-
-
-def _shows_gain(runs: Sequence[Run], model: AxisModel, sign: float) -> bool:
-    """Return whether enough commands of one sign stay below the bound to show their gain."""
-    sizes, reaches = _list_moving(runs, model, sign)
-    return not len(sizes) or float(np.mean(~reaches)) >= LEAST_BELOW
-
-
-def _list_moving(
-    runs: Sequence[Run], model: AxisModel, sign: float
-) -> tuple[Values, NDArray[np.bool_]]:
-    """Return the magnitudes of moving commands of one sign, and whether they reach the bound."""
-    # A command that reaches the bound within its interval fits any larger gain as well. The way to
-    # a bound of the rate shows the gain anyway.
-    sizes = sign * _join_commands(runs, model.axis)
-    sizes = sizes[sizes > (0.0 if model.deadband is None else model.deadband.low)]
-    if model.gain is None or model.bound is None or model.bound_acts == "rate":
-        return sizes, np.zeros(len(sizes), dtype=bool)
-    gain = model.reverse_gain if sign < 0.0 and model.reverse_gain else model.gain
-    friction = 0.0 if model.friction is None else model.friction.value
-    return sizes, np.asarray(gain.high * (sizes - friction) >= model.bound.low)
-
-
-def _refuse_forward(runs: Sequence[Run], model: AxisModel) -> AxisModel:
-    """Return an axis without values, because the motion shows only the gain of negative commands.
-
-    The gain of positive ones may have any value above the bound divided by the smallest of them.
-    """
-    name, unit = NAMES[model.axis], UNITS[model.axis]
-    sizes, reaches = _list_moving(runs, model, 1.0)
-    smallest = float(sizes[reaches].min())
-    bound, delay = (0.0 if one is None else one.value for one in (model.bound, model.total_delay_s))
-    reason = (
-        f"{_count_reaching(reaches)} positive command reaches the limit of {bound:.3g} {unit}, so"
-        f" that the gain of smaller ones is only known to be at least {bound / smallest:.3g}; the"
-        f" total delay is {delay:.3f} s"
-    )
-    advice = f"step the {name} ten times for 2 s, also to less than {smallest:.2g} {unit}"
-    return replace(refused_axes.refuse_axis(model.axis, reason), advice=advice)
-
-
-def _note_backward(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    if not _shows_gain(runs, model, -1.0):
-        bound = 0.0 if model.bound is None else model.bound.value
-        every = _count_reaching(_list_moving(runs, model, -1.0)[1]).capitalize()
-        yield (
-            f"{every} negative command of the {NAMES[model.axis]} reaches the limit of {bound:.3g}"
-            f" {UNITS[model.axis]}. The log does not show whether the gain holds for smaller ones."
-        )
-
-
-def _note_drift(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    """Yield a note if no rest shows the drift of a known axis."""
-    if model.drift is None or model.dead_time_s is None or model.lag_s is None:
-        return
-    motions = [read_axis_motion(run, model.axis) for run in runs]
-    rests = find_rests(motions, model.dead_time_s.value, model.lag_s.value)
-    rested_s = float(np.concatenate([one.duration_s for one in motions])[rests].sum())
-    if rested_s < RESTED_S:
-        yield (
-            f"The robot never rests long enough in this log. The drift of the {NAMES[model.axis]}"
-            " is the one that its motion beside commands shows, and may be different at rest."
-        )
-
-
-def _count_reaching(reaches: NDArray[np.bool_]) -> str:
-    return "every" if reaches.all() else "nearly every"
-
-
-def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
-    """Yield a note if a known axis is only commanded beside one command of the other axis."""
-    # Wheels that reach their limit together show only this one gain; other commands may have a
-    # larger gain.
-    other = OTHER[model.axis]
-    own, beside = (np.abs(_join_commands(runs, axis)) for axis in (model.axis, other))
-    beside = beside[own > 0.0]
-    if not model.is_known or not len(beside):
-        return
-    usual = float(np.median(beside))
-    if usual and np.mean(np.abs(beside - usual) <= _ALIKE * usual) >= _MOSTLY:
-        yield (
-            f"Nearly all commands of the {NAMES[model.axis]} come together with a {NAMES[other]} of"
-            f" {usual:.3g} {UNITS[other]}. The log does not show the gain of the"
-            f" {NAMES[model.axis]} without this {NAMES[other]}."
-        )
-
-
-def _doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> AxisModel:
-    """Return an axis in doubt if it is slower than the other axis and never changes without it."""
-    # Wheels whose acceleration is limited turn only after they have braked. Both axes share wheels,
-    # motors and odometry, so nothing else delays one of them alone.
-    delay, other_delay = model.total_delay_s, other.total_delay_s
-    is_slower = delay is not None and (other_delay is None or delay.low > other_delay.high)
-    if not is_slower or model.limit_acts == "at_wheels":
-        return model
-    joint = np.concatenate([read_axis_motion(run, model.axis).joint for run in runs])
-    if np.mean(joint) < _JOINTLY:
-        return model
-    covered = cover_waiting(model, other)
-    return refused_axes.refuse_wide(covered, f"while the {NAMES[other.axis]} rests") or covered
 
 
 _TOLD: Final = 1e-3
@@ -353,6 +222,140 @@ def _tell_differences(name: str, alone: AxisModel, together: AxisModel) -> list[
 def _tell(value: Estimate) -> str:
     unit = "" if value.unit == "1" else f" {value.unit}"
     return f"{value.value:.3g} ({value.low:.3g} to {value.high:.3g}){unit}"
+
+
+_LARGEST_S: Final = 3.0
+"""Largest delay that is searched [s]: the largest dead time and an equal time constant."""
+
+_COARSE_S, _FINE_S = 0.05, 0.005
+"""Distances of tried delays [s]: first over the whole range, then near the best delay and the
+ends."""
+
+_MOST_STEPS: Final = 20_000
+
+_PART_S: Final = 1.0
+"""Length of parts of the log that count as independent [s]: a usual time constant has faded."""
+
+_FEWEST_PARTS: Final = 8  # smallest number of parts whose scatter is meaningful
+_CHANCE: Final = 0.05  # probability that the range does not contain the true best delay
+
+_NEAR: Final = 0.6
+"""Factor of Student's t from which a delay is worse than the best. The excess residual grows with
+the square of the distance, its scatter with the distance. Therefore half of t is sufficient near
+the best delay. The rest is for distant delays: 96.9 % of 391 ranges contained the truth."""
+
+
+def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | None, str]:
+    """Return the delay of the motion after the commands, as the best value and a range [s].
+
+    Commands are averaged over each step between poses, so that nothing is resampled.
+
+    Returns:
+        The delay and an empty text. If the correlation shows no delay, None and a sentence with the
+        reason.
+    """
+    motions = [motion for motion in motions if len(motion.moved)]
+    most = _MOST_STEPS // max(len(motions), 1)
+    misfit = _Misfit([motion.take(slice(most)) for motion in motions])
+    if misfit.parts < _FEWEST_PARTS:
+        return None, (
+            "the log is too short for a correlation of commands and motion, which needs"
+            f" {_FEWEST_PARTS * _PART_S:g} s of motion"
+        )
+    if repetition := refused_axes.find_repetition(motions):
+        shift_s, sign = repetition
+        # Commands that repeat with opposite sign repeat equally after twice that time.
+        period_s = shift_s if sign > 0 else 2.0 * shift_s
+        return None, (
+            f"the correlation of commands and motion says nothing: the commands repeat every"
+            f" {period_s:.3g} s, and delays so far apart correlate alike"
+        )
+    coarse = np.arange(0.0, _LARGEST_S, _COARSE_S)
+    near_s = float(coarse[np.argmin([misfit.measure(delay_s) for delay_s in coarse.tolist()])])
+    fine = np.arange(max(near_s - _COARSE_S, 0.0), near_s + _COARSE_S, _FINE_S)
+    best_s = float(fine[np.argmin([misfit.measure(delay_s) for delay_s in fine.tolist()])])
+    if not misfit.is_worse(None, best_s):
+        return None, "commands and motion do not clearly correlate"
+    alike = [
+        delay_s for delay_s in (*coarse.tolist(), best_s) if not misfit.is_worse(delay_s, best_s)
+    ]
+    low_s, high_s = (
+        _find_end(lambda delay_s: misfit.is_worse(delay_s, best_s), end_s, step_s)
+        for end_s, step_s in ((min(alike), -_FINE_S), (max(alike), _FINE_S))
+    )
+    usual_s = float(np.median(misfit.duration_s))
+    if high_s - low_s > max(best_s, usual_s):
+        return None, (
+            "the correlation of commands and motion says nothing: it does not tell delays from"
+            f" {1e3 * low_s:.0f} to {1e3 * high_s:.0f} ms apart"
+        )
+    return Estimate(value=best_s, low=low_s, high=high_s), ""
+
+
+def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) -> float:
+    end_s = begin_s
+    while 0.0 < end_s < _LARGEST_S and abs(end_s - begin_s) < _COARSE_S:
+        end_s += step_s
+        if is_worse(end_s):
+            break
+    return max(end_s, 0.0)
+
+
+class _Misfit:
+    """Residual of the steps' rates for delayed commands, each with the best gain and offset.
+
+    The residual is smallest at the delay with the largest correlation.
+    """
+
+    def __init__(self, motions: Sequence[AxisMotion]) -> None:
+        self._motions = motions
+        self.duration_s = np.concatenate([motion.duration_s for motion in motions])
+        rate = np.concatenate([motion.moved for motion in motions]) / self.duration_s
+        # Clipped, so that a single jump does not decide.
+        rate = np.clip(rate, *np.quantile(rate, [0.01, 0.99]))
+        self._rate = rate - rate.mean()
+        counts = [int(motion.duration_s.sum() / _PART_S) for motion in motions]
+        first = np.cumsum([0, *counts])
+        # The rest at the end of a run belongs to its last part.
+        parts = [
+            begin + np.minimum(np.cumsum(motion.duration_s) // _PART_S, max(count, 1) - 1)
+            for begin, count, motion in zip(first.tolist(), counts, motions, strict=False)
+        ]
+        self._part = np.unique(np.concatenate(parts), return_inverse=True)[1]
+        self.parts = sum(counts)
+        self._squares: dict[float, Values] = {}
+
+    def measure(self, delay_s: float) -> float:
+        """Return the residual sum of squares for a delay."""
+        return float(self._list_squares(delay_s).sum())
+
+    def is_worse(self, delay_s: float | None, best_s: float) -> bool:
+        """Return whether a delay is significantly worse; None stands for no commands.
+
+        The excess is summed over parts of the log, whose scatter shows its uncertainty.
+        """
+        more = self._list_squares(delay_s) - self._list_squares(best_s)
+        sums = np.bincount(self._part, weights=more)
+        error = float(np.std(sums, ddof=1)) * float(np.sqrt(len(sums)))
+        most = float(scipy.special.stdtrit(len(sums) - 1, 1.0 - 0.5 * _CHANCE))
+        return float(sums.sum()) > _NEAR * most * error
+
+    def _list_squares(self, delay_s: float | None) -> Values:
+        if delay_s is None:
+            return np.asarray(self._rate**2)
+        if delay_s in self._squares:
+            return self._squares[delay_s]
+        ways = []
+        for motion in self._motions:
+            way = motion.commands.place(motion.time_s - delay_s).way
+            ways.append(way[motion.first + 1] - way[motion.first])
+        asked = np.concatenate(ways) / self.duration_s
+        asked -= asked.mean()
+        size, along = float(asked @ asked), float(asked @ self._rate)
+        # A motion against the commands is not a correlation.
+        gain = along / size if size > 0.0 and along > 0.0 else 0.0
+        self._squares[delay_s] = (self._rate - gain * asked) ** 2
+        return self._squares[delay_s]
 
 
 _MOST_UNEXPLAINED: Final = 0.05
@@ -421,10 +424,8 @@ def _describe(runs: Sequence[Run], axis: Axis, shown: Sequence[_Shown]) -> AxisM
         dead_times.append(np.maximum(delays_s[changes] - TICK_S, 0.0))
     dead_times_s = np.concatenate(dead_times)
     if not len(dead_times_s):
-        reason = f"no pose shows a change of the commanded {NAMES[axis]}"
-        if not any(get_commands(run, axis).any() for run in runs):
-            reason = f"the {NAMES[axis]} is never commanded"
-        return refused_axes.refuse_axis(axis, reason)
+        is_driven = any(get_commands(run, axis).any() for run in runs)
+        return refused_axes.refuse_axis(axis, "hidden" if is_driven else "never_commanded")
     poses = sum(len(run.poses) for run in runs)
     delay = Estimate(
         value=float(np.median(dead_times_s)),

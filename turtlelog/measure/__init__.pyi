@@ -21,10 +21,9 @@ from .metric import (
     Status as Status,
 )
 from .metric_kinds import MetricKind as MetricKind
-from .metric_list import (
+from .metrics import (
     ANY_LOOP as ANY_LOOP,
     METRICS as METRICS,
-    MeasureSettings as MeasureSettings,
     choose_metrics as choose_metrics,
     describe_no_metric as describe_no_metric,
     find_metric_kind as find_metric_kind,
@@ -50,6 +49,7 @@ from .rates import (
 )
 from .references import read_reference as read_reference, read_reference_path as read_reference_path
 from .response import find_first_stretch as find_first_stretch
+from .run_context import MeasureSettings as MeasureSettings
 from .signals import (
     COMMANDED as COMMANDED,
     SIGNALS as SIGNALS,

@@ -59,11 +59,13 @@ _TELLING_STEPS: Final = 3
 """Number of steps that every other dead time must fail to explain where the dead time changes.
 During a constant command, all dead times explain all steps except one or two at its beginning."""
 
-_EXPLAINS_BETTER: Final = "explains the motion better than"
-"""Part of the reason for a missing dead time: the robot has a time constant."""
-
 _FEWEST_STEPS: Final = 12
 """Smallest number of steps of a segment with another dead time."""
+
+
+@dataclass(frozen=True, slots=True)
+class LagInstead(Missing):
+    """Reason why a dead time is missing: a time constant explains the motion better."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,8 +301,8 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
     if may_lag:
         least_ticks, is_better = find_lags(motion, errors, rows, best, float(size[best]))
     if is_better:
-        reason = f"with a lag a shorter dead time {_EXPLAINS_BETTER} {best} ticks without a lag"
-        return Missing(Status.UNDETERMINED, reason)
+        better = "with a lag a shorter dead time explains the motion better than"
+        return LagInstead(Status.UNDETERMINED, f"{better} {best} ticks without a lag")
     if len(rows) * np.log(margin) < CERTAIN:
         return Missing(Status.UNDETERMINED, f"dead times of {best} and {second} ticks fit alike")
     if len(alike) > 1:
@@ -319,11 +321,6 @@ def _fit_least_squares(motion: LoopMotion, errors: Values, *, may_lag: bool) -> 
         whiteness=1.0 if is_rounding else float(measure_whiteness(left[best])),
         least_ticks=least_ticks,
     )
-
-
-def shows_lag(found: DeadTime | Missing) -> bool:
-    """Return whether the dead time is missing because a time constant explains the motion."""
-    return isinstance(found, Missing) and _EXPLAINS_BETTER in found.reason
 
 
 def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:

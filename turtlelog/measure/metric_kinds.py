@@ -1,26 +1,21 @@
-"""Definition of a metric, the registry that contains each metric function, and its argument: a run.
+"""Definition of a metric, and the registry that contains each metric function.
 
 Each metric is one function; its decorator contains the unit and direction, and the meaning, which
-is otherwise the first line of its docstring. A metric of a
-loop is written once and bound to each declared loop of a law.
+is otherwise the first line of its docstring. A metric of a loop is written once and bound to each
+declared loop of a law.
 
 A metric of a curve or of a course is a function of numbers: it runs in ordinary Python for one run,
 and compiled in the batch of `sweep`, for a million rows. Other metrics may use all of Python.
 """
 
 import math
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Final, Literal
 
 from turtlelog.display import fit_line
-from turtlelog.measure import rates
-from turtlelog.measure.dead_time import find_dead_time, take_beginning
 from turtlelog.measure.metric import (
     REASONS,
     Found,
@@ -31,215 +26,9 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
-from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
-from turtlelog.measure.references import compute_path_distances, read_heading_reference
-from turtlelog.measure.response import Response, find_response
-from turtlelog.measure.signals import Signal, find_signal
-from turtlelog.run import Run
+from turtlelog.measure.response import Response
+from turtlelog.measure.run_context import RunContext
 from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
-
-if TYPE_CHECKING:
-    from turtlelog.measure.metric_list import MeasureSettings
-    from turtlelog.measure.pose_quality import WhiteNoise
-
-_Value = TypeVar("_Value")
-
-
-class RunContext:
-    """A run, the settings of its metrics, and the values computed so far."""
-
-    memory: Final = None
-    """Work arrays; None, because ordinary Python creates arrays as needed."""
-
-    def __init__(self, run: Run, settings: "MeasureSettings") -> None:
-        self.run = run
-        self.settings = settings
-        self._known: dict[Hashable, object] = {}
-
-    def recall(self, key: Hashable, compute: Callable[[], _Value]) -> _Value:
-        """Return the value stored under a key; the first call computes the value."""
-        if key not in self._known:
-            self._known[key] = compute()
-        return cast("_Value", self._known[key])
-
-    def get_signal(self, name: str) -> Signal | None:
-        """Return a signal of the run, or None if the run lacks it."""
-        return self.recall(name, lambda: find_signal(self.run, name))
-
-    def get_rates(self, axis: rates.Axis) -> rates.Rates | None:
-        """Return the rate of the robot along an axis; None for a single pose."""
-        return self.recall(
-            ("rates", axis), lambda: rates.read_rates(self.run, axis, self.spaced_poses)
-        )
-
-    def get_commands(self, axis: rates.Axis) -> rates.HeldCommands | None:
-        """Return the commands of an axis; None without commands, or for a single pose."""
-        found = self.get_rates(axis)
-        if len(self.run.poses) == 1:
-            return None
-        return self.recall(
-            ("commands", axis), lambda: rates.read_held_commands(self.run, axis, found)
-        )
-
-    def get_response(self, loop: ControlLoop) -> Response | Missing:
-        """Return the response of a loop to its reference, or the reason why there is none."""
-        signal = self.get_signal(loop.signal)
-        return self.recall(
-            ("response", loop.name), lambda: find_response(self.run, loop, signal, self.settings)
-        )
-
-    @cached_property
-    def spaced_poses(self) -> rates.SpacedPoses | None:
-        """Poses far enough apart in time for differences; None for a single pose."""
-        if len(self.run.poses) < 2:
-            return None
-        if self.run.poses.speed_m_s is not None:
-            return rates.space_poses(self.run)
-        from turtlelog.measure.breaks import find_jumps  # only poses of other robots jump
-
-        return rates.space_poses(self.run, [jump.row for jump in find_jumps(self.run)])
-
-    @cached_property
-    def noise(self) -> "WhiteNoise | None":
-        """Noise of the poses that are used for differences; None of a simulation."""
-        if self.run.poses.speed_m_s is not None or self.spaced_poses is None:
-            return None
-        from turtlelog.measure.pose_quality import find_noise
-
-        return find_noise(self.run, self.spaced_poses.rows)
-
-    @cached_property
-    def heading_reference_rad(self) -> float | Values | None:
-        """Reference heading, as from `read_heading_reference`."""
-        return read_heading_reference(self.run)
-
-    @property
-    def x_m(self) -> Values:
-        """Coordinate x of every pose [m]."""
-        return self.run.poses.xy_m[:, 0]
-
-    @property
-    def y_m(self) -> Values:
-        """Coordinate y of every pose [m]."""
-        return self.run.poses.xy_m[:, 1]
-
-    @property
-    def last_heading_rad(self) -> float:
-        """Heading of the last pose, in [-pi, pi) [rad]."""
-        return float(self.run.poses.heading_rad[-1])
-
-    @property
-    def goal(self) -> tuple[float, float, float]:
-        """Goal: x, y [m] and heading [rad]; NaN if unknown."""
-        x_m, y_m = self.run.goal_xy_m or (math.nan, math.nan)
-        heading_rad = self.run.goal_heading_rad
-        return x_m, y_m, math.nan if heading_rad is None else heading_rad
-
-    @property
-    def duration_s(self) -> float:
-        """Time from the first sample, or first pose without samples, to the last row [s]."""
-        return self.run.duration_s
-
-    @property
-    def first_row(self) -> int:
-        """Row of the first pose at or after the first sample (time zero), or else the last row."""
-        first = int(np.searchsorted(self.run.poses.time_ns, self.run.start_ns))
-        return min(first, len(self.run.poses) - 1)
-
-    @property
-    def goal_row(self) -> int:
-        """Row of the pose from which the goal counts: when it was given, or else `first_row`."""
-        return max(self.first_row, self.run.goal_row)
-
-    @property
-    def path_row(self) -> int:
-        """Row from which the path or the line to the goal counts, as `goal_row`."""
-        if self.settings.reference_path_xy_m is not None:
-            return self.first_row
-        return max(self.first_row, self.run.path_row)
-
-    @property
-    def last_pose_s(self) -> float:
-        """Time of the last pose, from the first sample [s]."""
-        return float(self.pose_time_s[-1])
-
-    @property
-    def last_cross_track_m(self) -> float:
-        """Cross-track error of the last pose, positive to the left [m]; NaN if unknown."""
-        signal = self.get_signal("cross_track")
-        return math.nan if signal is None else float(signal.values[-1])
-
-    @property
-    def is_lawless_with_goal(self) -> bool:
-        """Whether the controller is unknown, and the goal is known."""
-        return self.run.is_lawless and self.run.goal_xy_m is not None
-
-    @property
-    def sample_count(self) -> int:
-        """Number of samples; number of commands if there are no samples."""
-        return len(self._sample_time_ns)
-
-    @cached_property
-    def pose_time_s(self) -> Values:
-        """Times of the poses, from the first sample [s]."""
-        return np.asarray((self.run.poses.time_ns - self.run.start_ns) / 1e9)
-
-    @cached_property
-    def sample_time_s(self) -> Values:
-        """Times of samples from the first sample [s]; of commands if there are no samples."""
-        return np.asarray((self._sample_time_ns - self.run.start_ns) / 1e9)
-
-    @property
-    def _sample_time_ns(self) -> NDArray[np.int64]:
-        run = self.run
-        return run.samples.time_ns if len(run.samples) else run.commands.time_ns
-
-    @cached_property
-    def command_time_s(self) -> Values:
-        """Times at which commands were published, from the first sample [s]."""
-        return np.asarray((self.run.commands.time_ns - self.run.start_ns) / 1e9)
-
-    @cached_property
-    def sample_period_s(self) -> Values:
-        """Time from each sample to the next [s]."""
-        return subtract_neighbours(self._sample_time_ns) / 1e9
-
-    @cached_property
-    def pose_period_s(self) -> Values:
-        """Time from each pose to the next [s]."""
-        return subtract_neighbours(self.run.poses.time_ns) / 1e9
-
-    @cached_property
-    def tick_s(self) -> float | None:
-        """Median time between poses [s]; None for a single pose."""
-        return compute_median(self.pose_period_s) if len(self.pose_period_s) else None
-
-    @cached_property
-    def loop_period_s(self) -> float | None:
-        """Usual time between samples without bursts [s]; None if all times are 0."""
-        periods_s = self.sample_period_s[self.sample_period_s > 0.0]
-        return compute_median(periods_s) if len(periods_s) else None
-
-    @cached_property
-    def cross_track_m(self) -> Values:
-        """Distance of every pose from the path, or to the left of the line to the goal [m].
-
-        Empty if neither path nor line is known.
-        """
-        path_xy_m = self.settings.reference_path_xy_m
-        if path_xy_m is not None:
-            return compute_path_distances(self.run.poses.xy_m, path_xy_m)
-        signal = self.get_signal("cross_track")
-        return np.empty(0) if signal is None else signal.values
-
-    def find_dead_time_ticks(self, loop: ControlLoop) -> int | Missing:
-        """Return the dead time of a loop's commands [ticks], or the reason why it is unknown."""
-        found = self.recall(
-            ("dead_time", loop.name),
-            lambda: find_dead_time(take_beginning(self.run, loop), loop, is_short=True),
-        )
-        return found if isinstance(found, Missing) else found.ticks
-
 
 Better = Literal["lower", "higher"] | None
 OfRun = Callable[[RunContext], Result]

@@ -16,7 +16,7 @@ from turtlelog.plants.lagged import want_rate
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
-from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
+from turtlelog.run.loops import PLANT_KEYS, ControlLoop, find_disturbance, read_number
 
 _NEAR_TICK: Final = 0.15
 """Largest difference of a wall clock's usual step from turtlesim's tick, as a share of the tick."""
@@ -177,10 +177,10 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
     """Return the motion caused by the scenario's disturbances in each step [rad or m]."""
     unit = "rad_s" if loop.command == "turn_rate" else "m_s"
     rate = read_number(run.parameters, f"disturbance.{loop.command}_{unit}", 0.0)
-    if not rate:
+    window_ns = find_disturbance(run.parameters)
+    if not rate or window_ns is None:
         return np.zeros(len(rows))
-    from_ns = 1e9 * read_number(run.parameters, "disturbance.from_s", 0.0)
-    to_ns = 1e9 * read_number(run.parameters, "disturbance.to_s", np.inf)
+    from_ns, to_ns = window_ns
     start_ns, end_ns = run.poses.time_ns[rows], run.poses.time_ns[rows + 1]
     if find_plant(run).name == LAGGED:
         pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)

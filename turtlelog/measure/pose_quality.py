@@ -453,9 +453,8 @@ def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]
 def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> dict[str, str]:
     if not _get(metrics, "run.rest_share"):
         return {}
-    from turtlelog.measure.metric_kinds import RunContext
-    from turtlelog.measure.metric_list import MeasureSettings
     from turtlelog.measure.metrics.travel import AT_REST_M_S, Rest, judge_rest
+    from turtlelog.measure.run_context import MeasureSettings, RunContext
 
     rest = judge_rest(RunContext(run, MeasureSettings()))
     if not isinstance(rest, Rest) or rest.way_m <= max(_CREPT_M, _LARGE * path_m):

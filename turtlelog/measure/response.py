@@ -23,7 +23,7 @@ from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT
 
 if TYPE_CHECKING:
-    from turtlelog.measure.metric_list import MeasureSettings
+    from turtlelog.measure.run_context import MeasureSettings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -144,9 +144,7 @@ class ControlLoop:
             if key is not None and not (isinstance(key, str) and _KEY.fullmatch(key)):
                 expected = "a key such as law.kp_angular, or None"
                 raise RunError(f"{place}: {field_name}: expected {expected}, found {key!r}")
-        if not isinstance(self.is_proportional, bool):
-            found = f"{self.is_proportional!r:.60}"
-            raise RunError(f"{place}: is_proportional: expected True or False, found {found}")
+        _require_kind(f"{place}: is_proportional", self.is_proportional, bool, "True or False")
 
     @property
     def moves(self) -> bool:
@@ -212,6 +210,15 @@ def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0
     return float(value) if isinstance(value, int | float) else default
 
 
+def find_disturbance(parameters: Mapping[str, object]) -> tuple[float, float] | None:
+    """Return when the plant is disturbed [ns]: the start and, exclusive, the end; None without."""
+    if not any(read_number(parameters, key) for key in PUSH_KEYS):
+        return None
+    from_ns = round(1e9 * read_number(parameters, "disturbance.from_s"))
+    to_ns = 1e9 * read_number(parameters, "disturbance.to_s", math.inf)
+    return from_ns, round(to_ns) if to_ns < math.inf else to_ns
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:
     """Loops, phases and states of a law. The run and the recording contain the declaration.
@@ -237,24 +244,18 @@ class Declaration:
     _hash: int = field(init=False, repr=False, compare=False, default=0)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.phases, Mapping):
-            expected = "names of loops by phase"
-            raise RunError(f"phases: expected {expected}, found {self.phases!r:.60}")
-        if not isinstance(self.uses_goal, bool):
-            raise RunError(f"uses_goal: expected True or False, found {self.uses_goal!r:.60}")
+        _require_kind("phases", self.phases, Mapping, "names of loops by phase")
+        _require_kind("uses_goal", self.uses_goal, bool, "True or False")
         phases = {
             name: _list_entries(f"phase {name}", loops) for name, loops in self.phases.items()
         }
         object.__setattr__(self, "phases", MappingProxyType(phases))
         object.__setattr__(self, "loops", _list_entries("loops", self.loops))
         object.__setattr__(self, "states", _list_entries("states", self.states))
-        if not isinstance(self.state_units, Mapping):
-            expected = "units by the names of states"
-            raise RunError(f"state_units: expected {expected}, found {self.state_units!r:.60}")
+        _require_kind("state_units", self.state_units, Mapping, "units by the names of states")
         object.__setattr__(self, "state_units", MappingProxyType({**self.state_units}))
         for loop in self.loops:
-            if not isinstance(loop, ControlLoop):
-                raise RunError(f"loops: expected a ControlLoop, found {loop!r:.60}")
+            _require_kind("loops", loop, ControlLoop, "a ControlLoop")
         self._require_names()
         # Tables of many runs ask for it a hundred times for each run.
         units = frozenset(self.state_units.items())
@@ -353,9 +354,13 @@ def is_loop_name(text: str) -> bool:
 
 def _list_entries(place: str, entries: Any) -> tuple[Any, ...]:
     """Return the entries of a list or tuple. A text is not accepted as a list of letters."""
-    if not isinstance(entries, list | tuple):
-        raise RunError(f"{place}: expected a tuple, found {entries!r:.60}")
+    _require_kind(place, entries, list | tuple, "a tuple")
     return tuple(entries)
+
+
+def _require_kind(place: str, value: object, kind: Any, expected: str) -> None:
+    if not isinstance(value, kind):
+        raise RunError(f"{place}: expected {expected}, found {value!r:.60}")
 
 
 def _require_name(what: str, name: object) -> None:
@@ -424,26 +429,19 @@ def parse_declaration(text: str) -> Declaration:
     """Return the declaration in a JSON text; a LogError gives the place of a mistake in it."""
     try:
         entry = msgspec.json.decode(text, type=_Entry)
-        return Declaration(
+        declared = Declaration(
             loops=tuple(ControlLoop(**msgspec.structs.asdict(loop)) for loop in entry.loops),
-            phases=_name_phases(entry.phases),
+            phases={phase.name: phase.loops for phase in entry.phases},
             states=entry.states,
             state_units=entry.state_units,
             uses_goal=entry.uses_goal,
         )
+        _require_distinct("phases", [phase.name for phase in entry.phases])
     except msgspec.MsgspecError as err:
         raise LogError(f"{_shorten(str(err))}, found {text[:60]!r}") from err
     except RunError as err:
         raise LogError(_shorten(str(err))) from err
-
-
-def _name_phases(phases: tuple[_Phase, ...]) -> dict[str, tuple[str, ...]]:
-    named: dict[str, tuple[str, ...]] = {}
-    for phase in phases:
-        if phase.name in named:
-            raise RunError(f"phases: expected each name once, found {phase.name!r} twice")
-        named[phase.name] = phase.loops
-    return named
+    return declared
 
 
 def _shorten(text: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-import turtlelog.measure.metric_list  # noqa: F401  (enters every metric in the registry)
+import turtlelog.measure.metrics  # noqa: F401  (enters every metric in the registry)
 from turtlelog.arithmetic import called, to_float32
 from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law

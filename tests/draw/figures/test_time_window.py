@@ -7,13 +7,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import turtlelog as tl
-from turtlelog.cli.plot import TIMELESS
 from turtlelog.draw import Page, draw_figure
 from turtlelog.draw.figures.marked_panels import cut_time_axes, list_time_axes
 from turtlelog.errors import ShowError
 from turtlelog.scenario import get_preset
 
 RUN = tl.simulate_run(get_preset("paper-kp10"))
+TIMELESS = sorted(name for name, kind in tl.draw.FIGURES.items() if kind.is_timeless)
 
 
 def test_time_axes_are_cut_and_curves_have_the_height_that_they_have_there() -> None:
@@ -80,7 +80,7 @@ def test_panels_of_a_stack_are_cut_together_and_limits_stay_in_sight() -> None:
     assert rate.get_ylim()[1] > 1.0
 
 
-@pytest.mark.parametrize("name", [*sorted(TIMELESS), "panel", "position"])
+@pytest.mark.parametrize("name", [*TIMELESS, "panel", "position"])
 def test_figures_that_no_time_can_cut_have_no_such_axis(name: str) -> None:
     assert bool(list_time_axes(draw_figure(name, [RUN]))) == (name not in TIMELESS)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from turtlelog.draw.rerun.viewer import find_viewer
-from turtlelog.explain import Attribution, Contribution, Resolution
+from turtlelog.explain import Attribution, Contribution, Resolution, ResolutionReason
 from turtlelog.measure import measure_run, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import Declaration
@@ -46,7 +46,7 @@ def make_attribution(
             for name, share in shares.items()
         ),
         others=(),
-        resolution=Resolution(size=0.001, reason="one millimetre"),
+        resolution=Resolution(size=0.001, reason=ResolutionReason.COUNT),
     )
 
 

@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -76,18 +76,14 @@ def explain_for_figure(
     runs: Sequence[Run],
     *,
     metric: str | None = None,
-    report: Callable[[int, int], None] | None = None,
+    work: explain.Work | None = None,
 ) -> Explained:
-    """Explain one run, as `turtlelog explain` does; ShowError, with the reason, if that fails.
-
-    `report` gets the numbers of simulations.
-    """
+    """Explain one run, as `turtlelog explain` does; ShowError, with the reason, if that fails."""
     run, chosen = _choose_explained("attribution", runs, metric)
     identified = explain.identify_run(run)
     if identified.scenario is None:
         reason = next(iter(identified.notes), "no scenario stands for this log").rstrip(".")
         raise ShowError(f"figure attribution needs a scenario of {run.name}: {reason}")
-    work = explain.Work(report=report)
     found = explain.attribute_run(run, metric=chosen, identified=identified, work=work)
     if not attribution_steps.list_attribution_steps(found):
         told = found.withheld or found.reason or "it has no value without the effects"

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
-from typing import Final, get_args
+from typing import Any, Final, Literal, get_args
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,7 +14,12 @@ from turtlelog.charts.plotted_curves import Scale, group_states, has_own
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import NamedValues, fit_line
 from turtlelog.draw.figures import theory_figures, time_panels
-from turtlelog.draw.figures.explanation_figures import draw_attribution, draw_luck
+from turtlelog.draw.figures.explanation_figures import (
+    draw_attribution,
+    draw_luck,
+    explain_for_figure,
+    measure_luck_for_figure,
+)
 from turtlelog.draw.figures.gain_figure import draw_gains
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.robot_figures import draw_rates, lacks_commands
@@ -23,12 +28,11 @@ from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
 SAMPLES: Final = "the controller's samples"
-
 POSES: Final = "poses"
-
 GOAL: Final = "a goal"
-
 PYTHON_CONTROL: Final = "python-control"
+_GAIN: Final = "the law's gain"
+_PROPORTIONAL: Final = "a proportional loop"
 
 _ROW_HEIGHT: Final = 0.25  # height of a row of two panels, as a share of their total width
 
@@ -84,6 +88,11 @@ class FigureKind:
     list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()  # panels of the laws
     is_usual: bool = True  # whether the figure is reported as missing if no run has data for it
     is_extra: bool = False  # whether the figure is drawn only if requested by name
+    is_wide: Callable[[Sequence[Run]], bool] = lambda _: False  # whether panels are side by side
+    is_timeless: bool = False  # whether no time window cuts it: no time axis, and no driven path
+    content: Literal["", "metric", "metrics", "formula"] = ""  # what a user may name for it
+    prepare: Callable[..., Mapping[str, Any]] | None = None  # keywords of `draw`, from the runs,
+    # `metric` and `work`, which may take seconds
     arrange: Arrange = time_panels.draw_stack  # function that places the panels
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
@@ -151,10 +160,6 @@ def _find_lack_of_locus(run: Run) -> str:
     unknown = theory_figures.find_lack_of_theory(run)
     return unknown if lack == _PROPORTIONAL or not unknown else lack
 
-
-_GAIN: Final = "the law's gain"
-
-_PROPORTIONAL: Final = "a proportional loop"
 
 OF_THEORY: Final = ("gain", "integrator", "locus")  # data that theory provides without a run
 
@@ -252,10 +257,7 @@ _TRACK: Final = replace(_panel("along_track", is_usual=True), draw=_draw_track)
 def list_state_panels(
     runs: Sequence[Run], *, of_commands: bool = False, most: int = MOST_STATES
 ) -> tuple[Panel, ...]:
-    """Return panels for nonzero states, at most `most`; for a single run, one panel per group.
-
-    If `of_commands` is true, only states that belong to a command are included.
-    """
+    """Return at most `most` panels for nonzero states, or of commands; of one run by group."""
     found = [run for run in runs if has_states(run)]
     panels = []
     for group in group_states(*(run.declaration for run in found)):
@@ -285,11 +287,16 @@ def _show(figure: str, title: str, paper: str = "9-16", height: float = 0.62) ->
     return FigureKind(title=title, paper=paper, panels=_panels(figure), height=height)
 
 
-def _ask(title: str, draw: DrawFigure, needs: str = "poses", height: float = 0.62) -> FigureKind:
-    return FigureKind(
-        title=title, draw=draw, needs=needs, height=height, is_usual=False, is_extra=True
-    )
+def _ask(
+    title: str, draw: DrawFigure, needs: str = "poses", *, is_wide: bool = True, **facts: Any
+) -> FigureKind:
+    """Return a figure that is drawn only if requested by name."""
+    facts["is_wide"] = lambda _: is_wide
+    return FigureKind(title=title, draw=draw, needs=needs, is_usual=False, is_extra=True, **facts)
 
+
+_SAMPLED: Final[dict[str, Any]] = {"needs": "theory", "is_timeless": True}
+_METRICS: Final[dict[str, Any]] = {"content": "metrics", "is_timeless": True, "is_wide": False}
 
 _NAMED: Final[Mapping[str, FigureKind]] = {
     "plant": FigureKind(
@@ -298,12 +305,15 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         draw=theory_figures.draw_plant_responses,
         height=0.36,
         needs="integrator",
+        is_wide=lambda _: True,
+        is_timeless=True,
     ),
     "step-responses": FigureKind(
         title="Step responses of the ideal closed loop, with 4 tau",
         paper="4",
         draw=theory_figures.draw_step_responses,
         needs="gain",
+        is_timeless=True,
     ),
     "root-locus": FigureKind(
         title="Poles of the ideal and of the sampled closed loops as Kp rises",
@@ -311,6 +321,8 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         draw=theory_figures.draw_root_locus,
         height=0.55,
         needs="locus",
+        is_wide=bool,  # one panel if it shows theory alone
+        is_timeless=True,
     ),
     "heading": _show("heading", "Heading, the goal bearing and the ideal response"),
     "along-track": FigureKind(
@@ -359,36 +371,44 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
     "bode": _ask(
         "Frequency response of the open sampled loops, with their margins",
         theory_figures.draw_bode,
-        "theory",
+        **_SAMPLED,
     ),
     "nyquist": _ask(
         "Open sampled loops in the complex plane, with their margins",
         theory_figures.draw_nyquist,
-        "theory",
+        **_SAMPLED,
     ),
     "step": _ask(
         "Step responses of the sampled loops, without limits",
         theory_figures.draw_step,
-        "theory",
         height=0.42,
+        **_SAMPLED,
     ),
     "attribution": _ask(
         "What caused a metric of one run: the contributions, the run and its ghost",
         draw_attribution,
         "samples",
+        content="metric",
+        prepare=lambda runs, **asked: {"explained": explain_for_figure(runs, **asked)},
     ),
     "luck": _ask(
         "What a metric of one run would be from other starts within one sample's turn",
         draw_luck,
         "samples",
+        is_timeless=True,
+        content="metric",
+        prepare=lambda runs, **asked: {"luck": measure_luck_for_figure(runs, **asked)},
     ),
     "gains": _ask(
         "Metrics against the gain, with theory's limits of overshoot and stability",
         draw_gains,
         "known_gain",
+        **_METRICS,
     ),
     "strips": _ask(
-        "Metrics of many runs by gain, or by what else differs: points, and boxes", draw_strips
+        "Metrics of many runs by gain, or by what else differs: points, and boxes",
+        draw_strips,
+        **_METRICS,
     ),
     "rates": _ask(
         "Commands against measured rates, with the identified model", draw_rates, "commands"
@@ -396,23 +416,24 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
     "violation": _ask(
         "The signal that a check holds to a band, and where it leaves it",
         time_panels.draw_violation,
+        content="formula",
     ),
     "plane": FigureKind(
-        title="Paths in the plane, and how each run ends", paper="17", draw=draw_plane, height=0.53
+        title="Paths in the plane, and how each run ends",
+        paper="17",
+        draw=draw_plane,
+        height=0.53,
+        is_wide=lambda runs: not has_one_plane(runs),
     ),
     "panel": FigureKind(
         title="Path, errors and commands, as far as recorded",
         panels=(
-            _panel("heading"),
-            _TRACK,
-            _panel("distance"),
-            _panel("heading_error", "log"),
-            _panel("cross_track"),
-            _panel("turn_rate"),
-            _panel("speed"),
+            *(_panel("heading"), _TRACK, _panel("distance"), _panel("heading_error", "log")),
+            *map(_panel, ("cross_track", "turn_rate", "speed")),
         ),
         list_more=lambda runs: list_state_panels(runs, of_commands=True) if len(runs) == 1 else (),
         arrange=time_panels.draw_overview,
+        is_wide=lambda _: True,
     ),
 }
 

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs, palette, plotted_curves
-from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
-from turtlelog.charts.curves import find_disturbance, lack_samples
+from turtlelog.charts.curves import find_disturbed_time, lack_samples
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
+from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.display import format_number
 from turtlelog.draw.figures import figure_curves, page
 from turtlelog.draw.figures.figure_curves import choose_lines, draw_curve, draw_level, label_runs
@@ -208,7 +208,7 @@ def _fit(axes: Axes, runs: Sequence[Run], plot: TimePlot, scale: Scale, *, is_fo
 
 
 def _shade(axes: Axes, run: Run, plot: TimePlot) -> None:
-    if plot.command is not None and (pushed_s := find_disturbance(run)) is not None:
+    if plot.command is not None and (pushed_s := find_disturbed_time(run)) is not None:
         axes.axvspan(*pushed_s, **page.PUSHED)
     shade_gaps(axes, list_seen_gaps(run))
 

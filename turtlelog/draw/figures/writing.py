@@ -34,13 +34,6 @@ _MOST_COLUMNS: Final = 4  # runs as columns; more runs become rows
 _LEAST_INCH: Final = 3.0
 """Width below which a figure keeps its height, because its text has the same size [inch]."""
 
-_WIDE: Final = frozenset(
-    {
-        *("plant", "plane", "panel", "bode", "nyquist", "step"),
-        *("attribution", "luck", "rates", "violation"),
-    }
-)
-_WIDE_OF_RUNS: Final = frozenset({"root-locus"})  # figures with one panel if they show theory alone
 _LEAST_DRAWN: Final = 3
 """Smallest number of figures per process if the number of processes is not given. A fork takes as
 long as a fifth of a small figure, and the copies of changed memory as long again."""
@@ -69,9 +62,8 @@ def draw_figure(
     runs = list_runs(runs)
     kind, page = _find_kind(name, runs, kinds), page or Page()
     runs = compare.order_by_gain(runs)
-    is_alone = name == "plane" and has_one_plane(runs)
     marked_panels.require_window(runs, page)
-    if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
+    if kind.is_wide(runs):
         page = page.widen()
     with use_looks():
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
-from turtlelog.explain.scenario_from_log.identification import (
+from turtlelog.explain.scenario_from_log import (
     Finding,
     bound_value,
     find_exactly,

@@ -13,20 +13,31 @@ import numpy as np
 
 from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
-from turtlelog.explain.scenario_from_log import identification, law_identification, loop_settings
-from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
-from turtlelog.explain.scenario_from_log.identification import (
+from turtlelog.explain.scenario_from_log import (
     DEAD_TIME,
     LAW_KEYS,
     LOOP_KEYS,
     Certainty,
     Finding,
     Identification,
+    describe_dead_times,
+    describe_stop_rule,
+    find_command_limits,
+    find_dead_times,
+    find_lag_slack,
     fit_value,
     give_up,
+    identify_plant,
+    law_identification,
+    list_candidates,
+    list_unseen,
+    loop_settings,
     miss,
+    take_findings,
     take_recorded,
+    take_seconds,
 )
+from turtlelog.explain.scenario_from_log.gain_fit import CommandFit
 from turtlelog.explain.scenario_from_log.law_identification import PHASES, RULE_KEYS
 from turtlelog.explain.scenario_from_log.resimulation import (
     LONGEST_S,
@@ -35,6 +46,7 @@ from turtlelog.explain.scenario_from_log.resimulation import (
     check_recorded_scenario,
     compare_samples,
     cut_where_logged,
+    describe_difference,
 )
 from turtlelog.explain.scenario_from_log.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.scenario_from_log.trace import (
@@ -46,7 +58,7 @@ from turtlelog.explain.scenario_from_log.trace import (
 )
 from turtlelog.laws import LAWS
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
-from turtlelog.measure.dead_time import shows_lag
+from turtlelog.measure.dead_time import LagInstead
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run, require_run, slice_run
 from turtlelog.scenario import DEFAULT_LAW, flatten_scenario, override_scenario
@@ -95,7 +107,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """
     require_run(run)
     if not len(run.samples):
-        return identification.identify_plant(run)
+        return identify_plant(run)
     length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:
         return _identify_beginning(run, length_s, trust_law=trust_law)
@@ -135,7 +147,7 @@ def _identify_recorded(trace: Trace) -> Identification | None:
     An effect may be invisible, or look like another setting. So the recorded settings are used if
     they reproduce every sample; None if they do not, or contain no such effect.
     """
-    run, unseen = trace.run, identification.list_unseen(trace.run)
+    run, unseen = trace.run, list_unseen(trace.run)
     if not (unseen and run.scenario_is_complete):
         return None
     recorded = check_recorded_scenario(trace, trust_law=False)
@@ -146,11 +158,11 @@ def _identify_recorded(trace: Trace) -> Identification | None:
     is_law = _contradict_law(trace, turning, driving) is None
     findings = {**loop_settings.describe_goal(trace), **(rotation | translation if is_law else {})}
     motion = space_out(trace)
-    dead_times = identification.find_dead_times(motion, PHASES)
-    findings |= identification.describe_dead_times(dead_times, motion, run)
+    dead_times = find_dead_times(motion, PHASES)
+    findings |= describe_dead_times(dead_times, motion, run)
     note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
-    findings |= identification.take_findings(findings, recorded.scenario, note)
-    findings["stop_reason"] = identification.describe_stop_rule(run, recorded)
+    findings |= take_findings(findings, recorded.scenario, note)
+    findings["stop_reason"] = describe_stop_rule(run, recorded)
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
     return Identification(
         name=run.name,
@@ -181,7 +193,7 @@ def _prefer_recorded(trace: Trace, found: Identification) -> Identification:
         scenario=recorded.scenario,
         resimulation=recorded.resimulation,
         is_recorded=True,
-        notes=(f"{recorded.reach}; {identified}", *_list_candidates(found.findings)),
+        notes=(f"{recorded.reach}; {identified}", *list_candidates(found.findings)),
     )
 
 
@@ -214,8 +226,8 @@ def _add_recorded(trace: Trace, found: Identification) -> Identification:
 
 def _identify_samples(trace: Trace) -> Identification:
     run, motion = trace.run, space_out(trace)
-    dead_times = identification.find_dead_times(motion, PHASES)
-    findings = identification.describe_dead_times(dead_times, motion, run)
+    dead_times = find_dead_times(motion, PHASES)
+    findings = describe_dead_times(dead_times, motion, run)
     findings |= loop_settings.describe_goal(trace)
     rotation, turning = law_identification.identify_rotation(trace)
     translation, driving = law_identification.identify_translation(trace)
@@ -249,12 +261,12 @@ def _identify_samples(trace: Trace) -> Identification:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
     findings |= loop_settings.describe_start(trace, fits)
     fits = _reject_lag(fits, dead_times)
-    slack = identification.find_lag_slack(run, dead_times)
+    slack = find_lag_slack(run, dead_times)
     findings |= loop_settings.describe_loop(trace, fits, slack)
     if fits.is_fitted and not (fits.is_exact or fits.is_partial):
         findings |= _describe_dead_times_again(dead_times, fits, slack)
     if not fits.is_reproduced:
-        findings |= _withhold_law(findings, turning, driving)
+        findings |= law_identification.withhold_law(findings, turning, driving)
     if not (fits.is_reproduced or fits.is_fitted):
         reason = "no setting of the loop explains the motion"
         findings |= {key: miss(reason, findings[key].used) for key in LAW_KEYS}
@@ -269,8 +281,8 @@ def _identify_samples(trace: Trace) -> Identification:
         tried=fits.ranges,
         notes=(
             *breaks,
-            *loop_settings.describe_difference(trace, fits, resimulation),
-            *_list_candidates(findings),
+            *describe_difference(trace, fits, resimulation),
+            *list_candidates(findings),
         ),
     )
 
@@ -293,22 +305,6 @@ def _describe_dead_times_again(
             evidence = "of the settings that explain the motion"
             found[f"{DEAD_TIME}{loop}"] = fit_value(ticks[0], evidence, interval)
     return found
-
-
-def _withhold_law(
-    findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
-) -> dict[str, Finding]:
-    """Remove findings of a loop whose commands are all clipped, unless a scenario reproduces it."""
-    sides = (
-        (turning, ("law.kp_angular", "limits.turn_rate_rad_s", "law.heading_tolerance_rad")),
-        (driving, ("law.kp_linear", "limits.speed_m_s", "law.position_tolerance_m")),
-    )
-    return {
-        key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
-        for fit, keys in sides
-        if fit is not None and fit.gain is None
-        for key in keys
-    }
 
 
 def _find_other_law(run: Run) -> str | None:
@@ -365,15 +361,6 @@ def _find_obstacle(trace: Trace) -> str | None:
     return None
 
 
-def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
-    return [
-        f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike:"
-        f" {finding.evidence}"
-        for key, finding in findings.items()
-        if finding.certainty is Certainty.AMBIGUOUS
-    ]
-
-
 _AROUND: Final = "a loop is identified from commands only around turtlesim"
 
 _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
@@ -384,7 +371,7 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
     kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
     motion = space_out(trace)
-    dead_times = identification.find_dead_times(motion)
+    dead_times = find_dead_times(motion)
     if not run.scenario_is_complete:
         recorded = RecordedScenario(reach="")
     elif not trust_law and kind not in LAWS:
@@ -398,19 +385,19 @@ def _identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identifica
         fits = _reject_lag(_fit_loop(trace, recorded, [*dead_times.values()]), dead_times)
         if recorded.scenario is not None and fits.is_driven:
             recorded = RecordedScenario(reach=NOT_DETERMINISTIC)
-        slack = identification.find_lag_slack(run, dead_times)
+        slack = find_lag_slack(run, dead_times)
         precision = loop_settings.describe_start(trace, fits)["loop.pose_precision"]
         settings = loop_settings.describe_loop(trace, fits, slack)
         settings["loop.pose_precision"] = precision
     findings = {
         **{key: miss(reason) for key in LAW_KEYS},
         **{key: miss(around) for key in (*LOOP_KEYS, "lost_commands")},
-        **identification.describe_dead_times(dead_times, motion, run),
+        **describe_dead_times(dead_times, motion, run),
         **loop_settings.describe_goal(trace),
-        **identification.find_command_limits(run),
+        **find_command_limits(run),
         **settings,
-        **({} if recorded.scenario is None else identification.take_seconds(recorded.scenario)),
-        "stop_reason": identification.describe_stop_rule(run, recorded),
+        **({} if recorded.scenario is None else take_seconds(recorded.scenario)),
+        "stop_reason": describe_stop_rule(run, recorded),
     }
     return Identification(
         name=run.name,
@@ -453,6 +440,7 @@ def _fit_loop(
 
 def _reject_lag(fits: Fits, dead_times: Mapping[str, DeadTime | Missing]) -> Fits:
     """Return settings without an explained motion if the robot clearly has a time constant."""
-    if fits.drive is None or not any(map(shows_lag, dead_times.values())):
+    has_lag = any(isinstance(one, LagInstead) for one in dead_times.values())
+    if fits.drive is None or not has_lag:
         return fits
     return replace(fits, drive=replace(fits.drive, explains=False))

@@ -33,7 +33,7 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.metric_kinds import RunContext, curve_metric, loop_metric, read_meaning
+from turtlelog.measure.metric_kinds import curve_metric, loop_metric, read_meaning
 from turtlelog.measure.reductions import (
     Values,
     count_beyond,
@@ -42,6 +42,7 @@ from turtlelog.measure.reductions import (
     sum_products,
 )
 from turtlelog.measure.response import CommandStretch, Response
+from turtlelog.measure.run_context import RunContext
 from turtlelog.measure.step_response import compute_rms
 
 OfCommands = Callable[[CommandStretch], Result]

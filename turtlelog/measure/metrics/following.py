@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
-from turtlelog.measure.metric_kinds import RunContext, run_metric
+from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
+from turtlelog.measure.run_context import RunContext
 from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
 

@@ -21,13 +21,7 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
-from turtlelog.measure.metric_kinds import (
-    LOOP_METRICS,
-    RunContext,
-    course_metric,
-    loop_metric,
-    run_metric,
-)
+from turtlelog.measure.metric_kinds import LOOP_METRICS, course_metric, loop_metric, run_metric
 from turtlelog.measure.metrics.commands_and_theory import COMMAND_METRICS
 from turtlelog.measure.metrics.loop_metrics import LEFT_SOON, find_needed_hold
 from turtlelog.measure.reductions import (
@@ -40,6 +34,7 @@ from turtlelog.measure.reductions import (
 )
 from turtlelog.measure.references import compute_straightness, has_lasting_heading
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
+from turtlelog.measure.run_context import RunContext
 from turtlelog.measure.signals import find_no_commands
 from turtlelog.measure.step_response import (
     compute_rms,

@@ -25,7 +25,7 @@ from turtlelog.measure.metric import (
     Status,
     add_reason,
 )
-from turtlelog.measure.metric_kinds import RunContext, course_metric, read_meaning, run_metric
+from turtlelog.measure.metric_kinds import course_metric, read_meaning, run_metric
 from turtlelog.measure.reductions import (
     PIECES,
     Values,
@@ -33,6 +33,7 @@ from turtlelog.measure.reductions import (
     find_furthest_row,
     subtract_neighbours,
 )
+from turtlelog.measure.run_context import RunContext
 
 Rows = Literal["sample", "pose"]
 OfPeriods = Callable[[Values], float | None]

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
-from turtlelog.measure.metric_kinds import RunContext, run_metric
+from turtlelog.measure.metric_kinds import run_metric
 from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.references import recall
+from turtlelog.measure.run_context import RunContext
 from turtlelog.run.angles import unwrap_headings
 
 if TYPE_CHECKING:
