@@ -25,6 +25,7 @@ from turtlelog.log.planar_poses import (
     fits_degrees,
     lift_poses,
     note_changes,
+    note_crowded,
     separate_times,
     sort_rows,
     wrap_far_headings,
@@ -35,7 +36,6 @@ from turtlelog.log.ros2.reported_motion import (
     RATE_NOTE,
     describe_speed,
     describe_turning,
-    note_crowded,
 )
 from turtlelog.log.table_columns import (
     DATE,

@@ -21,14 +21,17 @@ from turtlelog.log.planar_poses import (
     Fields,
     PoseShape,
     Values,
+    extract_poses,
     find_pose_shape,
 )
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
+from turtlelog.log.recording.topics import SENSED
 from turtlelog.log.ros2 import bag_topics, bag_transforms
-from turtlelog.log.ros2.bag_rows import Bag
+from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
+from turtlelog.log.ros2.reported_motion import LATERAL
 from turtlelog.log.ros2.set_clocks import undo_clock_steps
-from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
+from turtlelog.log.ros2.stamps import Stamps, TimesNs, join_arrays, join_stamps, read_stamp_clock
 from turtlelog.run import Origin, Trajectory, build_trajectory, turn_headings
 
 Found = list[Mapping[str, TopicColumns]]
@@ -130,6 +133,54 @@ def _integrate_wheels(
         origin=Origin(poses=pick.source),
         notes={**note_pick("pose_topic", pick), "wheels": note},
     )
+
+
+_RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
+"""Rates in messages of poses. In a topic of sensed poses, all rates are NaN."""
+
+
+def order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
+    """Return the finite poses in order of time, and the numbers of three kinds of dropped ones.
+
+    These are all, those at a place without a heading, and of these those that point up or down.
+    """
+    rows = order_topic(found, topic, extract_poses)
+    columns = rows.columns
+    is_unturned = np.isnan(columns["heading"])
+    # A quaternion that was never set has a tilt of 0.
+    is_vertical = is_unturned & (columns.get("tilt", np.zeros(1)) > 0.0)
+    has_place = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
+    speeds = [name for name in columns if name.removeprefix("measured_") in _RATES]
+    unknown = [name for name in speeds if not np.isfinite(columns[name]).any()]
+    columns = {name: column for name, column in columns.items() if name not in unknown}
+    # Height and tilt are only described, and few robots move sideways.
+    needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
+    kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
+    if not len(kept.time_ns) and is_vertical.sum() == dropped:
+        raise LogError(
+            f"topic {topic.topic}: the forward axis points up or down in all {dropped} poses: there"
+            " is no heading"
+        )
+    if not len(kept.time_ns):
+        raise LogError(
+            f"topic {topic.topic}: expected numbers in x, y and heading, found nan or infinity in"
+            f" all {dropped} poses"
+        )
+    return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
+
+
+def match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
+    """Return sensed positions and headings, NaN if not sensed; empty if times fit no poses."""
+    if moved or not any(SENSED.name in of_file for of_file in found):
+        return {}
+    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
+    sensed = order_topic(found, kind, extract_poses)
+    rows = np.searchsorted(time_ns, sensed.time_ns)
+    if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
+        return {}
+    values = np.full((len(time_ns), 3), np.nan)
+    values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
+    return {"sensed_xy_m": values[:, :2].copy(), "sensed_heading_rad": values[:, 2].copy()}
 
 
 def note_pick(name: str, pick: bag_topics.Pick) -> dict[str, str]:

@@ -18,10 +18,9 @@ from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
-    Values,
-    extract_poses,
     lift_poses,
     note_changes,
+    note_crowded,
     separate_times,
     wrap_far_headings,
 )
@@ -38,14 +37,18 @@ from turtlelog.log.recording.topics import (
     SHAPED,
 )
 from turtlelog.log.ros2 import bag_inputs
-from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
+from turtlelog.log.ros2.bag_poses import (
+    PoseSource,
+    find_poses,
+    match_sensed,
+    note_pick,
+    order_poses,
+)
 from turtlelog.log.ros2.bag_rows import (
     Bag,
     Held,
     OrderedRows,
-    drop_not_finite,
     open_bag,
-    order_topic,
     time_rows,
 )
 from turtlelog.log.ros2.bag_topics import (
@@ -56,7 +59,7 @@ from turtlelog.log.ros2.bag_topics import (
     describe_unread_topics,
     select_robot,
 )
-from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
+from turtlelog.log.ros2.reported_motion import judge_rates, note_motion
 from turtlelog.log.ros2.set_clocks import (
     SILENCE,
     describe_clock_steps,
@@ -81,9 +84,6 @@ NOT_UNDERSTOOD: Final = "not_understood"
 """Name of the note on topics of poses, commands, goals or paths that cannot be read."""
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
-
-_RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
-"""Rates in messages of poses. In a topic of sensed poses, all rates are NaN."""
 
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
@@ -207,7 +207,7 @@ def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
 ) -> tuple[Run, bag_inputs.RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
-    poses, dropped, unturned, vertical = _order_poses(found, source.topic)
+    poses, dropped, unturned, vertical = order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
         commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
@@ -259,7 +259,7 @@ def _build_run(
         turn_rate_rad_s=columns.get("turn_rate"),
         measured_speed_m_s=columns.get("measured_speed"),
         measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-        **_match_sensed(found, track.time_ns, moved),
+        **match_sensed(found, track.time_ns, moved),
         **lift_poses(columns.get("z"), columns.get("tilt")),
     )
     command_columns = bag_inputs.build_bag_commands(commands, start_ns)
@@ -308,50 +308,6 @@ def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
     counts = [describe_count(count, kind) for kind, count in lost.items() if count]
     without = f", {unturned} of the poses without a heading" if unturned else ""
     return {"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}
-
-
-def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
-    """Return the finite poses in order of time, and the numbers of three kinds of dropped ones.
-
-    These are all, those at a place without a heading, and of these those that point up or down.
-    """
-    rows = order_topic(found, topic, extract_poses)
-    columns = rows.columns
-    is_unturned = np.isnan(columns["heading"])
-    # A quaternion that was never set has a tilt of 0.
-    is_vertical = is_unturned & (columns.get("tilt", np.zeros(1)) > 0.0)
-    has_place = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
-    speeds = [name for name in columns if name.removeprefix("measured_") in _RATES]
-    unknown = [name for name in speeds if not np.isfinite(columns[name]).any()]
-    columns = {name: column for name, column in columns.items() if name not in unknown}
-    # Height and tilt are only described, and few robots move sideways.
-    needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
-    kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
-    if not len(kept.time_ns) and is_vertical.sum() == dropped:
-        raise LogError(
-            f"topic {topic.topic}: the forward axis points up or down in all {dropped} poses: there"
-            " is no heading"
-        )
-    if not len(kept.time_ns):
-        raise LogError(
-            f"topic {topic.topic}: expected numbers in x, y and heading, found nan or infinity in"
-            f" all {dropped} poses"
-        )
-    return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
-
-
-def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
-    """Return sensed positions and headings, NaN if not sensed; empty if times fit no poses."""
-    if moved or not any(SENSED.name in of_file for of_file in found):
-        return {}
-    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
-    sensed = order_topic(found, kind, extract_poses)
-    rows = np.searchsorted(time_ns, sensed.time_ns)
-    if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
-        return {}
-    values = np.full((len(time_ns), 3), np.nan)
-    values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
-    return {"sensed_xy_m": values[:, :2].copy(), "sensed_heading_rad": values[:, 2].copy()}
 
 
 _NEVER_IN_BAGS: Final = (

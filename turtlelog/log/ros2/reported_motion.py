@@ -414,20 +414,6 @@ def _propose(field: str, column: str, ratio: float) -> str:
     return ""
 
 
-_CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
-
-
-def note_crowded(time_ns: TimesNs) -> dict[str, str]:
-    """Return a note on poses that are too close in time for a sensor, if they are."""
-    steps_ns = np.diff(time_ns)
-    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
-        return {}
-    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
-    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
-    return {"crowded": text}
-
-
 def note_motion(
     poses: OrderedRows,
     columns: Mapping[str, Values],
