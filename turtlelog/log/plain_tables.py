@@ -15,7 +15,6 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import (
-    HEADINGS,
     Values,
     compute_heading,
     compute_tilt,
@@ -32,15 +31,12 @@ from turtlelog.log.planar_poses import (
 )
 from turtlelog.log.read_choice import CHOSEN, RESTARTS
 from turtlelog.log.ros2.reported_motion import (
-    PATH_NOTE,
-    RATE_NOTE,
     describe_speed,
     describe_turning,
 )
 from turtlelog.log.table_columns import (
     DATE,
     QUANTITIES,
-    UNLIKELY,
     Choice,
     assign_columns,
     describe_units,
@@ -223,18 +219,19 @@ def _list_contradictions(
         return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
     xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
     if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
-        return {UNLIKELY: doubt}
+        return {"unlikely_units": doubt}
     column = cells.chosen["heading"].name if "heading" in cells.chosen else ""
     is_assumed = bool(cells.find_assumed("heading"))
     found = {}
     if is_flat:  # tilted robots move along their own axes
-        found[HEADINGS] = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
+        said = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
+        found["heading_and_travel"] = said
         assumed = cells.find_assumed("speed", "turn_rate")
         if (speed := whole.get("speed")) is not None:
-            found[PATH_NOTE] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
+            found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
         if (rate := whole.get("turn_rate")) is not None:
             name = assumed.get("turn_rate", "")
-            found[RATE_NOTE] = describe_turning(time_ns, heading_rad, rate, name)
+            found["turning_by_rate"] = describe_turning(time_ns, heading_rad, rate, name)
     return {name: text for name, text in found.items() if text}
 
 

@@ -298,9 +298,6 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
 
 
-HEADINGS: Final = "heading_and_travel"
-"""Name of the note on headings that differ from the direction of travel."""
-
 MOVED_M: Final = 0.1
 """Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
 

@@ -61,7 +61,6 @@ from turtlelog.log.ros2.bag_topics import (
 )
 from turtlelog.log.ros2.reported_motion import judge_rates, note_motion
 from turtlelog.log.ros2.set_clocks import (
-    SILENCE,
     describe_clock_steps,
     describe_silence,
 )
@@ -76,12 +75,6 @@ from turtlelog.run import (
     find_greatest_loss,
 )
 from turtlelog.run.loops import DONE, PAUSE, Declaration
-
-NOT_READ: Final = "not_read"
-"""Name of the note on messages that were not read."""
-
-NOT_UNDERSTOOD: Final = "not_understood"
-"""Name of the note on topics of poses, commands, goals or paths that cannot be read."""
 
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
@@ -139,7 +132,7 @@ def _note_steps(run: Run, bag: Bag) -> Run:
         notes = {**run.notes, CLOCK_SET: describe_clock_steps(bag.steps)}
         return replace(run, notes=notes, origin=replace(run.origin, was_clock_set=True))
     silence = describe_silence(run.poses.time_ns, run.commands.time_ns)
-    return replace(run, notes={**run.notes, SILENCE: silence}) if silence else run
+    return replace(run, notes={**run.notes, "silence": silence}) if silence else run
 
 
 def _note_rest(
@@ -156,12 +149,12 @@ def _note_rest(
         if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
     ]
     unread = ", ".join(f"{topic.count} of {topic.topic}" for topic in rest)
-    found = {"robots": robots, NOT_READ: unread}
+    found = {"robots": robots, "not_read": unread}
     notes = {**run.notes, **{name: text for name, text in found.items() if text}}
     for info in bag.infos.values():
         notes |= info.notes
     if unreadable := describe_unread_topics(topics):
-        notes[NOT_UNDERSTOOD] = unreadable
+        notes["not_understood"] = unreadable
     origin = replace(
         run.origin,
         robot=choice.robot,
@@ -194,7 +187,7 @@ _MORE: Final = {
     "robots": "robots {}",
     "path": "path {}",
     "goal": "goal {}",
-    NOT_UNDERSTOOD: "{}",
+    "not_understood": "{}",
     "other_pose_topics": "also there: {}: --pose-topic",
     "other_frames": "also there: {}: --pose-frame and --world-frame",
     "other_command_topics": "also there: {}: --command-topic",

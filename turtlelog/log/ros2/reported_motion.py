@@ -13,12 +13,6 @@ from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describ
 from turtlelog.log.ros2.bag_rows import OrderedRows
 from turtlelog.log.ros2.stamps import TimesNs
 
-PATH_NOTE: Final = "path_by_speed"
-"""Name of the note on poses and reported speeds with different path lengths."""
-
-RATE_NOTE: Final = "turning_by_rate"
-"""Name of the note on headings and reported turn rates that turn differently."""
-
 _APART: Final = 0.2
 """Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
 within 5 %; odometry of a camera or a filter is within 10 %."""
@@ -251,9 +245,6 @@ def describe_small_leaps(xy_m: Values) -> str | None:
     )
 
 
-REPORTED_RATES: Final = "reported_rates"
-"""Name of the note on odometry rates that are left out or rotated."""
-
 SPEED: Final = "measured_speed"
 LATERAL: Final = "measured_lateral_speed"
 TURN_RATE: Final = "measured_turn_rate"
@@ -298,7 +289,7 @@ def judge_rates(
                 "twists are along the axes of the world, not the robot's, as the poses tell: the"
                 " speed is turned into the robot's axis"
             )
-    return left, {REPORTED_RATES: "; ".join(notes)} if notes else {}
+    return left, {"reported_rates": "; ".join(notes)} if notes else {}
 
 
 def _find_unset(columns: Mapping[str, Values], lateral: Values | None) -> list[str]:
@@ -447,5 +438,5 @@ def note_motion(
         driven = commands.time_ns, np.hypot(speed, lateral)
     reported = poses.columns if SPEED in columns else columns
     if paths := describe_paths(measure_paths(poses.time_ns, reported, driven), others):
-        notes[PATH_NOTE] = paths
+        notes["path_by_speed"] = paths
     return notes
