@@ -181,6 +181,60 @@ def _split(
     return np.moveaxis(vectors, -1, 0), np.cos(heading), np.sin(heading)
 
 
+def compose_transforms(
+    place_m: Values, turn: Values, next_m: Values, next_turn: Values
+) -> tuple[Values, Values]:
+    """Return a transform followed by another, positions of shape (n, 3), rotations of (n, 4).
+
+    Rotations of transforms are quaternions x, y, z, w, as in messages of ROS.
+    """
+    parts = (np.split(_normalise(one), [3], axis=1) for one in (turn, next_turn))
+    (a, v), (b, w) = parts
+    vector = v * b + w * a + np.cross(a, b)
+    both = np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
+    return place_m + rotate_vectors(turn, next_m), both
+
+
+def place_points(place_m: Values, turn: Values, points_m: Values) -> Values:
+    """Return points of a frame, given the place and rotation of the frame, shape (n, 3)."""
+    return np.asarray(place_m + rotate_vectors(np.tile(turn, (len(points_m), 1)), points_m))
+
+
+def rotate_vectors(turn: Values, vector: Values) -> Values:
+    """Return vectors rotated by quaternions of any length except 0."""
+    axis, w = np.split(_normalise(turn), [3], axis=1)
+    across = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * across + np.cross(axis, across))
+
+
+def invert_transform(place_m: Values, turn: Values) -> tuple[Values, Values]:
+    """Return the inverse transform."""
+    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
+    return -rotate_vectors(back, place_m), back
+
+
+def _normalise(turn: Values) -> Values:
+    length = np.linalg.norm(turn, axis=1, keepdims=True)
+    # Quaternions that were never set stay 0; the computation of headings reports them.
+    return np.asarray(turn / np.where(length == 0.0, 1.0, length))
+
+
+def interpolate_rotation(first: Values, last: Values, share: float) -> Values:
+    """Return a rotation on the shortest arc between two quaternions."""
+    first, last = _normalise(np.stack([first, last]))
+    cosine = float(first @ last)
+    last, cosine = (-last, -cosine) if cosine < 0.0 else (last, cosine)
+    angle = float(np.arccos(min(cosine, 1.0)))
+    if angle < _SMALL_RAD:
+        return np.asarray((1.0 - share) * first + share * last)
+    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
+    return np.asarray(weights[0] * first + weights[1] * last)
+
+
+_SMALL_RAD: Final = 1e-6
+"""Angle below which an arc equals a line to the last bit [rad]."""
+
+
 def turn_headings(heading_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return headings [rad], shape (n,), as quaternions w, x, y, z, shape (n, 4)."""
     none = np.zeros(len(heading_rad))

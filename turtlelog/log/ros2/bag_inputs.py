@@ -19,9 +19,10 @@ from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, rotate
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame
 from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import CommandColumns, Run
+from turtlelog.run.angles import rotate_vectors
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
@@ -330,7 +331,7 @@ def _bring_over(
     track: RobotTrack, frame: str, place_m: Values, turn: Values, time_ns: int
 ) -> tuple[Values, Values, str] | str:
     """Return positions and forward directions in the poses' frame, and the method; or why not."""
-    frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
+    frame, ahead = frame.lstrip("/"), rotate_vectors(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
     if frame == track.frame:
         return place_m, ahead, ""
     if not frame or not track.frame:
@@ -341,7 +342,7 @@ def _bring_over(
         return f"it is in {frame}, the poses in {track.frame}, and no transform joins the two then"
     how = f", brought from {frame} to {track.frame} by the transforms of that time"
     by = np.tile(found[1], (len(place_m), 1))
-    return found[0] + rotate(by, place_m), rotate(by, ahead), how
+    return found[0] + rotate_vectors(by, place_m), rotate_vectors(by, ahead), how
 
 
 def find_path(

@@ -22,11 +22,10 @@ from turtlelog.log.ros2.bag_transforms import (
     is_robot_frame,
     locate_frame,
     name_frame,
-    place_points,
 )
 from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
-from turtlelog.run.angles import wrap_angle
+from turtlelog.run.angles import place_points, wrap_angle
 
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
