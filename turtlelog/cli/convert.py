@@ -143,7 +143,7 @@ def _list_notes(run: "tl.Run", kinds: Mapping[Path, str], tables: TableOptions) 
     for name, text in run.notes.items():
         # A count of 0 changes nothing.
         if name not in {tl.log.CHOSEN, tl.log.UNUSED} and text != "0":
-            yield f"{name.replace('_', ' ')}: {text}"
+            yield f"{tl.log.label_note(name)}: {text}"
     for path, kind in kinds.items():
         if kind in {"csv", "parquet"} and _is_file(path, tables) and tables.table is None:
             yield f"{path} holds the poses alone: --table chooses another table, a folder holds all"
