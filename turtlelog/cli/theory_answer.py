@@ -44,7 +44,6 @@ _MOST_COLUMNS: Final = 3
 
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains."""
-
 _LIMITED: Final = "with all limits of speed and acceleration"
 
 _UNLIMITED: Final = "Theory leaves out command limits, which change overshoot and settling time."
@@ -194,8 +193,7 @@ def format_terms(
         tabulate_gains(answers),
     ]
     for first in range(0, len(answers), _MOST_COLUMNS) if shows_all else ():
-        part = answers[first : first + _MOST_COLUMNS]
-        tables.append(tabulate_answers("Loop by loop", part))
+        tables.append(tabulate_answers("Loop by loop", answers[first : first + _MOST_COLUMNS]))
     more = [] if shows_all else ["Poles, published rules, and why rules give no gains: --details"]
     return _join(head, tables, [_UNLIMITED, *more])
 
