@@ -295,7 +295,9 @@ def _choose_gains(subject: _Subject, wanted: WishOptions, *, is_given: bool) -> 
     models = subject.models
     chosen = ChosenGains(wanted, wanted.recommend_for(models), ())
     loops = [name for one in chosen.groups for name in one.loops]
-    present = best = simulate(subject.scenario) if list_changes(models, chosen.groups) else None
+    is_known = not any(model.oscillates for model in models)  # else the plant is another one
+    may_try = is_known and list_changes(models, chosen.groups)
+    present = best = simulate(subject.scenario) if may_try else None
     trials: list[GainTrial] = []
     for wish in (wanted,) if is_given else (wanted, replace(wanted, overshoot=0.0)):
         groups = chosen.groups if wish is wanted else wish.recommend_for(models)

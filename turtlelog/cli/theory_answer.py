@@ -327,6 +327,11 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     loop = answer.found
     if loop is None:
         return ""
+    if answer.model and answer.model.oscillates:
+        return (
+            f"{show_gains(loop.gains)}: the robot oscillates. Theory has a longer dead time in"
+            " place of that, so it knows neither the step response nor a limit of stability."
+        )
     own = next((one for one in advice if one.loop == answer.title), None)
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {_tell_given(loop, own)}"

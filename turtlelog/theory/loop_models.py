@@ -75,6 +75,7 @@ class LoopModel:
         limits: Limits of command and rate with the loop's largest step, which recommended gains
             allow for; None if nothing limits the acceleration.
         jitter_s: Mean delay by jitter, which the dead time includes [s].
+        oscillates: Whether the robot oscillates, for which the model has a longer dead time.
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
@@ -89,6 +90,7 @@ class LoopModel:
     limit: float = math.inf
     limits: StepLimits | None = None
     jitter_s: float = 0.0
+    oscillates: bool = False
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -155,15 +157,14 @@ def model_loop(
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
     scheduled = find_timing(parameters)
     jitter_s = 0.0
-    if timing is None and isinstance(scheduled, str):
-        timing = scheduled
-    elif timing is None and not isinstance(scheduled, str):
+    if timing is None and not isinstance(scheduled, str):
         jitter_s = scheduled.jitter_s
         with_jitter = ", with the mean delay by jitter" if jitter_s else ""
         from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
         timing = MeasuredTiming(
             period_s=scheduled.period_s, dead_time_s=scheduled.least_s, sources=from_scenario
         )
+    timing = str(scheduled) if timing is None else timing
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
     gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
@@ -183,6 +184,7 @@ def model_loop(
         limit=read_number(parameters, loop.limit_key, math.inf),
         limits=find_step_limits(loop, parameters),
         jitter_s=jitter_s,
+        oscillates=bool(parameters.get(f"{PLANT_KEYS[loop.command]}oscillates")),
         sources={**told, **timing.sources},
         left_out=left_out,
     )
@@ -291,6 +293,8 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
         dead_time_s: Dead time in addition to that of the plant [s].
     """
     key = PLANT_KEYS[loop.command]
+    if parameters.get(f"{key}assumed"):
+        return f"no log shows how the {COMMAND_WORDS[loop.command]} follows commands ({key}assumed)"
     own_s = read_number(parameters, f"{key}dead_time_s")
     gain = read_number(parameters, f"{key}gain", 1.0)
     reverse_gain = read_number(parameters, f"{key}reverse_gain", gain)
