@@ -240,6 +240,8 @@ def format_file(
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
     head = [f"{join_words(names)}: {text}" for text, names in said.items()]
     first = _conclude(name, advice, wishes, is_worse=is_worse)
+    if not trials and any(one.best and not one.is_kept for one in advice):
+        head.append("No run was simulated with these gains.")
     head = [*first, *_tell_trials(trials), *head, *_describe_clipping(known, advice)]
     return _join(head, tables, rest)
 
