@@ -570,6 +570,26 @@ def test_a_timer_is_stable_at_every_age_of_its_poses_up_to_the_told_gain(
     assert f"stable for Kp below {limit} 1/s at dead times up to 16 ms." in words
 
 
+@pytest.mark.parametrize(
+    ("kp", "verdict"),
+    [
+        ("33.1", "better than Kp = 33.1 1/s"),
+        ("33.3", "Kp = 33.3 1/s is stable at a dead time of 16 ms, unstable at 32 ms. The dead"),
+        ("62.4", "Kp = 62.4 1/s is stable at a dead time of 16 ms, unstable at 32 ms. The dead"),
+        ("62.6", "Kp = 62.6 1/s is unstable"),
+    ],
+)
+def test_no_verdict_is_told_between_the_limits_of_the_oldest_and_the_newest_pose(
+    kp: str, verdict: str, call: Call
+) -> None:
+    timer = ("loop.trigger=timer", "loop.period_s=0.03", "sensing.delay_s=0.02")
+    words = [word for key in timer for word in ("--set", key)]
+    text = " ".join(call("theory", "textbook", *words, "--kp", kp, "--details").out.split())
+    assert f"rotate and translate: {verdict}" in text
+    assert "stable for Kp below 33.19 1/s at the most dead time, 32 ms." in text
+    assert "sensing.delay_s=0.02, at the least dead time rotate translate" in text
+
+
 def test_no_size_of_clipped_errors_is_told_for_an_integral_term(call: Call) -> None:
     pid = ("--set", "law.kind=sequential-pid", "--set", "law.ki_angular=0.2")
     words = " ".join(call("theory", "lagged", *pid).out.split())

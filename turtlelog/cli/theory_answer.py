@@ -234,7 +234,9 @@ def format_file(
         [] if shows_all else ["Poles and margins, published rules, sources of values: --details"]
     )
     tables = [tabulate_recommended(one, wishes, shows_all=shows_all) for one in groups]
-    tables += [tabulate_answers(f"The loops of {name}", answers)] if shows_all else []
+    grows = any(one.model and one.model.most_dead_time_s for one in known)
+    title = f"The loops of {name}{', at the least dead time' if grows else ''}"
+    tables += [tabulate_answers(title, answers)] if shows_all else []
     said: dict[str, list[str]] = {}
     for one in known:  # loops that are alike share a sentence
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
@@ -336,6 +338,13 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
         )
     own = next((one for one in advice if one.loop == answer.title), None)
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
+    most_s = answer.model.most_dead_time_s if answer.model else None
+    if own and own.given.margins is None and loop.stable and most_s is not None:
+        compared = (
+            f"{show_gains(loop.gains)} is stable at a dead time of {1e3 * loop.dead_time_s:.6g} ms,"
+            f" unstable at {1e3 * most_s:.6g} ms. The dead time changes between them, so theory"
+            " does not decide"
+        )
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {_tell_given(loop, own)}"
     where = " in small steps" if own and own.is_limited else ""
     return f"{said}; stable{where} for Kp {_show_late_range(loop, answer.model)}."
