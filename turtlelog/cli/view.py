@@ -228,7 +228,7 @@ def _prepare_rrds(
         return ready, []
     runs = options.read_runs(files, topics)
     seen = None  # the surroundings of a bag's robot
-    if not picture.no_scans and len(runs) == 1 and "pose_topic" in runs[0].notes:
+    if not picture.no_scans and len(runs) == 1 and runs[0].origin.poses is not None:
         seen = tl.log.read_surroundings(files[0], runs[0])
     for note in () if seen is None else seen.notes:
         print_note(f"{files[0]}: {note}")

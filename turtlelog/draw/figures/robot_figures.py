@@ -34,7 +34,7 @@ from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 _ROW_INCH: Final = 1.25

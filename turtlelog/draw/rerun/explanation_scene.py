@@ -181,7 +181,7 @@ def _name_briefly(lacks: str, found: Attribution) -> str:
     """Return a short name for the close-up; the key of the plane has the complete name."""
     if lacks in found.causes:
         return f"no {lacks}"
-    return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
+    return "neither" if len(found.deciding) == 2 else "none of these"
 
 
 def _draw_scene(
