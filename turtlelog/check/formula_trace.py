@@ -32,7 +32,7 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.log.recording.head import LOSS_NOTES, NO_LOSS
+from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.measure import COMMANDED, find_signal, list_signals, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE
@@ -56,8 +56,7 @@ class RunEnding(enum.Enum):
 
 def find_ending(run: Run) -> RunEnding:
     """Return the knowledge of the time after a run's last row."""
-    notes = [run.notes[name] for name in LOSS_NOTES if name in run.notes]
-    if not all(note.startswith(NO_LOSS) and ";" not in note for note in notes):
+    if run.origin.lost == "rows":
         return RunEnding.LOST
     if run.is_complete:
         return RunEnding.SETTLED
@@ -68,10 +67,10 @@ def find_ending(run: Run) -> RunEnding:
 
 def find_loss(run: Run) -> str | None:
     """Return the data that a recording has lost; None if the recording is complete."""
-    for name in LOSS_NOTES:
-        if name in run.notes:
-            return f"the recording is not complete: {run.notes[name]}"
-    return None
+    if run.origin.lost == "nothing":
+        return None
+    told = [run.notes[name] for name in LOSS_NOTES if name in run.notes]
+    return ": ".join(["the recording is not complete", *told[:1]])
 
 
 def find_window(run: Run, phase: str) -> tuple[int, int] | None:

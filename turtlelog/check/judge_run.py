@@ -390,9 +390,6 @@ _DECIDED: Final = Key("decided", "whole")
 _AT_ONCE: Final = 4096
 """Number of rows of a table that are converted to Python values at once."""
 
-_RECORDING: Final = "recording"
-"""Name of the check that fails if a recording cannot be read, or is incomplete."""
-
 Judge = Callable[[str], Sequence[CheckResult]]
 
 
@@ -406,8 +403,11 @@ def _judge_file(path: str, *, judge: Judge) -> list[Row]:
 def _build_row(result: CheckResult) -> Row:
     row: dict[Key, Cell] = {key: getattr(result, key.name, None) for key in _KEYS}
     row |= {key: str(cell) or None for key, cell in row.items() if key.type == "text"}
-    is_lost = result.check == _RECORDING and not result.is_decided
-    return {**row, _DECIDED: int(result.is_decided), ERROR: result.reason if is_lost else None}
+    return {
+        **row,
+        _DECIDED: int(result.is_decided),
+        ERROR: result.reason if result.is_lost else None,
+    }
 
 
 def plan_verdict_table(

@@ -240,7 +240,7 @@ def _format_answer(
     for key, text in answer.notes.items():
         count = len(text.splitlines())  # a law's source has several
         told = text if count <= 1 else f"{count} lines: --json has them"
-        notes.append((key.replace("_", " "), told))
+        notes.append((tl.log.label_note(key), told))
     rows = [*_list_rows(answer), *(note for note in notes if note[0] != "clock")]
     rows += [*_list_lacks(answer, topics=topics), *(note for note in notes if note[0] == "clock")]
     rows += _describe_durations(answer)

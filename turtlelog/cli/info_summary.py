@@ -44,16 +44,6 @@ time."""
 _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
 
-_TOLD: Final = (
-    *("goal", "path", "unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
-    *("held_transforms", "dropped_before_transforms", "robots", "heading", "origin", "wheels"),
-    "reported_rates",
-    *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
-    *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate"),
-    "other_command_topics",
-)
-"""Notes of a run on the bag from which it was read."""
-
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """Description of an incomplete file without messages."""
 
@@ -298,7 +288,8 @@ def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
 
 
 def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
-    notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
+    shown = (name for name, kind in tl.log.NOTES.items() if kind.in_info and name in run.notes)
+    notes = {name: run.notes[name] for name in shown}
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
     if sideways := tl.measure.describe_sideways(run):
@@ -306,8 +297,8 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     read = ReadRun(
         kind=_describe_kind(run),
         duration_s=run.duration_s,
-        poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
-        commands=_describe_rows(run, "command_topic", run.commands.time_ns),
+        poses=_describe_rows(run.origin.poses, run.poses.time_ns),
+        commands=_describe_rows(run.origin.commands, run.commands.time_ns),
         samples=len(run.samples),
     )
     return Summary(
@@ -320,10 +311,10 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     )
 
 
-def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
+def _describe_rows(source: "tl.run.SourceTopic | None", time_ns: "NDArray[Any]") -> str:
     if not len(time_ns):
         return ""
-    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(run, note)
+    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(source)
     noun = "message" if topic else "row"
     return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
 
@@ -332,15 +323,17 @@ def _describe_kind(run: "tl.Run") -> str:
     """Return the source of poses, or the kind of a file without topics."""
     if not len(run.poses):
         return _NO_POSES
-    pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
-    if not _name_topic(run, "pose_topic"):
+    source = run.origin.poses
+    if source is None:
         return _CONTROLLER if len(run.samples) else _TABLE
-    if not pose_type.startswith("turtlesim"):
-        is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
+    if not source.type.startswith("turtlesim"):
+        is_named = _IMU.search(_name_topic(source)) is not None
         has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
         return _IMU_ALONE if is_named and not has_moved else _ROBOT
     return (
-        _TURTLESIM if tl.replay.moves_as_turtlesim(run) else f"{_ROBOT} that publishes {pose_type}"
+        _TURTLESIM
+        if tl.replay.moves_as_turtlesim(run)
+        else f"{_ROBOT} that publishes {source.type}"
     )
 
 
@@ -350,7 +343,7 @@ _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\d)])")
 def _describe_run(run: "tl.Run", read: ReadRun) -> str:
     if not len(run.poses):
         return f"no poses, {_describe_commands(run)}"
-    pose_topic = _name_topic(run, "pose_topic")
+    pose_topic = _name_topic(run.origin.poses)
     rate = _describe_rate(run.poses.time_ns)
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
     amount += f" {rate}" if rate and not pose_topic else ""
@@ -369,17 +362,17 @@ def _on(topic: str) -> str:
 
 
 def _describe_commands(run: "tl.Run") -> str:
-    topic, rate = _name_topic(run, "command_topic"), _describe_rate(run.commands.time_ns)
+    topic, rate = _name_topic(run.origin.commands), _describe_rate(run.commands.time_ns)
     if rate:
         return f"commands{_on(topic)} {rate}"
     return f"{describe_count(len(run.commands), 'command')}{_on(topic)}"
 
 
-def _name_topic(run: "tl.Run", note: str) -> str:
+def _name_topic(source: "tl.run.SourceTopic | None") -> str:
     """Return a topic, with the frames of transforms; empty if unknown."""
-    name, _, rest = run.notes.get(note, "").partition(" (")
-    frames = rest.partition("): ")[2]
-    return f"{name} ({frames})" if frames else name
+    if source is None or source.frames is None:
+        return "" if source is None else source.name
+    return f"{source.name} ({' -> '.join(source.frames)})"
 
 
 def _describe_rate(time_ns: "NDArray[Any]") -> str:

@@ -198,7 +198,7 @@ def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) 
         return None
     if run.poses.speed_m_s is not None:
         return "turtlesim"
-    return "robot" if "pose_topic" in run.notes else None
+    return None if run.origin.poses is None else "robot"
 
 
 def judge_runs(

@@ -18,8 +18,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from turtlelog.measure.reductions import Rows, Values
-from turtlelog.run.angles import find_quaternions, subtract_headings
-from turtlelog.run.columns import PoseColumns, Trajectory
+from turtlelog.run.angles import Trajectory, find_quaternions, subtract_headings
+from turtlelog.run.columns import PoseColumns
 
 DeltaUnit = Literal["frames", "m", "deg", "s"]
 

@@ -128,7 +128,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
 
 def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses = run.poses
-    if has_courses(run):  # a course turns with the positions, and is not independent
+    if run.origin.has_courses:  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = find_changing_rows(poses)
     if len(rows) < len(poses):
@@ -186,11 +186,6 @@ def _find_jump_steps(
     for way, net, seen, acceleration in zip(ways, together, applied, ACCELERATION, strict=True):
         is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
     return is_jump
-
-
-def has_courses(run: Run) -> bool:
-    """Return whether headings are courses over ground, as of a satellite receiver."""
-    return "heading" in run.notes
 
 
 def _find_far_steps(

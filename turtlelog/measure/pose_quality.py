@@ -24,7 +24,6 @@ from turtlelog.measure.breaks import (
     PoseJump,
     find_gaps,
     find_jumps,
-    has_courses,
     measure_length,
     measure_steps,
 )
@@ -128,7 +127,9 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(run, "scatter", lambda: _find_scatter(run.poses, is_course=has_courses(run)))
+    return recall(
+        run, "scatter", lambda: _find_scatter(run.poses, is_course=run.origin.has_courses)
+    )
 
 
 def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
@@ -197,9 +198,6 @@ _LEFT: Final = 0.1
 """Share of the motion that must not go together with turning: on one circle, a marker beside the
 robot's centre looks like a marker that is turned."""
 
-_UNLIKE: Final = ("heading", "leaps")
-"""Notes on headings that are computed from the motion, and on poses of two programs."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelDirection:
@@ -238,7 +236,7 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     or if the robot is turtlesim.
     """
     is_other = run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None
-    if is_other or any(name in run.notes for name in _UNLIKE):
+    if is_other or run.origin.has_courses or run.origin.has_leaps:
         return None
     moved_m, turned_rad = _measure_displacements(run.poses)
     sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
@@ -321,7 +319,7 @@ def _tell_jumps(run: Run, jumps: Sequence[PoseJump]) -> str:
     largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
     which = "" if len(jumps) == 1 else "the largest "
     names = ("m ahead", "m back", "m to the left", "m to the right")
-    if has_courses(run):
+    if run.origin.has_courses:
         names = ("m east", "m west", "m north", "m south")
     signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
     way_m = float(np.hypot(largest.moved_m, largest.aside_m))
