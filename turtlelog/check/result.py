@@ -193,30 +193,26 @@ def decide_verdict(found: Container[Verdict]) -> Verdict:
 def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
     """Return for each unit the result with the smallest margin; failures have priority."""
 
-    def passes(result: CheckResult) -> bool:
-        return result.verdict is not Verdict.FAIL
-
     def rank(result: CheckResult) -> tuple[bool, float]:
         # With a margin of 0, a failed strict bound is worse than a passed bound.
-        return passes(result), result.margin or 0.0
+        return result.verdict is not Verdict.FAIL, result.margin or 0.0
 
     worst: dict[str, CheckResult] = {}
     for result in results:
         before = worst.get(result.unit, result)
         if result.margin is not None and (before is result or rank(result) < rank(before)):
             worst[result.unit] = result
-    return sorted(worst.values(), key=passes)
+    return sorted(worst.values(), key=lambda result: rank(result)[0])
 
 
 def describe_result(result: CheckResult) -> str:
     """Return a result in one line: value, limit, margin, first violation, reason."""
-    parts = []
-    if result.value is not None:
-        parts.append(f"{format_number(result.value, result.unit)}")
+    parts = [] if result.value is None else [format_number(result.value, result.unit)]
     parts += [result.expected] if result.expected else []
     parts += [f"decided by {result.decided_by}"] if result.decided_by else []
-    if result.margin is not None:
-        parts.append(f"margin {format_number(result.margin, result.unit)}")
+    parts += (
+        [] if result.margin is None else [f"margin {format_number(result.margin, result.unit)}"]
+    )
     if result.first_violation_s is not None:
         parts.append(f"first violated at {result.first_violation_s:.3f} s")
     parts += [result.reason] if result.reason else []

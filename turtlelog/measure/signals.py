@@ -177,11 +177,10 @@ def find_signal(run: Run, name: str) -> Signal | None:
     kinds = list_signals(run.declaration)
     if name not in kinds:
         raise MeasureError(describe_unknown("signal", name, kinds, place="turtlelog list signals"))
-    kind = kinds[name]
-    if name in COMMANDED and not len(run.samples):
-        kind = COMMANDED[name]
-        if find_no_commands(run, name):
-            return None
+    is_commanded = name in COMMANDED and not len(run.samples)
+    kind = COMMANDED[name] if is_commanded else kinds[name]
+    if is_commanded and find_no_commands(run, name):
+        return None
     values = kind.read(run)
     if values is None or not len(values):
         return None
