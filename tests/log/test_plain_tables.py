@@ -620,3 +620,17 @@ def test_a_trajectory_of_more_or_fewer_poses_is_refused(rows: int, tmp_path: Pat
     path.write_text("".join(lines[:-1] if rows < 0 else [*lines, "9.5 0 0 0 0 0 0 1\n"]))
     with pytest.raises(LogError, match="other values in time_ns"):
         require_same_poses(path, run)
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ("row,failed,law.kp", "a table of turtlelog sweep, not a run: turtlelog plot shows it$"),
+        ("file,sha256,error", "results of turtlelog metrics or check, not a run: its column file"),
+        ("file,sha256,note", "no column for t, x, y and heading"),
+    ],
+)
+def test_tables_of_results_are_told_as_such(header: str, told: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"{header}\n1,2,3\n", encoding="utf-8")
+    with pytest.raises(LogError, match=told):
+        read_run(tmp_path / "a.csv")

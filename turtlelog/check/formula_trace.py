@@ -14,7 +14,7 @@ import enum
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ from turtlelog.expressions import (
     Expression,
     Name,
     Node,
+    Temporal,
+    Until,
     describe_unknown_name,
     fail_at,
     iterate_nodes,
@@ -418,3 +420,26 @@ def _fold(values: Values, blocks: int, size: int, *, fill: float) -> Values:
     padded = np.full(blocks * size, fill)
     padded[: len(values)] = values
     return np.ascontiguousarray(padded.reshape(blocks, size).T)
+
+
+_LONGEST_S: Final = 1e18
+"""Time after the end of all traces [s]."""
+
+
+def convert_window(node: Temporal | Until) -> tuple[int, int | None]:
+    """Return the ends of a node's window [ns]; None if the window has no end."""
+    last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
+    return _convert(node.start_s), last_ns
+
+
+def _convert(time_s: float) -> int:
+    return round(min(time_s, _LONGEST_S) * 1e9)
+
+
+def measure_reach(node: Node, *, is_cut: bool) -> float:
+    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
+    children = node.list_children()
+    below = max((measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
+    if not isinstance(node, Temporal | Until):
+        return below
+    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)

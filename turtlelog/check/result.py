@@ -45,6 +45,9 @@ class Verdict(enum.StrEnum):
         raise CheckError(f'verdict {self.value}: expected a comparison with one, such as == "PASS"')
 
 
+_RECORDING = "recording"  # the check that fails if a recording cannot be read, or is incomplete
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedSignal:
     """A signal compared with a reference."""
@@ -118,10 +121,14 @@ class CheckResult:
             raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
         return self.verdict is Verdict.PASS
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the recording cannot be read, so that no check was judged."""
+        return self.check == _RECORDING and not self.is_decided
+
     def __repr__(self) -> str:
-        return escape_controls(
-            f"<{self.verdict} {self.check} of {self.file}: {describe_result(self)}>"
-        )
+        told = describe_result(self)
+        return escape_controls(f"<{self.verdict} {self.check} of {self.file}: {told}>")
 
     def _repr_html_(self) -> str:
         return _tabulate_html([self], title="")
@@ -169,8 +176,7 @@ class CheckOutcome:
 
     def _describe_first(self) -> str:
         more = len(self.failures) - 1
-        others = f" (and {more} more)" if more else ""
-        return f"{describe_result(self.failures[0])}{others}"
+        return describe_result(self.failures[0]) + (f" (and {more} more)" if more else "")
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
@@ -229,7 +235,7 @@ def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
 def fail_recording(file: str, reason: str) -> CheckResult:
     """Return the result for a recording on which no check could be judged."""
     return CheckResult(
-        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+        file=file, check=_RECORDING, verdict=Verdict.FAIL, reason=reason, is_decided=False
     )
 
 

@@ -11,15 +11,10 @@ import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import LogError, UsageError, find_near
+from turtlelog.errors import LogError, UsageError
 
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
 _TRAJECTORIES: Final = (".tum", ".txt")
-_NO_FOLDERS: Final = (
-    *(".arrow", ".bag", ".db3", ".feather", ".gz", ".h5", ".hdf5", ".json", ".png", ".rrd"),
-    *(".toml", ".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
-)
-"""Suffixes that folders never have. A user who types such a suffix means another file."""
 
 _TableName = Literal["poses", "commands", "samples", "events"]
 
@@ -201,8 +196,8 @@ def _require_targets(
 
 
 def _require_folder(path: Path) -> None:
-    # A misspelled ending would make a folder of that name.
-    if path.suffix.lower() in _NO_FOLDERS or find_near(path.suffix.lower(), _FILES):
+    # Who types an ending with letters means a file; dates and versions end in digits.
+    if any(map(str.isalpha, path.suffix)):
         raise UsageError(
             f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
         )

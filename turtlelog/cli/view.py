@@ -278,6 +278,16 @@ def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     require_encoder(suffix)
 
 
+def require_scenes(files: Sequence[Path], movie: MovieOptions) -> None:
+    """Refuse a command that would write nothing, and a movie of nothing."""
+    if movie.movie is None:
+        raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
+    if not files:
+        raise UsageError(
+            "--movie: no recordings to film; name them: turtlelog plot FILE... --movie NAME.mp4"
+        )
+
+
 def film_runs(runs: "Sequence[tl.Run]", movie: MovieOptions, *, timeline: str) -> None:
     """Write the movie if one is requested."""
     if movie.movie is None:

@@ -155,6 +155,21 @@ _GAP: Final = 2
 _Kind = tuple[str, str, bool]
 
 
+def put_ends_first(table: Table) -> Table:
+    """Return a table with final errors next to the gains: pictures leave room for half of it."""
+    titles = [column.title for column in table.columns]
+    ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
+    first = next((place for place, title in enumerate(titles) if "." in title), len(titles))
+    rest = [place for place in range(first, len(titles)) if place not in ends]
+    order = [*range(first), *reversed(ends), *rest]
+    return replace(
+        table,
+        columns=tuple(table.columns[place] for place in order),
+        rows=tuple(tuple(row[place] for place in order) for row in table.rows),
+        marks={(row, order.index(place)): mark for (row, place), mark in table.marks.items()},
+    )
+
+
 def order_ids(ids: Iterable[str], declarations: Iterable[Declaration] = ()) -> tuple[str, ...]:
     """Return the ids of several laws without duplicates: loop by loop, then end and run.
 

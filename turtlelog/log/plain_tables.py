@@ -125,6 +125,10 @@ def _require_columns(
     if missing := [name for name in _NEEDED if name not in known]:
         if {"row", "failed"} <= {*table.names}:
             raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
+        if {"file", "sha256", "error"} <= {*table.names}:
+            raise LogError(
+                "results of turtlelog metrics or check, not a run: its column file names the runs"
+            )
         if table.names == KITTI_COLUMNS and not table.has_header:
             raise LogError(
                 "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar, overload
 
 import numpy as np
+from numpy import fmod, rint
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog import arithmetic
@@ -71,6 +72,47 @@ _USUAL: Final = 1.5
 """Longest step in which the rate at its end counts, as a multiple of the usual one."""
 
 
+# Rules for one step of the heading, or for columns of steps; compiled in the batch of `sweep`.
+
+
+def _choose(condition: Any, one: Any, other: Any) -> Any:
+    return one if condition else other
+
+
+@arithmetic.compiled_as(_choose)
+def choose(condition: Any, one: Any, other: Any) -> Any:
+    """Return one value where a condition holds, and the other elsewhere."""
+    return np.where(condition, one, other)
+
+
+def find_turn(step_rad: Any) -> Any:
+    """Return the angle that makes a step the shortest way [rad]; 0 up to half a turn."""
+    rest_rad = fmod(step_rad + math.pi, _TURN_RAD)
+    rest_rad = choose(rest_rad < 0.0, rest_rad + _TURN_RAD, rest_rad)
+    return choose(abs(step_rad) <= math.pi, 0.0, rest_rad - math.pi - step_rad)
+
+
+def is_fast_turn(turned_rad: Any) -> Any:
+    """Return whether a rate turns by more than half a turn in a step."""
+    return abs(turned_rad) > math.pi
+
+
+def _find_full_turns(step_rad: Any, turned_rad: Any) -> Any:
+    return _TURN_RAD * rint((turned_rad - step_rad) / _TURN_RAD)
+
+
+def explains_step(step_rad: Any, turned_rad: Any) -> Any:
+    """Return whether a step differs from the turn of the rate by full turns."""
+    rest_rad = turned_rad - step_rad - _find_full_turns(step_rad, turned_rad)
+    return abs(rest_rad) <= EXPLAINED_RAD
+
+
+def continue_step(step_rad: Any, turned_rad: Any, is_fast: Any) -> Any:
+    """Return the angle to add from the end of a step on [rad]: full turns by a fast rate."""
+    is_counted = is_fast & explains_step(step_rad, turned_rad)
+    return choose(is_counted, _find_full_turns(step_rad, turned_rad), find_turn(step_rad))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadingSteps:
     """Steps from each heading to the next.
@@ -93,20 +135,17 @@ def find_heading_steps(poses: "PoseColumns") -> HeadingSteps:
     """
     heading_rad, turn_rate_rad_s = poses.heading_rad, poses.turn_rate_rad_s
     step_rad = heading_rad[1:] - heading_rad[:-1]
-    short_rad = np.mod(step_rad + np.pi, _TURN_RAD) - np.pi - step_rad
-    added_rad = np.where(np.abs(step_rad) <= np.pi, 0.0, short_rad)
     is_fast = is_lost = np.zeros(len(step_rad), dtype=np.bool_)
     if turn_rate_rad_s is None:
-        return HeadingSteps(added_rad, is_fast, is_lost)
+        return HeadingSteps(find_turn(step_rad), is_fast, is_lost)
     lasting_ns = poses.time_ns[1:] - poses.time_ns[:-1]
     turned_rad = turn_rate_rad_s[1:] * (lasting_ns / 1e9)
-    is_fast = np.abs(turned_rad) > np.pi
-    if is_fast.any():
-        is_fast &= lasting_ns <= _USUAL * np.median(lasting_ns)
-        full_rad = _TURN_RAD * np.rint((turned_rad - step_rad) / _TURN_RAD)
-        is_lost = is_fast & (np.abs(turned_rad - step_rad - full_rad) > EXPLAINED_RAD)
-        added_rad = np.where(is_fast & ~is_lost, full_rad, added_rad)
-    return HeadingSteps(added_rad, is_fast, is_lost)
+    is_fast = is_fast_turn(turned_rad)
+    if not is_fast.any():
+        return HeadingSteps(find_turn(step_rad), is_fast, is_lost)
+    is_fast &= lasting_ns <= _USUAL * np.median(lasting_ns)
+    added_rad = continue_step(step_rad, turned_rad, is_fast)
+    return HeadingSteps(added_rad, is_fast, is_fast & ~explains_step(step_rad, turned_rad))
 
 
 def unwrap_headings(poses: "PoseColumns") -> NDArray[np.float64]:
