@@ -74,7 +74,7 @@ def test_a_bag_of_a_far_future_has_no_date() -> None:
 
 
 @pytest.mark.parametrize("name", ["sorted_rows", "dropped_duplicates"])
-@pytest.mark.parametrize("count", [-1, 2**62, 10**5000])
+@pytest.mark.parametrize("count", [-1, 2**62, 10**400])
 def test_a_number_of_rows_is_a_count(name: str, count: int) -> None:
     with pytest.raises(RunError, match=f"origin.{name}: expected a number of rows"):
         Origin(**{name: count})
