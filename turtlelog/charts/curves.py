@@ -133,6 +133,8 @@ def read_sensed(run: Run, signal: str) -> Curve | None:
 
 def find_disturbed_time(run: Run) -> tuple[float, float] | None:
     """Return start and end of the plant's disturbance within the run [s]; None without one."""
+    if not len(run.poses):
+        return None
     from_ns, to_ns = find_disturbance(run.parameters) or (0, 0)
     first_ns, last_ns = max(from_ns, int(run.poses.time_ns[0])), min(to_ns, run.end_ns)
     first_s, last_s = ((one - run.start_ns) / 1e9 for one in (first_ns, last_ns))

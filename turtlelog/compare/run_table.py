@@ -429,11 +429,7 @@ def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
 
 
 def _list_theory_loops(run: Run) -> list[ControlLoop]:
-    """Return the loops with a gain and a theory: position by speed, heading by turn rate.
-
-    Other loops do not have this theory: a cross-track error, a heading controlled by speed, and a
-    loop with an integral or derivative respond differently. A moving reference is not a step.
-    """
+    """Return the loops with a gain and a theory; a moving reference is not a step."""
     loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
     return [loop for loop in loops if loop.has_theory]
 

@@ -289,8 +289,6 @@ deg of rotation between two rows. In radians, these steps would be at least 52 t
 _EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
 """Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
 
-_ASSUMED: Final = ", assumed"
-
 
 class Cells:
     """The chosen columns of a table, as numbers in standard units.
@@ -309,6 +307,7 @@ class Cells:
     ) -> None:
         self.table, self.chosen = table, chosen
         self._guesses: dict[str, str] = {}
+        self._assumed: set[str] = set()
         taken = [choice.column for choice in chosen.values()]
         named = find_robot_column(table.names, {*taken})
         found = table.columns.read([*taken, *named])
@@ -352,8 +351,7 @@ class Cells:
 
     def find_assumed(self, *fields: str) -> dict[str, str]:
         """Return the names of columns in assumed standard units, by quantity."""
-        guessed = [one for one in fields if self._guesses.get(one, "").endswith(_ASSUMED)]
-        return {field: self.chosen[field].name for field in guessed}
+        return {field: self.chosen[field].name for field in fields if field in self._assumed}
 
     def _take_robot(self, rows: NDArray[np.int64]) -> None:
         self._cells = {
@@ -448,7 +446,8 @@ class Cells:
             if fits_degrees(xy_m, numbers[self._rows]):
                 self._guesses["heading"] = "deg, as the direction of travel shows"
                 return "deg"
-        self._guesses[choice.field] = f"{usual}{_ASSUMED}"
+        self._guesses[choice.field] = f"{usual}, assumed"
+        self._assumed.add(choice.field)
         return usual
 
     def _read_times(self) -> NDArray[np.int64]:
@@ -485,5 +484,6 @@ class Cells:
                 f" which are no seconds: --column t='{choice.name} [{guess_time_unit(step)}]' names"
                 " the unit (s, ms, us, ns)"
             )
-        self._guesses["t"] = f"s{_ASSUMED}"
+        self._guesses["t"] = "s, assumed"
+        self._assumed.add("t")
         return "s"
