@@ -264,11 +264,7 @@ class _FileAnswer:
     """Each loop of a scenario or a recording.
 
     Attributes:
-        name: Name of the scenario or the run.
-        source: `scenario` or `recording`.
-        loops: The loops of the law.
-        trials: Simulated runs with recommended gains. The gains of the last one are recommended if
-            they are better.
+        trials: Simulated runs with recommended gains, those of the answer last.
     """
 
     name: str

@@ -171,13 +171,10 @@ def list_changes(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainTrial:
-    """A simulated run with recommended gains, beside the simulated run with the present gains.
+    """A simulated run with recommended gains by key, beside the run with the present gains.
 
     Attributes:
-        gains: Recommended gains by key of the scenario.
-        ending: How the run with these gains ended, in words.
-        present_ending: How the run with the present gains ended, in words.
-        is_better: Whether the run ends nearer to a missed goal, or its loops settle earlier.
+        is_better: Whether the run ends nearer to a missed goal, or settles earlier.
     """
 
     gains: Mapping[str, float]
