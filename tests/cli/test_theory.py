@@ -510,7 +510,8 @@ def test_each_loop_of_a_robot_has_recommended_gains(call: Call, tmp_path: Path) 
     )
     recording = tmp_path / "robot.mcap"
     assert call("run", robot, "-o", recording).code == 0
-    answers = [call("theory", path, "--json").json["loops"] for path in (robot, recording)]
+    wishes = ("--overshoot", "5", "--phase-margin", "60")
+    answers = [call("theory", path, *wishes, "--json").json["loops"] for path in (robot, recording)]
     turning = tl.theory.Process(lag_s=0.2, dead_time_s=0.08)
     driving = tl.theory.Process(gain=0.9, lag_s=0.1)
     for loops in answers:
