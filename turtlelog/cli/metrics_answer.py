@@ -385,6 +385,8 @@ _OF_MOTION: Final = {
     "sideways": "Speeds{which} leave out motion to the side: {note}.",
     "unsigned": "Reported speeds{which} have no sign: {note}.",
     "changes": "Most positions{which} repeat the one before: they change at {note}.",
+    "resolution": "Poses{which} have a resolution of {note}: smaller jumps are hidden, and lags are"
+    " less certain.",
     "crept": "Rest{which}, judged over half a second, includes {note} of slow or brief motion.",
     "gaps": "Rates and rest{which} leave out {note} without poses; the path length counts a"
     " straight line there.",

@@ -24,6 +24,7 @@ from turtlelog.measure.breaks import (
     PoseJump,
     find_gaps,
     find_jumps,
+    find_pose_resolution,
     has_courses,
     measure_length,
     measure_steps,
@@ -69,15 +70,23 @@ def measure_noise(poses: PoseColumns) -> WhiteNoise:
 
 
 def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
-    """Return the noise of some rows of the poses.
+    """Return the noise of some rows of the poses, at least that of their rounding.
 
     The noise of headings counts only if turns to and fro are noise: slow poses do not tell noise
     from a robot that turns round.
     """
     noise = measure_noise(take_rows(run.poses, rows))
     if noise.heading_rad and find_scatter(run).turning_rad is None:
-        return replace(noise, heading_rad=0.0)
-    return noise
+        noise = replace(noise, heading_rad=0.0)
+    finest_m, finest_rad = find_pose_resolution(run)
+    return WhiteNoise(
+        position_m=max(noise.position_m, _PER_STEP * finest_m),
+        heading_rad=max(noise.heading_rad, _PER_STEP * finest_rad),
+    )
+
+
+_PER_STEP: Final = 12**-0.5
+"""Standard deviation of rounding, in steps of the resolution."""
 
 
 def measure_rate_noise(run: Run) -> tuple[float, float]:
@@ -133,15 +142,17 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(run, "scatter", lambda: _find_scatter(run.poses, is_course=has_courses(run)))
+    return recall(run, "scatter", lambda: _find_scatter(run))
 
 
-def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
+def _find_scatter(run: Run) -> Scatter:
+    poses, is_course = run.poses, has_courses(run)
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
     # The length of a step of white noise in the plane is sqrt(pi) times its standard deviation.
-    noise_m = np.sqrt(np.pi) * measure_noise(poses).position_m
+    finest_m = find_pose_resolution(run)[0]
+    noise_m = np.sqrt(np.pi) * max(measure_noise(poses).position_m, _PER_STEP * finest_m)
     # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
     path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise_m)
     return Scatter(
@@ -436,20 +447,27 @@ def _describe_times(run: Run) -> dict[str, str]:
 
 
 def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
-    notes, scatter = {}, find_scatter(run)
+    notes, scatter, sizes, coarse = {}, find_scatter(run), [], []
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
     reported = (run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s)
-    sizes = [
-        f"{noise:.1g} {unit}"
-        for (axis, unit), rate, noise in zip(
-            AXES.items(), reported, measure_rate_noise(run), strict=True
-        )
-        if rate is None and noise > _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
-    ]
-    return notes | ({"rate_noise": join_words(sizes)} if sizes else {})
+    axes = zip(
+        AXES.items(), reported, measure_rate_noise(run), find_pose_resolution(run), strict=True
+    )
+    for (axis, unit), rate, noise, finest in axes:
+        time_s = run.poses.time_ns / 1e9 if rate is not None else space_poses(run).time_s
+        step_s = compute_median(np.diff(time_s))
+        least = _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
+        if finest > least * step_s:
+            size = (finest, "m") if unit == "m/s" else (math.degrees(finest), "deg")
+            over = f"{format_short(finest / step_s, unit)} over {format_short(1e3 * step_s, 'ms')}"
+            coarse.append(f"{format_short(*size)} ({over})")
+        elif rate is None and noise > least:
+            sizes.append(f"{noise:.1g} {unit}")
+    found = {"rate_noise": join_words(sizes), "resolution": join_words(coarse)}
+    return notes | {name: note for name, note in found.items() if note}
 
 
 def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> dict[str, str]:
