@@ -249,7 +249,7 @@ def test_ticks_of_encoders_jump_nowhere_and_show_no_rise_time() -> None:
     assert find_pose_resolution(run) == pytest.approx((0.001, 0.0125), rel=1e-3)
     assert find_jumps(run) == ()
     assert tell(run, "run.turn_rate_rise_time")[0] == "undetermined"
-    assert tell(stop_and_go(50.0, tick_m=0.00005), "run.turn_rate_rise_time")[0] == "ok"
+    assert tell(stop_and_go(50.0, tick_m=0.00002), "run.turn_rate_rise_time")[0] == "ok"
     told = describe_poses(run, tl.measure_run(run))["resolution"]
     assert told == "1 mm (0.05 m/s over 20 ms) and 0.716 deg (0.625 rad/s over 20 ms)"
 

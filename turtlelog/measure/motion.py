@@ -231,6 +231,17 @@ def find_dither_step(steps: Values) -> float:
     Steps of a rounded coordinate, or of an encoder that counts ticks, change from one multiple of
     the resolution to the next and back at once. Exact steps do not, whatever their values are.
     """
+    starts = range(0, len(steps), _RESOLVED_ROWS) if len(steps) > _RESOLVED_ROWS else ()
+    parts = [steps, *(steps[first : first + _RESOLVED_ROWS] for first in starts)]
+    return max(_find_dither_step(part) for part in parts)
+
+
+_RESOLVED_ROWS: Final = 250
+"""Number of rows whose resolution is found at a time, and the coarsest counts: a number with seven
+digits is coarser beyond 1 km."""
+
+
+def _find_dither_step(steps: Values) -> float:
     steps = np.where(np.abs(steps) > _LEAST_DITHER, steps, 0.0)
     bends = subtract_neighbours(steps)
     bends[np.abs(bends) <= _LEAST_DITHER] = 0.0
