@@ -16,6 +16,7 @@ from turtlelog.measure.pose_quality import (
     measure_noise,
     measure_rate_noise,
 )
+from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
 
 SMOOTH = "run.spectral_arc_length"
@@ -93,7 +94,7 @@ def test_courses_that_scatter_slowly_are_noise_and_headings_may_not_be(*, is_cou
     x_m, y_m = np.diff(run.poses.xy_m[::3], axis=0).T
     course_rad = np.interp(time_s, time_s[::3][1:], np.unwrap(np.arctan2(y_m, x_m)))
     poses = replace(run.poses, heading_rad=wrap_angle(course_rad))
-    run = replace(run, poses=poses, notes={"heading": "the course"} if is_course else {})
+    run = replace(run, poses=poses, origin=Origin(has_courses=is_course))
     turning_rad = find_scatter(run).turning_rad
     assert (turning_rad is not None) is is_course
     assert turning_rad is None or turning_rad < np.abs(np.diff(course_rad)).sum() / 2.0
@@ -295,7 +296,7 @@ def test_repeated_poses_have_no_resolution() -> None:
 def test_the_coarsest_part_of_a_log_has_its_resolution(start_m: float) -> None:
     """Seven digits are 0.1 mm below 1 km, and 1 mm beyond."""
     run = stop_and_go()
-    xy_m = run.poses.xy_m + [start_m, 100.0]
+    xy_m = run.poses.xy_m + np.array([start_m, 100.0])
     digits = np.where(xy_m < 1000.0, 1e-4, 1e-3)
     run = replace(run, poses=replace(run.poses, xy_m=np.rint(xy_m / digits) * digits))
     assert find_pose_resolution(run)[0] == pytest.approx(1e-4 if start_m < 990.0 else 1e-3)

@@ -12,7 +12,7 @@ import numpy as np
 
 from turtlelog.check.spec import Check, choose_signals
 from turtlelog.compare import Tolerance
-from turtlelog.display import format_html, format_number
+from turtlelog.display import NULL_IF_EMPTY, format_html, format_number
 from turtlelog.errors import CheckError, MissingValueError, UndecidedError
 from turtlelog.escapes import escape_controls
 from turtlelog.measure import (
@@ -45,6 +45,9 @@ class Verdict(enum.StrEnum):
         raise CheckError(f'verdict {self.value}: expected a comparison with one, such as == "PASS"')
 
 
+_RECORDING = "recording"  # the check that fails if a recording cannot be read, or is incomplete
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedSignal:
     """A signal compared with a reference."""
@@ -70,22 +73,20 @@ class CheckResult:
 
     Attributes:
         file: Name of the recording.
-        check: Name of the check: its table in the specification, or the question of a test.
+        check: Name of the check.
         verdict: PASS, FAIL or SKIPPED.
         expected: Checked formula or tolerance, as written.
-        value: Measured value, in `unit`; None if the check has no single number.
+        value: Measured value, in `unit`.
         limit: Limit of the value, in `unit`.
-        margin: Distance to the limit in `unit`, positive for a pass; None without a distance.
-        unit: Unit of value, limit and margin; empty if they have no unit.
-        value_s: Time of the value [s]; None if the value has no time.
-        decided_by: Comparison to which value, limit and margin belong, if the formula has several.
-        first_violation_s: Time of the first violation [s]; None if there is no violation, or it has
-            no time.
-        reason: Why the check fails or is skipped, if the numbers do not show the reason.
+        margin: Distance to the limit in `unit`, positive for a pass.
+        unit: Unit of value, limit and margin.
+        value_s: Time of the value [s].
+        decided_by: Comparison of the formula that decides.
+        first_violation_s: Time of the first violation [s].
+        reason: Why the check fails or is skipped, if the numbers do not show it.
         names: Signals to show around the violation.
-        is_decided: Whether the verdict is known; otherwise the check fails, and `bool` raises an
-            error.
-        why: Reason why the run differs from its reference, in lines; empty if not determined.
+        is_decided: Whether the verdict is known; if not, the check fails, and `bool` raises.
+        why: Reason why the run differs from its reference, in lines.
         reference: Reference run or file of metrics; None without a reference.
         judged: Signal, formula or metric that was judged; None if the check has another subject.
     """
@@ -93,17 +94,17 @@ class CheckResult:
     file: str
     check: str
     verdict: Verdict
-    expected: str = ""
+    expected: str = field(default="", metadata=NULL_IF_EMPTY)
     value: float | None = None
     limit: float | None = None
     margin: float | None = None
-    unit: str = ""
+    unit: str = field(default="", metadata=NULL_IF_EMPTY)
     value_s: float | None = None
-    decided_by: str = ""
+    decided_by: str = field(default="", metadata=NULL_IF_EMPTY)
     first_violation_s: float | None = None
-    reason: str = ""
-    names: tuple[str, ...] = ()
-    is_decided: bool = True
+    reason: str = field(default="", metadata=NULL_IF_EMPTY)
+    names: tuple[str, ...] = field(default=(), repr=False)
+    is_decided: bool = field(default=True, metadata={"json": "decided"})
     why: tuple[str, ...] = ()
     reference: "Run | MetricsFile | None" = field(default=None, repr=False, compare=False)
     judged: Check | JudgedSignal | JudgedMetric | None = field(
@@ -120,10 +121,14 @@ class CheckResult:
             raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
         return self.verdict is Verdict.PASS
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the recording cannot be read, so that no check was judged."""
+        return self.check == _RECORDING and not self.is_decided
+
     def __repr__(self) -> str:
-        return escape_controls(
-            f"<{self.verdict} {self.check} of {self.file}: {describe_result(self)}>"
-        )
+        told = describe_result(self)
+        return escape_controls(f"<{self.verdict} {self.check} of {self.file}: {told}>")
 
     def _repr_html_(self) -> str:
         return _tabulate_html([self], title="")
@@ -171,8 +176,7 @@ class CheckOutcome:
 
     def _describe_first(self) -> str:
         more = len(self.failures) - 1
-        others = f" (and {more} more)" if more else ""
-        return f"{describe_result(self.failures[0])}{others}"
+        return describe_result(self.failures[0]) + (f" (and {more} more)" if more else "")
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
@@ -231,7 +235,7 @@ def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
 def fail_recording(file: str, reason: str) -> CheckResult:
     """Return the result for a recording on which no check could be judged."""
     return CheckResult(
-        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+        file=file, check=_RECORDING, verdict=Verdict.FAIL, reason=reason, is_decided=False
     )
 
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -16,7 +16,6 @@ from turtlelog.cli import console, options
 from turtlelog.cli.check_answers import (
     CheckAnswer,
     CountedResults,
-    build_results,
     conclude,
     format_many,
     format_results,
@@ -157,7 +156,7 @@ def check(
 
 def _load_spec(path: Path, formulas: Sequence[str], reference: Path | None) -> "tl.Spec":
     """Return the specification of --expect, or else of a file, with a reference that it needs."""
-    from turtlelog.check.spec import TRAJECTORY_VALUES, list_formula_names
+    from turtlelog.check.spec import TRAJECTORY_VALUES, build_spec, list_formula_names
 
     if not formulas:
         return tl.load_spec(path, reference=reference)
@@ -208,19 +207,6 @@ def _require_targets(reports: ReportOptions, output: Path | None, words: Sequenc
     options.require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
     options.require_apart([path for path in targets if path is not None])
-
-
-def build_spec(formulas: Sequence[str]) -> "tl.Spec":
-    """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
-    from turtlelog.check.spec import Check, names_metrics_alone, require_known_names
-
-    checks = []
-    for text in formulas:
-        formula = tl.expressions.parse_expression(text, source="--expect")
-        require_known_names(formula, over_time=True)
-        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
-        checks.append(Check(name=text, kind=kind, formula=formula))
-    return tl.Spec(checks=tuple(checks), source="--expect")
 
 
 def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.ReadingOptions) -> None:
@@ -381,9 +367,8 @@ def _write_report(
 
     if path is None:
         return
-    bare = [file for file, run in runs.items() if not len(run.poses)]
-    posed = {file: run for file, run in runs.items() if file not in bare}
-    for file in bare:
+    posed = {file: run for file, run in runs.items() if len(run.poses)}
+    for file in (file for file in runs if file not in posed):
         console.print_note(f"{path}: {file} has commands alone, and a report needs poses")
     if not posed:
         console.print_note(f"{path}: no report: none of the recordings could be read")
@@ -417,27 +402,23 @@ def _print_results(
     reading: Sequence[str],
     *,
     files: int,
-    kind: str = "txt",
-    shows_all: bool = False,
+    kind: str,
+    shows_all: bool,
 ) -> "tl.check.Verdict":
-    """Print the verdict and what fails, and return the verdict.
-
-    Results of many files are counted one by one. CSV contains only rows.
-    """
+    """Print the verdict and what fails, and return the verdict. Of many files, count results."""
+    told: Any = {"files": files, "spec": spec, "shows_all": shows_all, "reading": reading}
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
-        text = format_many(counted, files=files, spec=spec, shows_all=shows_all, reading=reading)
-        console.print_verdicts(text)
+        console.print_verdicts(format_many(counted, **told))
         return counted.verdict
     results = [*results]
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
-        console.print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
+        console.print_json(CheckAnswer(verdict=verdict.value, results=results))
     elif kind == "csv":
         console.print_tables([tabulate_values(spec, results)], kind)
     elif kind == "txt":
-        text = format_results(results, files=files, spec=spec, shows_all=shows_all, reading=reading)
-        console.print_verdicts(text)
+        console.print_verdicts(format_results(results, **told))
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
         notes = (
@@ -457,11 +438,9 @@ def _print_marks(results: "Iterable[tl.check.CheckResult]") -> "tl.check.Verdict
     for file, of_file in groupby(results, key=lambda result: result.file):
         found = CountedResults(of_file)
         counted.append(found.verdict)
-        passed = found.verdicts[tl.check.Verdict.PASS]
-        total = found.verdicts.total()
-        console.print_verdicts(
-            f"{found.verdict}  {file}: {passed} of {describe_count(total, 'check')} passed"
-        )
+        passed, total = found.verdicts[tl.check.Verdict.PASS], found.verdicts.total()
+        count = f"{passed} of {describe_count(total, 'check')}"
+        console.print_verdicts(f"{found.verdict}  {file}: {count} passed")
     return decide_verdict(Counter(counted))
 
 

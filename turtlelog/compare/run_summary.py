@@ -12,11 +12,11 @@ from turtlelog import measure
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, release_frames
-from turtlelog.log import ReadChoice, read_as_chosen
+from turtlelog.log import NOTES, ReadChoice, read_as_chosen
 from turtlelog.measure import MeasureSettings, Metric, Metrics
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
-from turtlelog.run import Parameter, Run, require_run
+from turtlelog.run import Origin, Parameter, Run, require_run
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import GoalEnd, describe_wall, find_goal_end
 
@@ -59,6 +59,7 @@ class RunSummary:
         parameters: Parameters by dotted key (`law.kp_linear`).
         metrics: Metrics by id.
         file: File from which the run was read; empty if unknown.
+        origin: Origin, as in `Run`.
         notes: Notes, as in `Run`, and one on jumps that the path length contains.
         declaration: Declaration of the law, as in `Run`.
         lacks: Elements of `HOLDINGS` that the run lacks.
@@ -73,6 +74,7 @@ class RunSummary:
     parameters: Mapping[str, Parameter]
     metrics: Mapping[str, Metric]
     file: str = ""
+    origin: Origin = field(default_factory=Origin)
     notes: Mapping[str, str] = field(default_factory=dict)
     declaration: Declaration = field(default_factory=Declaration)
     lacks: tuple[str, ...] = ()
@@ -185,7 +187,8 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
             for key, name, value, unit, status, reason, at_s in values["metrics"]
         },
         "declaration": _share_declaration(values["declaration"]),
-        "conditions": _share_conditions(values["conditions"]),
+        "conditions": _share_value(values["conditions"]),
+        "origin": _share_value(values["origin"]),
     }
     return RunSummary(**values | named)
 
@@ -195,7 +198,7 @@ def _share_text(text: str) -> str:
     return text
 
 
-_share_conditions: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
+_share_value: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
 _share_declaration: Callable[[Any], Any] = lru_cache(maxsize=64)(lambda value: value)
 
 
@@ -221,6 +224,7 @@ def summarise_measured(
         parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
         file=file,
+        origin=run.origin,
         notes={
             **run.notes,
             **_describe_poses(run, metrics),
@@ -391,18 +395,11 @@ UNLOCKS: Final = MappingProxyType(
 """Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 
-_DOUBTS: Final = {
-    "crowded": ", but the times of most poses are wrong",
-    "unlikely_units": ", in units that are unlikely",
-}
-"""Notes on a file that put its numbers in doubt, each with a clause."""
-
-
 def describe_end(summary: RunSummary) -> str:
     """Return place and time of a run's end; without a goal, the length of its path."""
-    doubts = [clause for name, clause in _DOUBTS.items() if name in summary.notes]
-    if "restarts" in summary.notes:  # `run 1 of 2 in the table is read ...`
-        doubts.append(f", in {summary.notes['restarts'].partition(' is read')[0]}")
+    doubts = [kind.doubt for name, kind in NOTES.items() if name in summary.notes]
+    if summary.origin.table_run is not None:
+        doubts.append(", in run {} of {} in the table".format(*summary.origin.table_run))
     return f"{_describe_end(summary)}{''.join(doubts)}"
 
 

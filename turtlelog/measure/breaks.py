@@ -44,9 +44,14 @@ _FAST: Final = 3.0
 """Ratio to the greatest lasting rate from which a step is a jump. A robot near that rate, and a
 pose that is late by a whole step, together give a ratio of 2."""
 
-_STRAYS: Final = 0.05
-"""Largest share of steps that lead out and back at once and count as stray poses. Noise and a
-second program lead out and back all the time."""
+_STRAYS: Final = 0.1
+"""Largest share of steps that lead out and back at once and count as stray poses, two each. Noise
+and a second program lead out and back all the time."""
+
+_NEIGHBOURHOOD: Final = 7
+_STRAYED: Final = 8.0
+"""Number of poses whose median three stray poses do not move, and smallest distance from it, in
+median distances of all poses. Of normal noise in the plane, one in a million is as far."""
 
 _TURNED_RAD: Final = 0.1
 """Turn of a jump from which the displacement is measured along the heading before it, because there
@@ -151,7 +156,7 @@ def _find_resolution(poses: PoseColumns) -> _Pair:
 
 def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses, finest = run.poses, find_pose_resolution(run)
-    if has_courses(run):  # a course turns with the positions, and is not independent
+    if run.origin.has_courses:  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = find_changing_rows(poses)
     if len(rows) < len(poses):
@@ -159,8 +164,8 @@ def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     if len(poses) < 3:
         return ()
     steps = measure_steps(poses)
-    ways = moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
-    is_jump = _find_jump_steps(poses, ways, steps[2], finest)
+    moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
+    is_jump = _find_jump_steps(poses, steps[2], finest)
     if not is_jump.any():
         return ()
     step_ns = np.diff(poses.time_ns)
@@ -192,48 +197,49 @@ def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     )
 
 
-def _find_jump_steps(
-    poses: PoseColumns, ways: tuple[Values, Values], turned_rad: Values, finest: _Pair
-) -> NDArray[np.bool_]:
-    """Return which steps are jumps; `ways` are their magnitudes in the plane and in heading."""
+def _find_jump_steps(poses: PoseColumns, turned_rad: Values, finest: _Pair) -> NDArray[np.bool_]:
     step_ns = np.diff(poses.time_ns)
-    usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
-    applied = (poses.speed_m_s, poses.turn_rate_rad_s)
-    together = (
-        np.hypot(*(poses.xy_m[2:] - poses.xy_m[:-2]).T),
-        np.abs(turned_rad[1:] + turned_rad[:-1]),
-    )
+    usual_s = np.maximum(step_ns, compute_median(step_ns)) / 1e9
+    places = poses.xy_m, np.append(0.0, np.cumsum(turned_rad))[:, np.newaxis]
     is_jump = np.zeros(len(step_ns), dtype=bool)
     if poses.speed_m_s is None:
         is_jump |= find_corrections(poses, finest)
-    for axis, (way, net, seen) in enumerate(zip(ways, together, applied, strict=True)):
+    for axis, seen in enumerate((poses.speed_m_s, poses.turn_rate_rad_s)):
         limits = ACCELERATION[axis], ROUNDING + math.sqrt(2.0) * finest[axis]  # along two axes
-        is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, limits=limits)
+        is_jump |= _find_far_steps(places[axis], usual_s, seen=seen, limits=limits)
     return is_jump
 
 
-def has_courses(run: Run) -> bool:
-    """Return whether headings are courses over ground, as of a satellite receiver."""
-    return "heading" in run.notes
-
-
 def _find_far_steps(
-    way: Values, net: Values, usual_ns: Values, *, seen: Values | None, limits: _Pair
+    values: Values, usual_s: Values, *, seen: Values | None, limits: _Pair
 ) -> NDArray[np.bool_]:
     """Return which steps are far beyond the greatest rate that lasts for two of them."""
-    # `net` are the magnitudes of each two steps together, `seen` the rates applied by the plant,
-    # `limits` the acceleration and the longest step that rounding makes.
+    # `seen` are the rates applied by the plant, `limits` the acceleration and the longest step that
+    # rounding makes.
     acceleration, least = limits
-    both = np.minimum(way[1:], way[:-1])
-    # A stray pose gives two steps, out and back, which together lead no further.
-    for lasting in (np.minimum(both, net), both):
-        rate = float((lasting / usual_ns[1:]).max()) * 1e9
+    way = measure_length(np.diff(values, axis=0))
+    # A pose that strays gives two steps, out and back.
+    is_stray = _find_strays(values, acceleration * (0.5 * compute_median(usual_s)) ** 2)
+    is_beside = is_stray[1:] | is_stray[:-1]
+    for lasting in (np.where(is_beside, 0.0, way), way):
+        rate = float((np.minimum(lasting[1:], lasting[:-1]) / usual_s[1:]).max())
         rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
-        reached = np.maximum(rate, acceleration * usual_ns / 1e9)
-        is_far = np.asarray(way > _FAST * reached * (usual_ns / 1e9) + least)
+        is_far = np.asarray(
+            way > _FAST * np.maximum(rate, acceleration * usual_s) * usual_s + least
+        )
         if is_far.mean() <= _STRAYS:
             break
     return is_far
+
+
+def _find_strays(values: Values, least: float) -> NDArray[np.bool_]:
+    """Return which poses are far from the median of those around, as no robot that returns."""
+    off = np.zeros(len(values))
+    if len(values) > _NEIGHBOURHOOD:
+        around = np.median(sliding_window_view(values, _NEIGHBOURHOOD, axis=0), axis=2)
+        side = _NEIGHBOURHOOD // 2
+        off[side:-side] = measure_length(values[side:-side] - around)
+    return np.asarray(off > np.maximum(least, _STRAYED * compute_median(off)))
 
 
 def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:

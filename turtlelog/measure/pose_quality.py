@@ -25,7 +25,6 @@ from turtlelog.measure.breaks import (
     find_gaps,
     find_jumps,
     find_pose_resolution,
-    has_courses,
     measure_length,
     measure_steps,
 )
@@ -146,7 +145,7 @@ def find_scatter(run: Run) -> Scatter:
 
 
 def _find_scatter(run: Run) -> Scatter:
-    poses, is_course = run.poses, has_courses(run)
+    poses, is_course = run.poses, run.origin.has_courses
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
@@ -219,9 +218,6 @@ _LEFT: Final = 0.1
 """Share of the motion that must not go together with turning: on one circle, a marker beside the
 robot's centre looks like a marker that is turned."""
 
-_UNLIKE: Final = ("heading", "leaps")
-"""Notes on headings that are computed from the motion, and on poses of two programs."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelDirection:
@@ -262,7 +258,7 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     """
     if run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None:
         return None
-    if any(name in run.notes for name in _UNLIKE):
+    if run.origin.has_courses or run.origin.has_leaps:
         return None
     moved_m, turned_rad = _measure_displacements(run.poses)
     sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
@@ -349,7 +345,7 @@ def _tell_jumps(run: Run, jumps: Sequence[PoseJump]) -> str:
     largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
     which = "" if len(jumps) == 1 else "the largest "
     names = ("m ahead", "m back", "m to the left", "m to the right")
-    if has_courses(run):
+    if run.origin.has_courses:
         names = ("m east", "m west", "m north", "m south")
     signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
     way_m = float(np.hypot(largest.moved_m, largest.aside_m))

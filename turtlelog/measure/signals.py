@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
+from turtlelog.measure.loop_segment import find_distance
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.reductions import Values, subtract_neighbours
 from turtlelog.measure.references import (
@@ -320,8 +321,8 @@ def _read_error(run: Run, axis: int) -> Values | None:
 def _read_distance(run: Run) -> Values | None:
     if run.goal_xy_m is None:
         return None
-    x_m, y_m = (goal - column for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True))
-    return np.asarray(np.hypot(x_m, y_m))
+    x_m, y_m = run.poses.xy_m.T
+    return np.asarray(find_distance(x_m, y_m, *run.goal_xy_m))
 
 
 def _read_heading_error(run: Run) -> Values | None:

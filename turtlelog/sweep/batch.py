@@ -18,18 +18,19 @@ from numpy.typing import NDArray
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
+from turtlelog.measure.loop_segment import aim_at, number_loop
 from turtlelog.measure.metric import REASONS, Status
 from turtlelog.measure.metric_kinds import RUN_METRICS
 from turtlelog.processes import count_cores
-from turtlelog.run.loops import PAUSE, Declaration
-from turtlelog.run.stop_reasons import name_stop
+from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import draw_goal_line, name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import compiled_loop, declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep import batch_arrays as arrays
-from turtlelog.sweep.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
+from turtlelog.sweep.batch_kernel import NO_PHASE
 from turtlelog.sweep.sweep_plan import build_row_scenario
 
 _MEASURING_S: Final = 5.0
@@ -96,6 +97,7 @@ class MeasuredRows:
     statuses: Mapping[str, NDArray[np.int8]]  # indices into `STATUSES`, likewise; -1 if failed
     stop_reasons: list[str | None]  # stop reason of each row; None for rows that failed
     failed: list[str | None]  # reason of each failure; None for rows that did not fail
+    late: list[int]  # rows that failed because a step exceeded its budget
     samples: NDArray[np.int64]  # number of samples of each row, shape (n,)
     compiled: int = 0  # number of rows that the compiled loop simulated, not as single runs
     interpreted: int = 0
@@ -143,13 +145,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
 
 def _build_loops(declaration: Declaration) -> NDArray[Any]:
     """Return the loops of a covered law as `LOOP`."""
-    phases = declaration.phase_names
-    rows = []
-    for loop in declaration.loops:
-        own = sum(1 << phases.index(phase) for phase in declaration.list_phases(loop.name))
-        kinds = SIGNALS.index(loop.signal), REFERENCES.index(loop.reference)
-        rows.append((own, phases.index(PAUSE), *kinds, loop.command == "turn_rate"))
-    return np.array(rows, arrays.LOOP)
+    return np.array([number_loop(declaration, one) for one in declaration.loops], arrays.LOOP)
 
 
 class _Cells(NamedTuple):
@@ -182,6 +178,7 @@ class _Work:
             statuses={name: np.full(count, -1, np.int8) for name in metrics},
             stop_reasons=[None] * count,
             failed=[None] * count,
+            late=[],
             samples=np.zeros(count, np.int64),
         )
 
@@ -198,6 +195,7 @@ class _Work:
             if isinstance(err, SimulationError) and err.run is not None:
                 result.samples[row] = len(err.run.samples)
             result.failed[row] = str(err)
+            result.late.extend([row] if isinstance(err, StepBudgetError) else [])
             return
         result.stop_reasons[row], result.samples[row] = run.stop_reason, len(run.samples)
         for name, metric in measure_run(run, only=self._metrics).items():
@@ -316,8 +314,7 @@ class _Work:
             rows = kernel.loop.kinds.allocate(ticks, samples)
             pieces = compiled_loop.build_pieces(prepared.path)
             local.rows = rows._replace(table=prepared.table, pieces=pieces)
-            loops = len(self._declaration.loops)
-            local.memory = arrays.allocate_memory(ticks, samples, loops, prepared.path)
+            local.memory = arrays.allocate_memory(ticks, samples, prepared.path)
             local.seed = None
         if local.seed != seed:
             compiled_loop.draw_streams(local.rows, prepared.streams, seed, ticks, samples)
@@ -332,11 +329,9 @@ class _Work:
         other &= ~np.isnan(read[:, 0])
         moved = np.flatnonzero(other)
         for row in moved.tolist():
-            settings = prepared.settings[row]
-            goal = float(settings["goal"]["x_m"]), float(settings["goal"]["y_m"])
-            found = arrays.find_line((float(read[row, 0]), float(read[row, 1])), goal)
-            for name, value in found.items():
-                lines[name][row] = value
+            *_, x_m, y_m, heading_rad, band = lines[row].tolist()
+            line = draw_goal_line((float(read[row, 0]), float(read[row, 1])), (x_m, y_m))
+            lines[row] = (*aim_at(line, (x_m, y_m), heading_rad), band)
         return moved
 
     def _enter(self, prepared: arrays.PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:

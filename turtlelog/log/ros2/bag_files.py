@@ -25,6 +25,7 @@ from turtlelog.log.file_info import (
     merge_topics,
     read_info,
 )
+from turtlelog.run import find_greatest_loss
 
 _LARGEST: Final = 2**24
 """Largest size of metadata.yaml [bytes]; a file with 2,000 topics has 2 MB."""
@@ -448,4 +449,5 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
             **{name: text for info in infos for name, text in info.notes.items()},
             **found.notes,
         },
+        lost=find_greatest_loss(*(info.lost for info in infos)),
     )
