@@ -301,3 +301,33 @@ def test_the_coarsest_part_of_a_log_has_its_resolution(start_m: float) -> None:
     run = replace(run, poses=replace(run.poses, xy_m=np.rint(xy_m / digits) * digits))
     assert find_pose_resolution(run)[0] == pytest.approx(1e-4 if start_m < 990.0 else 1e-3)
     assert find_jumps(run) == ()
+
+
+def swing(noise_m: float) -> tl.Run:
+    """Return a robot at 20 Hz to and fro, whose way through medians is too short."""
+    time_s = np.arange(0.0, 60.0, 0.05)
+    angle = 1.2 * np.sin(1.3 * time_s)
+    forth = np.abs((time_s % 2.0) - 1.0)
+    run = make_driven_run(time_s, speed=(forth, 0.5 * forth), turn=(angle, angle))
+    return scatter(run, noise_m)
+
+
+@pytest.mark.parametrize(("noise_m", "is_noise"), [(0.005, False), (0.03, True)])
+def test_a_path_to_and_fro_is_longer_than_through_medians_without_noise(
+    noise_m: float, *, is_noise: bool
+) -> None:
+    """A robot that turns back each second is hardly moved by the noise of a small scatter."""
+    assert (find_scatter(swing(noise_m)).path_m is not None) is is_noise
+
+
+@pytest.mark.parametrize(("noise_m", "is_noisy"), [(0.0032, False), (0.0042, True)])
+def test_headings_scatter_if_noise_makes_a_quarter_of_the_steps(
+    noise_m: float, *, is_noisy: bool
+) -> None:
+    """At 10 Hz and 0.25 m/s."""
+    run = make_driven_run(AT_10_HZ, speed=(AT_10_HZ, 0.25 * AT_10_HZ))
+    run = scatter(run, noise_m, 0.02)
+    heading_rad = run.poses.heading_rad + 0.026 * np.cumsum(np.ones(1000))
+    run = replace(run, poses=replace(run.poses, heading_rad=np.asarray(wrap_angle(heading_rad))))
+    assert find_scatter(run).path_m is None
+    assert (find_scatter(run).turning_rad is not None) is is_noisy

@@ -423,17 +423,18 @@ def _describe_end(summary: RunSummary) -> str:
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
-    beside = [
-        f", {summary.notes[name]} {words},"
+    parts = [
+        f", {summary.notes[name]} {words}"
         for name, words in (
             ("jumped_share", "of it jumps"),
             ("path_without_scatter", "through the median of each second"),
         )
         if name in summary.notes
     ]
+    beside = f"{''.join(parts)}," if parts else ""
     gaps = summary.notes.get("large_gaps")
     without = f", {gaps} of it without poses" if gaps else ""
-    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}{without}"
+    return f"the path is {length} long{beside} and takes {duration}{without}"
 
 
 _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"

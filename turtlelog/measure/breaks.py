@@ -49,9 +49,9 @@ _STRAYS: Final = 0.1
 and a second program lead out and back all the time."""
 
 _NEIGHBOURHOOD: Final = 7
-_STRAYED: Final = 8.0
-"""Number of poses whose median three stray poses do not move, and smallest distance from it, in
-median distances of all poses. Of normal noise in the plane, one in a million is as far."""
+_STRAYED: Final = 2.0
+"""Number of poses whose median three stray poses do not move, and smallest distance from it, in the
+upper quartile of second differences: 8 standard deviations of normal noise in the plane."""
 
 _TURNED_RAD: Final = 0.1
 """Turn of a jump from which the displacement is measured along the heading before it, because there
@@ -235,11 +235,13 @@ def _find_far_steps(
 def _find_strays(values: Values, least: float) -> NDArray[np.bool_]:
     """Return which poses are far from the median of those around, as no robot that returns."""
     off = np.zeros(len(values))
-    if len(values) > _NEIGHBOURHOOD:
-        around = np.median(sliding_window_view(values, _NEIGHBOURHOOD, axis=0), axis=2)
-        side = _NEIGHBOURHOOD // 2
-        off[side:-side] = measure_length(values[side:-side] - around)
-    return np.asarray(off > np.maximum(least, _STRAYED * compute_median(off)))
+    if len(values) <= _NEIGHBOURHOOD:
+        return off > 0.0
+    around = np.median(sliding_window_view(values, _NEIGHBOURHOOD, axis=0), axis=2)
+    side = _NEIGHBOURHOOD // 2
+    off[side:-side] = measure_length(values[side:-side] - around)
+    bends = measure_length(np.diff(values, n=2, axis=0))
+    return np.asarray(off > max(least, _STRAYED * float(np.quantile(bends, 0.75))))
 
 
 def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:

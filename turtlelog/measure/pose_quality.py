@@ -118,6 +118,10 @@ _BY_NOISE: Final = 0.5
 """Share of what a path loses through medians from which noise of its positions is the cause. Noise
 that lengthens a path explains all of it; a robot that drives to and fro has none."""
 
+_NOISY_STEPS: Final = 0.25
+"""Mean length of steps that noise makes, as a share of that of all steps, from which positions are
+noisy: it adds 2 % to a path."""
+
 _SHORTER: Final = 0.93
 """Largest length through medians, as a share of the path, that is told. A curve of 1 rad/s loses a
 twentieth between the medians of each second."""
@@ -149,26 +153,33 @@ def _find_scatter(run: Run) -> Scatter:
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
-    # The length of a step of white noise in the plane is sqrt(pi) times its standard deviation.
-    finest_m = find_pose_resolution(run)[0]
-    noise_m = np.sqrt(np.pi) * max(measure_noise(poses).position_m, _PER_STEP * finest_m)
+    noise = measure_noise(poses).position_m, _PER_STEP * find_pose_resolution(run)[0]
     # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
-    path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise_m)
+    path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise)
+    steps_m = measure_length(np.diff(poses.xy_m, axis=0))
+    is_noisy = math.sqrt(np.pi) * noise[0] > _NOISY_STEPS * float(
+        steps_m.mean() if len(steps_m) else 0.0
+    )
     return Scatter(
         path_m=path_m,
         turning_rad=_measure_through_medians(
-            poses.time_ns, heading_rad, is_noisy=path_m is not None or is_course
+            poses.time_ns, heading_rad, is_noisy=path_m is not None or is_course or is_noisy
         ),
     )
 
 
 def _measure_through_medians(
-    time_ns: NDArray[np.int64], values: Values, *, noise_m: float = 0.0, is_noisy: bool = False
+    time_ns: NDArray[np.int64],
+    values: Values,
+    *,
+    noise_m: tuple[float, float] = (0.0, 0.0),
+    is_noisy: bool = False,
 ) -> float | None:
     """Return the length through medians of each second; None if the steps hardly lead back.
 
-    `noise_m` is the mean length of a step that noise makes. Whether poses are noisy, because their
-    positions are, decides whether slow steps back may be those of a robot that turns round.
+    `noise_m` is the white noise of values, and that of their rounding. Whether poses are noisy,
+    because their positions are, decides whether slow steps back may be those of a robot that turns
+    round.
     """
     steps = np.diff(values, axis=0)
     ways = measure_length(steps)
@@ -188,7 +199,14 @@ def _measure_through_medians(
     is_back = (shares[1:] * shares[:-1]).sum(axis=1) < 0.0
     own_s = 0.0 if is_noisy else compute_median(np.diff(time_ns)) / 1e9
     is_scatter = float(ways[1:][is_back].sum()) >= max(_BACK, _MOST_TURNS_HZ * own_s) * whole
-    is_scatter |= noise_m * len(ways) >= _BY_NOISE * (whole - length)
+    # In each second noise adds 4 times its variance to the mean square of the steps. That of
+    # rounding depends on the motion: it adds at most its mean length, sqrt(pi) times its size.
+    begins = starts[starts < len(ways)]
+    count = np.diff(np.append(begins, len(ways)))
+    squares = np.add.reduceat((ways / whole) ** 2, begins) - count * (2.0 * noise_m[0] / whole) ** 2
+    by_noise = 1.0 - float(np.sqrt(count * np.maximum(squares, 0.0)).sum())
+    by_noise = max(by_noise, math.sqrt(np.pi) * noise_m[1] * len(ways) / whole)
+    is_scatter |= by_noise >= _BY_NOISE * (1.0 - length / whole)
     return length if is_scatter else None
 
 
