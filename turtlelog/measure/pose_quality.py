@@ -5,8 +5,6 @@ steps across its heading therefore show the noise of the positions: of white noi
 times its variance. In the quietest part of a run a robot drives evenly or rests. A point ahead of
 the axle moves sideways as the robot turns; this part of the steps is left out.
 
-A robot on two wheels, or a car, travels along its heading. A marker or sensor that is mounted at an
-angle gives another heading. Speeds along this heading are too small by the cosine of the angle.
 """
 
 import math
@@ -41,8 +39,7 @@ _BLOCK: Final = 20
 """Number of second differences that give one estimate of the noise; its error is a fifth."""
 
 _QUIET: Final = 0.25
-"""Share of a run's estimates that are below its noise: a robot that turns to and fro, or whose
-wheels slip, shows more elsewhere."""
+"""Share of estimates that are below the noise: turns to and fro, or wheels that slip, show more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,10 +74,10 @@ def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
     noise = measure_noise(take_rows(run.poses, rows))
     if noise.heading_rad and find_scatter(run).turning_rad is None:
         noise = replace(noise, heading_rad=0.0)
-    finest_m, finest_rad = find_pose_resolution(run)
+    position_m, heading_rad = (_PER_STEP * finest for finest in find_pose_resolution(run))
     return WhiteNoise(
-        position_m=max(noise.position_m, _PER_STEP * finest_m),
-        heading_rad=max(noise.heading_rad, _PER_STEP * finest_rad),
+        position_m=max(noise.position_m, position_m),
+        heading_rad=max(noise.heading_rad, heading_rad),
     )
 
 
@@ -115,18 +112,14 @@ _MOST_TURNS_HZ: Final = 4.0
 """How often a robot may turn round itself. Such steps lead back at slow poses without any noise."""
 
 _BY_NOISE: Final = 0.5
-"""Share of what a path loses through medians from which noise of its positions is the cause. Noise
-that lengthens a path explains all of it; a robot that drives to and fro has none."""
+"""Share of what a path loses through medians from which noise of its positions is the cause."""
 
 _NOISY_STEPS: Final = 0.25
-"""Mean length of steps that noise makes, as a share of that of all steps, from which positions are
-noisy: it adds 2 % to a path."""
+"""Share of steps that noise makes from which positions are noisy: it adds 2 % to a path."""
 
 _SHORTER: Final = 0.93
 """Largest length through medians, as a share of the path, that is told. A curve of 1 rad/s loses a
 twentieth between the medians of each second."""
-
-_MEDIAN_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,8 +127,7 @@ class Scatter:
     """What is left of a path and of its turns through the median pose of each second.
 
     Attributes:
-        path_m: Length of the path from the first pose through these medians to the last [m]; None
-            if the path hardly scatters.
+        path_m: Length of the path through these medians [m]; None if the path hardly scatters.
         turning_rad: Sum of the magnitudes of all turns, likewise [rad].
     """
 
@@ -156,16 +148,11 @@ def _find_scatter(run: Run) -> Scatter:
     noise = measure_noise(poses).position_m, _PER_STEP * find_pose_resolution(run)[0]
     # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
     path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise)
-    steps_m = measure_length(np.diff(poses.xy_m, axis=0))
-    is_noisy = math.sqrt(np.pi) * noise[0] > _NOISY_STEPS * float(
-        steps_m.mean() if len(steps_m) else 0.0
-    )
-    return Scatter(
-        path_m=path_m,
-        turning_rad=_measure_through_medians(
-            poses.time_ns, heading_rad, is_noisy=path_m is not None or is_course or is_noisy
-        ),
-    )
+    whole_m = float(measure_length(np.diff(poses.xy_m, axis=0)).sum())
+    is_noisy = math.sqrt(np.pi) * noise[0] * len(poses) > _NOISY_STEPS * whole_m
+    is_noisy |= path_m is not None or is_course
+    turning_rad = _measure_through_medians(poses.time_ns, heading_rad, is_noisy=is_noisy)
+    return Scatter(path_m=path_m, turning_rad=turning_rad)
 
 
 def _measure_through_medians(
@@ -177,16 +164,15 @@ def _measure_through_medians(
 ) -> float | None:
     """Return the length through medians of each second; None if the steps hardly lead back.
 
-    `noise_m` is the white noise of values, and that of their rounding. Whether poses are noisy,
-    because their positions are, decides whether slow steps back may be those of a robot that turns
-    round.
+    `noise_m` is the white noise of values, and that of their rounding. If poses are not noisy, slow
+    steps back may be those of a robot that turns round.
     """
     steps = np.diff(values, axis=0)
     ways = measure_length(steps)
     whole = float(ways.sum())
     if not whole:
         return None
-    seconds = (time_ns - time_ns[0]) // _MEDIAN_NS
+    seconds = (time_ns - time_ns[0]) // 1_000_000_000
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))
     middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
     medians = [axis[np.lexsort((axis, seconds))][middles] for axis in values.T]
@@ -199,8 +185,8 @@ def _measure_through_medians(
     is_back = (shares[1:] * shares[:-1]).sum(axis=1) < 0.0
     own_s = 0.0 if is_noisy else compute_median(np.diff(time_ns)) / 1e9
     is_scatter = float(ways[1:][is_back].sum()) >= max(_BACK, _MOST_TURNS_HZ * own_s) * whole
-    # In each second noise adds 4 times its variance to the mean square of the steps. That of
-    # rounding depends on the motion: it adds at most its mean length, sqrt(pi) times its size.
+    # In each second noise adds 4 times its variance to the mean square of the steps. Rounding adds
+    # at most the mean length of white noise.
     begins = starts[starts < len(ways)]
     count = np.diff(np.append(begins, len(ways)))
     squares = np.add.reduceat((ways / whole) ** 2, begins) - count * (2.0 * noise_m[0] / whole) ** 2
@@ -318,10 +304,7 @@ _COMMANDED_M_S: Final = 0.01
 
 
 def describe_sideways(run: Run) -> str:
-    """Return a clause on a robot that is commanded sideways; empty for other robots.
-
-    Whether a robot moves sideways without such commands is not told: headings may be wrong.
-    """
+    """Return a clause on a robot that is commanded sideways; empty for other robots."""
     most_m_s = float(np.abs(run.commands.lateral_speed_m_s).max(initial=0.0))
     if most_m_s < _COMMANDED_M_S:
         return ""
@@ -406,8 +389,7 @@ _DIFFERENCED: Final = "; the {} is a difference of poses"
 def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
     """Return notes on motion to the side, and on what metrics contain besides motion.
 
-    Of a simulation there are none; without a path length among the metrics, only the resolution of
-    lags and rise times.
+    Without a path length among the metrics, only the resolution of lags and rise times is noted.
     """
     if run.poses.speed_m_s is not None:
         return {}
@@ -467,10 +449,9 @@ def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
     reported = (run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s)
-    axes = zip(
-        AXES.items(), reported, measure_rate_noise(run), find_pose_resolution(run), strict=True
-    )
-    for (axis, unit), rate, noise, finest in axes:
+    noises, resolution = measure_rate_noise(run), find_pose_resolution(run)
+    for row, (axis, unit) in enumerate(AXES.items()):
+        rate, noise, finest = reported[row], noises[row], resolution[row]
         time_s = run.poses.time_ns / 1e9 if rate is not None else space_poses(run).time_s
         step_s = compute_median(np.diff(time_s))
         least = _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
