@@ -172,7 +172,7 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
     # What thousands of runs have in common is in memory once, though each was pickled alone.
     named: dict[str, Any] = {
         "parameters": {
-            sys.intern(key): _share_text(one) if isinstance(one, str) else one
+            sys.intern(key): _share(one) if isinstance(one, str) else one
             for key, one in values["parameters"].items()
         },
         "metrics": {
@@ -181,25 +181,17 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
                 value=value,
                 unit=sys.intern(unit),
                 status=Status(status),
-                reason=_share_text(reason),
+                reason=_share(reason),
                 at_s=at_s,
             )
             for key, name, value, unit, status, reason, at_s in values["metrics"]
         },
-        "declaration": _share_declaration(values["declaration"]),
-        "conditions": _share_value(values["conditions"]),
-        "origin": _share_value(values["origin"]),
+        **{name: _share(values[name]) for name in ("declaration", "conditions", "origin")},
     }
     return RunSummary(**values | named)
 
 
-@lru_cache(maxsize=1024)
-def _share_text(text: str) -> str:
-    return text
-
-
-_share_value: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
-_share_declaration: Callable[[Any], Any] = lru_cache(maxsize=64)(lambda value: value)
+_share: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
 
 
 def summarise_run(
@@ -423,16 +415,12 @@ def _describe_end(summary: RunSummary) -> str:
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
-    parts = [
-        f", {summary.notes[name]} {words}"
-        for name, words in (
-            ("jumped_share", "of it jumps"),
-            ("path_without_scatter", "through the median of each second"),
-        )
-        if name in summary.notes
-    ]
-    beside = f"{''.join(parts)}," if parts else ""
-    gaps = summary.notes.get("large_gaps")
+    jumps, median, gaps = map(
+        summary.notes.get, ("jumped_share", "path_without_scatter", "large_gaps")
+    )
+    beside = f", {jumps} of it jumps" if jumps else ""
+    beside += f", {median} through the median of each second" if median else ""
+    beside += "," if beside else ""
     without = f", {gaps} of it without poses" if gaps else ""
     return f"the path is {length} long{beside} and takes {duration}{without}"
 

@@ -151,8 +151,9 @@ def replay_law(
 def _describe_nothing_read(run: Run) -> str:
     """Return why there are no samples: the file has none, or they were not read."""
     if CONTROL.name in run.origin.unread_topics:
+        found = run.notes.get("not_read", CONTROL.name)
         where = "in a file without turtlelog's metadata record"
-        return f"{run.notes['not_read']} {where} are not read as samples of a controller"
+        return f"{found} {where} are not read as samples of a controller"
     lack = f"no samples of a controller (topic {CONTROL.name})"
     return f"{lack}: what the law read and commanded is not recorded"
 

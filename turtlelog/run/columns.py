@@ -289,6 +289,9 @@ def find_greatest_loss(*lost: Lost) -> Lost:
 _LATEST_NS: Final = 2**62
 """Time beyond which no date is known [ns], in the year 2116: the sum of two fits into 64 bits."""
 
+_MOST_ROWS: Final = 2**62
+"""Number of rows that no file reaches, as each takes a byte."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
@@ -334,6 +337,9 @@ class Origin:
         for name in ("began_ns", "start_ns"):
             if abs(getattr(self, name) or 0) >= _LATEST_NS:
                 object.__setattr__(self, name, None)
+        for name in ("sorted_rows", "dropped_duplicates"):
+            if not 0 <= getattr(self, name) < _MOST_ROWS:
+                raise RunError(f"origin.{name}: expected a number of rows below {_MOST_ROWS}")
 
 
 AnyColumns = TypeVar("AnyColumns", PoseColumns, CommandColumns, SampleColumns)

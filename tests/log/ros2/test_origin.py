@@ -1,6 +1,7 @@
 """The origin of a run: facts that later stages read, and that recordings store."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -8,7 +9,7 @@ import turtlelog as tl
 from tests.log.ros2.bags import START_NS, make_poses, write_mcap
 from tests.log.ros2.robots import say_goal, say_odometry, say_path, write_robot
 from tests.log.runs import find_shared
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, RunError
 from turtlelog.log.recording.head import format_head, parse_head, sum_up_record
 from turtlelog.log.recording.run_writer import describe_run
 from turtlelog.run import Origin, Run, SourceTopic
@@ -73,13 +74,27 @@ def test_a_bag_of_a_far_future_has_no_date() -> None:
     assert Origin(began_ns=2**62 - 1).began_ns == 2**62 - 1
 
 
+@pytest.mark.parametrize("name", ["sorted_rows", "dropped_duplicates"])
+@pytest.mark.parametrize("count", [-1, 2**62, 10**400])
+def test_a_number_of_rows_is_a_count(name: str, count: int) -> None:
+    wrong: dict[str, Any] = {name: count}
+    with pytest.raises(RunError, match=f"origin.{name}: expected a number of rows"):
+        Origin(**wrong)
+    largest: dict[str, Any] = {name: 2**62 - 1}
+    assert getattr(Origin(**largest), name) == 2**62 - 1
+
+
 def test_a_simulated_recording_stores_no_origin() -> None:
     run = tl.simulate_run(tl.load_scenario("paper-kp4"))
     assert "origin" not in format_head(describe_run(run))
 
 
 @pytest.mark.parametrize(
-    "entry", ['{"poses": "/odom"}', '{"lost": "everything"}', '{"frame": 3}', "[", "7"]
+    "entry",
+    [
+        *('{"poses": "/odom"}', '{"lost": "everything"}', '{"frame": 3}', "[", "7"),
+        *('{"sorted_rows": -1}', f'{{"dropped_duplicates": {2**62}}}', '{"sorted_rows": 1e400}'),
+    ],
 )
 def test_an_origin_that_turtlelog_does_not_write_is_an_error(entry: str) -> None:
     run = tl.simulate_run(tl.load_scenario("paper-kp4"))

@@ -12,7 +12,7 @@ from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, parse_utc
-from turtlelog.errors import LogError, ScenarioError
+from turtlelog.errors import LogError, RunError, ScenarioError
 from turtlelog.files.text_files import format_toml, parse_known_toml
 from turtlelog.libraries import __version__
 from turtlelog.log.engine.walk import Loss
@@ -238,7 +238,7 @@ def _decode(
     text = _get(record, key, of)
     try:
         return msgspec.json.decode(text, type=kind)
-    except msgspec.MsgspecError as err:
+    except (msgspec.MsgspecError, RunError) as err:
         raise LogError(f"metadata {of}: {key}: {err}, found {text[:60]!r}") from err
 
 

@@ -401,9 +401,8 @@ def select_robot(
         if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
             return topics, ()  # the robot of the poses is unknown
         if len({_NUMBER.sub("#", one) for one in names}) > 1:
-            raise LogError(
-                f"{len(names)} robots, {list_first_names(names)}: choose with --robot NAME"
-            )
+            several = f"{len(names)} robots, {list_first_names(names)}"
+            raise LogError(f"{several}: choose with --robot NAME")
         posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
         name = min(posed or names, key=list_numbers)
     if name not in names:
