@@ -4,7 +4,6 @@ A robot on wheels does not step sideways and back between two poses. The second 
 steps across its heading therefore show the noise of the positions: of white noise they have six
 times its variance. In the quietest part of a run a robot drives evenly or rests. A point ahead of
 the axle moves sideways as the robot turns; this part of the steps is left out.
-
 """
 
 import math

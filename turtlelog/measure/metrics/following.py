@@ -339,7 +339,8 @@ _NO_ANSWER: Final = Missing(
     Status.NOT_REACHED, "the robot does not do half of any step of its commands while it is held"
 )
 _NOT_SEEN: Final = Missing(
-    Status.UNDETERMINED, "the measured rate scatters too far for the steps there are"
+    Status.UNDETERMINED,
+    "the measured rate scatters too far, or is too coarse, for the steps there are",
 )
 
 
