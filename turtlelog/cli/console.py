@@ -19,7 +19,6 @@ from typing import IO, Any, Final, TextIO, TypeVar
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.display import NULL_IF_EMPTY
 from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
@@ -396,6 +395,8 @@ def list_json_keys(kind: Any) -> Mapping[str, tuple[str, bool]]:
 
     The key is the field's metadata `json`, or its name. JSON lacks a field that the repr lacks.
     """
+    from turtlelog.display import NULL_IF_EMPTY  # help does without
+
     return {
         one.name: (
             one.metadata.get("json", one.name),

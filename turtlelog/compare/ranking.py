@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.compare.table import Mark
-from turtlelog.display import describe_count, format_number, format_range, join_words
+from turtlelog.display import (
+    describe_count,
+    format_number,
+    format_range,
+    join_words,
+    show_list,
+)
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import Metric, find_metric_kind
 from turtlelog.measure.step_response import SETTLING_BAND
@@ -174,7 +180,7 @@ def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys
     """Return the keys of a condition; None if the condition is unknown."""
     closed = closes_by_itself(str(parameters.get("path.kind")))  # as is meant without the key
     found = tuple(
-        (key, value if isinstance(value, str | int | float) else str(value))
+        (key, value if isinstance(value, str | int | float | list) else str(value))
         for key, value in sorted(parameters.items())
         if key.startswith(_TABLES[condition]) and not (key == "path.closed" and value is closed)
     )
@@ -359,10 +365,12 @@ def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionD
 
 def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     """Return the value of each run as text; runs with equal values are grouped."""
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, tuple[str, list[str]]] = {}
     for name, value in zip(names, found.values, strict=True):
-        groups.setdefault(_show(found, value), []).append(name)
-    parts = [f"{value} of {name_few(who)}" for value, who in groups.items()]
+        shown = _show(found, value)
+        key = str(value) if isinstance(value, list) else shown
+        groups.setdefault(key, (shown, []))[1].append(name)
+    parts = [f"{value} of {name_few(who)}" for value, who in groups.values()]
     more = len(parts) - _MOST_NAMED
     if more > 0:
         parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
@@ -388,6 +396,8 @@ def _show(found: ConditionDifference, value: Any) -> str:
         x_m, y_m, heading_rad = value
         turned = "" if heading_rad is None else f" at {math.degrees(heading_rad):.4g} deg"
         return f"({x_m:.5g}, {y_m:.5g}) m{turned}"
+    if isinstance(value, list):
+        return show_list(value)
     return format_number(value) if isinstance(value, float) else str(value)
 
 

@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 
 from turtlelog import compare
-from turtlelog.charts.curves import require_near
 from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.charts.palette import GHOST, choose_cause_colors
-from turtlelog.charts.plane_scene import move_near
+from turtlelog.charts.plane_scene import move_near, require_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.display import describe_count, show_angle
 from turtlelog.draw import report_sections as sections

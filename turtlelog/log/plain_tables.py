@@ -257,8 +257,6 @@ _WRAPS_DEG: Final = (330.0, 361.0)
 """Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
 deg of rotation between two rows. In radians, these steps would be at least 52 turns."""
 
-_ASSUMED: Final = ", assumed"
-
 
 class Cells:
     """The chosen columns of a table, as numbers in standard units.
@@ -277,6 +275,7 @@ class Cells:
     ) -> None:
         self.table, self.chosen = table, chosen
         self._guesses: dict[str, str] = {}
+        self._assumed: set[str] = set()
         taken = [choice.column for choice in chosen.values()]
         named = table_columns.find_robot_column(table.names, {*taken})
         found = table.columns.read([*taken, *named])
@@ -322,8 +321,7 @@ class Cells:
 
     def find_assumed(self, *fields: str) -> dict[str, str]:
         """Return the names of columns in assumed standard units, by quantity."""
-        guessed = [one for one in fields if self._guesses.get(one, "").endswith(_ASSUMED)]
-        return {field: self.chosen[field].name for field in guessed}
+        return {field: self.chosen[field].name for field in fields if field in self._assumed}
 
     def _take_robot(self, rows: NDArray[np.int64]) -> None:
         self._cells = {
@@ -418,7 +416,8 @@ class Cells:
             if planar_poses.fits_degrees(xy_m, numbers[self._rows]):
                 self._guesses["heading"] = "deg, as the direction of travel shows"
                 return "deg"
-        self._guesses[choice.field] = f"{usual}{_ASSUMED}"
+        self._guesses[choice.field] = f"{usual}, assumed"
+        self._assumed.add(choice.field)
         return usual
 
     def _read_times(self) -> NDArray[np.int64]:
@@ -432,7 +431,8 @@ class Cells:
             unit = choice.unit
             if unit is None:
                 unit, is_dated = table_columns.guess_time_unit(choice.name, self._parse(choice))
-                self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}{_ASSUMED}"
+                self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}, assumed"
+                self._assumed |= set() if is_dated else {"t"}
             power = _POWERS[unit]
             found = (table_columns.read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)

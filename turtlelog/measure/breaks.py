@@ -24,12 +24,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.measure.rates import (
-    GAP_STEPS,
-    NEIGHBOURS,
-    find_changing_rows,
-    find_usual_step,
-)
+from turtlelog.measure.rates import GAP_STEPS, NEIGHBOURS, find_changing_rows, find_usual_step
 from turtlelog.measure.reductions import Values, compute_median
 from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows

@@ -383,6 +383,7 @@ class _DrivenPlant:
         wanted_ns = np.zeros(0, np.int64) if time_ns is None else time_ns
         visits = np.searchsorted(wanted_ns, ends_ns, side="right").tolist()
         times, seen, put = wanted_ns.tolist(), 0, 0
+        held = self._settings, self._state, self._rows, self._parts
         for tick, (visit, bound) in enumerate(zip(visits, puts, strict=True)):
             yield from self._visit(tick, times[seen:visit])
             if time_ns is None:
@@ -393,9 +394,7 @@ class _DrivenPlant:
                 row.sequence = number
                 row.published_ns, row.speed_m_s, row.turn_rate_rad_s = command
                 self._now.samples += 1
-                loop.send_command(
-                    self._settings, self._state, self._rows, self._parts, tick, number
-                )
+                loop.send_command(*held, tick, number)
             seen, put = visit, bound
 
     def _visit(self, tick: int, times: list[int]) -> Iterator[_State]:

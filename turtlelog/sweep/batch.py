@@ -113,17 +113,19 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     first: int = 0,
     ahead: int = 0,
     step_budget_s: float = STEP_BUDGET_S,
+    source: str = "grid",
 ) -> MeasuredRows:
     """Simulate rows that vary a scenario, whose law may run, and return metrics by their ids.
 
     `columns` are the values of each varied key, one per row. There is a thread per core by default.
     `ahead`, about the number of rows still to be done by this process, decides whether compiled
     loops are worth loading. The row's number, from `first` on, is in the name of its scenario.
+    `source` is the prefix of errors about the values of a row.
     """
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
-    work = _Work(base, columns, metrics, first, step_budget_s)
+    work = _Work(base, columns, metrics, (source, first), step_budget_s)
     rest: Sequence[int] = range(work.count)
     batch = find_batch(base) if all(map(is_covered, metrics)) else None
     if batch is not None:
@@ -163,12 +165,13 @@ class _Work:
         base: Scenario,
         columns: Mapping[str, Sequence[Any]],
         metrics: Sequence[str],
-        first: int,
+        rows: tuple[str, int],
         step_budget_s: float,
     ) -> None:
+        """Store what to compute; `rows` are the source of the rows and the number of the first."""
         self.count = count = len(next(iter(columns.values())))
         self._base, self._columns, self._metrics = base, columns, tuple(metrics)
-        self._first, self._step_budget_s = first, step_budget_s
+        (self._source, self._first), self._step_budget_s = rows, step_budget_s
         self._is_own = False
         self.notes: list[str] = []
         self._compiled = 0
@@ -205,7 +208,8 @@ class _Work:
 
     def _build_scenario(self, row: int) -> Scenario:
         keys, values = tuple(self._columns), [column[row] for column in self._columns.values()]
-        scenario = build_row_scenario(self._base, keys, values, self._first + row)
+        number = self._first + row
+        scenario = build_row_scenario(self._base, keys, values, number, source=self._source)
         return resolve_scenario(scenario)
 
     def run_compiled(

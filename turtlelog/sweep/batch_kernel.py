@@ -148,7 +148,9 @@ def prepare_row(facts: Any, ticks: Any, samples: Any, memory: Any) -> tuple[int,
     heading_rad[0] = before
     for place in range(1, len(ticks)):
         now, turned_rad = ticks[place].heading_rad, ticks[place].turn_rate_rad_s * period_s
-        added_rad += continue_step(now - before, turned_rad, is_fast_turn(turned_rad))
+        is_fast = is_fast_turn(turned_rad)
+        if is_fast or abs(now - before) > math.pi:  # other steps add nothing, in no time
+            added_rad += continue_step(now - before, turned_rad, is_fast)
         heading_rad[place] = now + added_rad
         before = now
     end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
@@ -180,8 +182,8 @@ def _loses_turns(row: Row, loop: Any, segment: Segment) -> bool:
     for place in range(segment.first + 1, segment.after):
         turned_rad = row.ticks[place].turn_rate_rad_s * period_s
         step_rad = row.ticks[place].heading_rad - row.ticks[place - 1].heading_rad
-        is_lost = loop.reference >= BEARING_NOW or not explains_step(step_rad, turned_rad)
-        if is_lost and is_fast_turn(turned_rad):
+        moves = loop.reference >= BEARING_NOW
+        if is_fast_turn(turned_rad) and (moves or not explains_step(step_rad, turned_rad)):
             lost += 1
     return lost > 0
 

@@ -32,8 +32,6 @@ Point = tuple[float | int, ...]
 _CUTS: Final = 8
 """Smallest number of parts of a generation: several parts for each of a few processes."""
 
-_ROWS: Final = "grid: "  # prefix of errors about the values of a row
-
 _CHUNK_S: Final = 0.5
 """Duration of a unit of work [s]: long beside its distribution, short for a waiting user."""
 
@@ -374,6 +372,7 @@ class Candidates:
             ahead=max(self._expected - self.evaluations, 0),
             threads=threads,
             step_budget_s=self._step_budget_s,
+            source=self._source,
         )
 
     def _spread(self, point: Point) -> Point:
@@ -390,8 +389,6 @@ class Candidates:
             **found,
         }
         failed = results.failed[place] or ""
-        if failed.startswith(_ROWS):
-            failed = f"{self._source}: {failed.removeprefix(_ROWS)}"
         objective = None if failed else self.goal.compute_objective(values)
         if objective is not None and not math.isfinite(objective):
             objective = None
