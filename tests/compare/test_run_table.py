@@ -50,6 +50,9 @@ def test_a_parameter_that_files_leave_out_by_default_is_shown_where_it_differs()
     table = tl.tabulate_runs([tl.summarise_run(run) for run in runs])
     assert read_column(table, "law.timeout_s") == [30.0, 20.0, 30.0]
     assert read_column(table, "start.precision") == ["float32", "float32", "float64"]
+    heads = {one.title: (one.lines, one.unit) for one in table.columns}
+    assert heads["law.timeout_s"] == (("law", "timeout"), "s")
+    assert heads["start.precision"] == (("start", "precision"), "")
     assert tl.compare.name_runs(runs[:2]) == ("paper-kp4 timeout_s 30", "paper-kp4 timeout_s 20")
 
 

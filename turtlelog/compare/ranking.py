@@ -6,13 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.compare.table import Mark
-from turtlelog.display import (
-    describe_count,
-    format_number,
-    format_range,
-    join_words,
-    show_list,
-)
+from turtlelog.display import describe_count, format_number, format_range, join_words, show_list
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import Metric, find_metric_kind
 from turtlelog.measure.step_response import SETTLING_BAND
@@ -98,8 +92,7 @@ class Ranking:
     Attributes:
         varied: Keys that were varied intentionally and differ: gains, and named keys.
         differences: Conditions that prevent a ranking, in order of `CONDITIONS`.
-        unknown: Conditions that are unknown for all runs and therefore prevent nothing, with the
-            runs.
+        unknown: Conditions that are unknown for all runs, which prevent nothing, with the runs.
     """
 
     varied: tuple[str, ...]
@@ -130,8 +123,7 @@ class Ranking:
     def list_notes(self, names: Sequence[str]) -> list[str]:
         """Return each difference with its values, and unknown conditions, as sentences.
 
-        Args:
-            names: Names of the runs, in order.
+        `names` are those of the runs, in order.
         """
         notes = [_describe_values(found, names) for found in self.differences]
         by_runs: dict[str, list[str]] = {}
@@ -371,9 +363,8 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
         key = str(value) if isinstance(value, list) else shown
         groups.setdefault(key, (shown, []))[1].append(name)
     parts = [f"{value} of {name_few(who)}" for value, who in groups.values()]
-    more = len(parts) - _MOST_NAMED
-    if more > 0:
-        parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
+    if (more := len(parts) - _MOST_NAMED) > 0:
+        parts = [*parts[:_MOST_NAMED], describe_count(more, "other value")]
     hint = ""
     if found.is_unknown and found.condition == "goal":
         is_of_all = all(value is None for value in found.values)  # as the option applies to all

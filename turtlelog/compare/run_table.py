@@ -23,6 +23,7 @@ from turtlelog.errors import CompareError
 from turtlelog.measure import MeasureSettings, Metric, list_metrics, measure_run
 from turtlelog.run import Parameter, Run
 from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.scenario.model import split_key_unit
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
 _MOST_DIFFERING: Final = 2
@@ -237,9 +238,10 @@ def order_parameters(
 
 
 def _head_column(name: str, units: Sequence[str]) -> Column:
-    lines = tuple(name.replace(".", "_").split("_"))
-    has_unit = len(units) == 1 and units[0] != "1"
-    return Column(title=name, unit=units[0] if has_unit else "", lines=lines)
+    title, unit = split_key_unit(name) if not units else (name, units[0])
+    lines = tuple(title.replace(".", "_").split("_"))
+    has_unit = len(units) < 2 and unit != "1"
+    return Column(title=name, unit=unit if has_unit else "", lines=lines)
 
 
 def _get_cell(summary: RunSummary, name: str, *, has_one_unit: bool) -> Cell:

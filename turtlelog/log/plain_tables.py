@@ -432,7 +432,8 @@ class Cells:
             if unit is None:
                 unit, is_dated = table_columns.guess_time_unit(choice.name, self._parse(choice))
                 self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}, assumed"
-                self._assumed |= set() if is_dated else {"t"}
+                if not is_dated:
+                    self._assumed.add("t")
             power = _POWERS[unit]
             found = (table_columns.read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)
