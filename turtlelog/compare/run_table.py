@@ -214,6 +214,9 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
         if found.default is not MISSING
     }
     whole = [found for found in summaries if found.conditions and found.conditions.is_whole]
+    # The same law omits what it does not use, as a schedule of its gains.
+    if len({found.parameters.get("law.kind") for found in whole}) == 1:
+        defaults |= dict.fromkeys(key for key in values if key.startswith("law."))
     for key in values.keys() & defaults.keys():
         if any(key not in found.parameters for found in whole):
             values[key].add(repr(defaults[key]))
