@@ -178,10 +178,10 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     commands = hold_commands(np.insert(command_s, places, stop_s), np.insert(command, places, 0.0))
     for stop in stops:
         is_sound &= (ends_s <= stop.begin_s + _SILENCE_S) | (begins_s >= stop.end_s)
-    earlier = ends_s <= command_s[0]
-    total_s = float((ends_s - begins_s)[earlier].sum())
-    most = STANDING * np.abs(command).max() * total_s
-    stands = total_s > 0.0 and abs(float(moved[earlier].sum())) <= most
+    # A recording that starts with the commands shows a rest in its first step.
+    earlier = ends_s <= max(command_s[0], ends_s.min(initial=np.inf))
+    most = STANDING * np.abs(command).max() * float((ends_s - begins_s)[earlier].sum())
+    stands = most > 0.0 and abs(float(moved[earlier].sum())) <= most
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
     waits = known & (ends_s <= command_s[np.argmax(command != 0.0)])
