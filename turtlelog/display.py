@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import degrees, isclose, isfinite
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeGuard, TypeVar
 
 from turtlelog.escapes import escape_controls
@@ -50,6 +51,10 @@ def cut_name(name: str, most: int, *, tail: int = 0, mark: str = "...") -> str:
     if len(name) <= most:
         return name
     return f"{name[: most - len(mark) - tail]}{mark}{name[len(name) - tail :]}"
+
+
+NULL_IF_EMPTY: Final[Mapping[str, object]] = MappingProxyType({"null if empty": True})
+"""Metadata of a field whose empty text is null in JSON."""
 
 
 def join_words(words: Sequence[str], last: str = "and") -> str:

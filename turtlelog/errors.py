@@ -208,7 +208,16 @@ class ParameterError(LawError, ValueError):
 
 
 class ScenarioError(TurtlelogError):
-    """A scenario with a wrong key or value."""
+    """A scenario with a wrong key or value.
+
+    Attributes:
+        unknown_key: Dotted key that its table does not have; empty for any other error.
+        advice: The nearest known keys, or all, as text; empty for any other error.
+    """
+
+    def __init__(self, *message: object, unknown_key: str = "", advice: str = "") -> None:
+        super().__init__(*message)
+        self.unknown_key, self.advice = unknown_key, advice
 
 
 class SimulationError(TurtlelogError):

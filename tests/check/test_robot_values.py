@@ -3,8 +3,7 @@
 import pytest
 
 import turtlelog as tl
-from turtlelog.check.spec import ROBOT_VALUES, measure_robot
-from turtlelog.cli.check import build_spec
+from turtlelog.check.spec import ROBOT_VALUES, build_spec, measure_robot
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,15 @@ import importlib
 import inspect
 import json
 import re
+from dataclasses import field, fields, is_dataclass, make_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from types import UnionType
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
+
+from turtlelog.cli.console import list_json_keys
 
 PAGE: Final = Path(__file__).parents[2] / "docs" / "json.md"
 SCHEMAS: Final = PAGE.with_name("schemas.json")
@@ -52,9 +56,9 @@ HEAD: Final = """# JSON
 
 `--json` prints one JSON value and nothing else: a list from `info` and `metrics`, an object from
 the others. Quantities are in SI units and radians unless the name or unit says otherwise. A value
-that does not exist is null, with a `status` or `reason` beside it. A linked type has its table in
-the section of another command. [schemas.json](schemas.json) contains a JSON schema for each
-command.
+that does not exist is null, with a `status` or `reason` beside it; `?` marks its type. A linked
+type has its table in the section of another command. [schemas.json](schemas.json) contains a JSON
+schema for each command.
 """
 
 
@@ -64,7 +68,30 @@ def find_answer(typed: str) -> Any:
     return getattr(importlib.import_module(f"turtlelog.cli.{module}"), name)
 
 
+@cache
+def show_type(kind: Any) -> Any:
+    """Return the type of what is printed for a value: a dataclass with the keys of its fields."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = get_type_hints(kind, include_extras=True)
+        own = {one.name: one for one in fields(kind)}
+        shown: list[Any] = []
+        for name, (key, is_null_if_empty) in list_json_keys(kind).items():
+            told, source = show_type(hints[name]), own[name]
+            default: Any = field(default=source.default, default_factory=source.default_factory)
+            if is_null_if_empty:
+                words = tuple(filter(None, get_args(told)))
+                told, default = (Literal[words] if words else str) | None, None
+            shown.append((key, told, default))
+        namespace = {"__doc__": kind.__doc__}
+        return make_dataclass(kind.__name__, shown, kw_only=True, namespace=namespace)
+    parts, origin = get_args(kind), get_origin(kind)
+    if not parts or origin in {Literal, Annotated}:
+        return kind
+    return (Union if origin is UnionType else origin)[tuple(map(show_type, parts))]
+
+
 _OTHERS: Final = (
+    "check.result",
     "explain.answers",
     "cli.theory_gains",
     "cli.theory_loops",
@@ -88,7 +115,7 @@ def know_types() -> None:
 def build_schema(typed: str) -> dict[str, Any]:
     """Return the JSON schema of an answer."""
     know_types()
-    return msgspec.json.schema(find_answer(typed), schema_hook=lambda _: {})
+    return msgspec.json.schema(show_type(find_answer(typed)), schema_hook=lambda _: {})
 
 
 def format_schemas() -> str:
@@ -143,7 +170,8 @@ def _tell(text: str) -> str:
 def _name_kind(kind: dict[str, Any]) -> str:
     """Return a kind of value in words."""
     if "anyOf" in kind:
-        return " or ".join(map(_name_kind, kind["anyOf"]))
+        *others, last = map(_name_kind, kind["anyOf"])
+        return f"{' or '.join(others)}?" if last == "null" else " or ".join([*others, last])
     if "$ref" in kind:
         return f"`{_name_part(kind['$ref'].rpartition('/')[2])}`"
     if "enum" in kind:

@@ -16,6 +16,7 @@ from tests.docs.json_schemas import (
     format_page,
     format_schemas,
     know_types,
+    show_type,
 )
 from tests.log.ros2.bags import write_mcap
 
@@ -79,7 +80,7 @@ def test_what_is_printed_has_the_fields_and_types_of_the_answer(
     found = call(*(files.get(word, word) for word in TYPED[typed]), "--json").json
     know_types()
     for value in found if isinstance(found, list) else [found]:
-        answer = msgspec.convert(value, find_answer(typed), dec_hook=_take, strict=True)
+        answer = msgspec.convert(value, show_type(find_answer(typed)), dec_hook=_take, strict=True)
         assert _list_keys(msgspec.to_builtins(answer, enc_hook=dict)) == _list_keys(value)
 
 

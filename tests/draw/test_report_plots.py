@@ -10,8 +10,8 @@ import pytest
 import turtlelog as tl
 from tests.draw.laws import simulate_pid, simulate_tracker
 from tests.draw.rerun.rrds import make_foreign_run
+from turtlelog.check.spec import build_spec
 from turtlelog.check.violation import find_violated_signal
-from turtlelog.cli.check import build_spec
 from turtlelog.draw.report_drawing import MOST_VIOLATIONS, RED, Drawn, Plots
 from turtlelog.draw.report_plots import MOST_MARKED, draw_plots
 from turtlelog.draw.report_sections import CheckLine, conclude_runs

@@ -14,7 +14,7 @@ from tests.identify.wheel_robots import Wheeled, drive_wheels
 from tests.known import known
 from turtlelog.cli.identify import format_robot
 from turtlelog.identify import build_robot_scenario, predict_axis, read_robot_notes
-from turtlelog.identify.axis_fit import find_outlying_steps
+from turtlelog.identify.robot_noise import find_outlying_steps
 from turtlelog.run import Run
 
 LOG = Log(duration_s=25.0, poses_hz=25.0)

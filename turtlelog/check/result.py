@@ -12,7 +12,7 @@ import numpy as np
 
 from turtlelog.check.spec import Check, choose_signals
 from turtlelog.compare import Tolerance
-from turtlelog.display import format_html, format_number
+from turtlelog.display import NULL_IF_EMPTY, format_html, format_number
 from turtlelog.errors import CheckError, MissingValueError, UndecidedError
 from turtlelog.escapes import escape_controls
 from turtlelog.measure import (
@@ -70,22 +70,20 @@ class CheckResult:
 
     Attributes:
         file: Name of the recording.
-        check: Name of the check: its table in the specification, or the question of a test.
+        check: Name of the check.
         verdict: PASS, FAIL or SKIPPED.
         expected: Checked formula or tolerance, as written.
-        value: Measured value, in `unit`; None if the check has no single number.
+        value: Measured value, in `unit`.
         limit: Limit of the value, in `unit`.
-        margin: Distance to the limit in `unit`, positive for a pass; None without a distance.
-        unit: Unit of value, limit and margin; empty if they have no unit.
-        value_s: Time of the value [s]; None if the value has no time.
-        decided_by: Comparison to which value, limit and margin belong, if the formula has several.
-        first_violation_s: Time of the first violation [s]; None if there is no violation, or it has
-            no time.
-        reason: Why the check fails or is skipped, if the numbers do not show the reason.
+        margin: Distance to the limit in `unit`, positive for a pass.
+        unit: Unit of value, limit and margin.
+        value_s: Time of the value [s].
+        decided_by: Comparison of the formula that decides.
+        first_violation_s: Time of the first violation [s].
+        reason: Why the check fails or is skipped, if the numbers do not show it.
         names: Signals to show around the violation.
-        is_decided: Whether the verdict is known; otherwise the check fails, and `bool` raises an
-            error.
-        why: Reason why the run differs from its reference, in lines; empty if not determined.
+        is_decided: Whether the verdict is known; if not, the check fails, and `bool` raises.
+        why: Reason why the run differs from its reference, in lines.
         reference: Reference run or file of metrics; None without a reference.
         judged: Signal, formula or metric that was judged; None if the check has another subject.
     """
@@ -93,17 +91,17 @@ class CheckResult:
     file: str
     check: str
     verdict: Verdict
-    expected: str = ""
+    expected: str = field(default="", metadata=NULL_IF_EMPTY)
     value: float | None = None
     limit: float | None = None
     margin: float | None = None
-    unit: str = ""
+    unit: str = field(default="", metadata=NULL_IF_EMPTY)
     value_s: float | None = None
-    decided_by: str = ""
+    decided_by: str = field(default="", metadata=NULL_IF_EMPTY)
     first_violation_s: float | None = None
-    reason: str = ""
-    names: tuple[str, ...] = ()
-    is_decided: bool = True
+    reason: str = field(default="", metadata=NULL_IF_EMPTY)
+    names: tuple[str, ...] = field(default=(), repr=False)
+    is_decided: bool = field(default=True, metadata={"json": "decided"})
     why: tuple[str, ...] = ()
     reference: "Run | MetricsFile | None" = field(default=None, repr=False, compare=False)
     judged: Check | JudgedSignal | JudgedMetric | None = field(

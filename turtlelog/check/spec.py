@@ -270,6 +270,17 @@ def names_metrics_alone(formula: expressions.Expression) -> bool:
     return not formula.is_temporal and are_metrics
 
 
+def build_spec(formulas: Iterable[str], source: str = "--expect") -> Spec:
+    """Return the specification of formulas; those of metrics alone are checked as `expect`."""
+    checks = []
+    for text in formulas:
+        formula = expressions.parse_expression(text, source=source)
+        require_known_names(formula, over_time=True)
+        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
+        checks.append(Check(name=text, kind=kind, formula=formula))
+    return Spec(checks=tuple(checks), source=source)
+
+
 def is_in_tables(name: str) -> bool:
     """Return whether a name is a signal, a metric or a key that every run may have."""
     tables = {*SIGNALS, *OTHER_UNITS, *_list_parameters()}

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -16,7 +16,6 @@ from turtlelog.cli import console, options
 from turtlelog.cli.check_answers import (
     CheckAnswer,
     CountedResults,
-    build_results,
     conclude,
     format_many,
     format_results,
@@ -157,7 +156,7 @@ def check(
 
 def _load_spec(path: Path, formulas: Sequence[str], reference: Path | None) -> "tl.Spec":
     """Return the specification of --expect, or else of a file, with a reference that it needs."""
-    from turtlelog.check.spec import TRAJECTORY_VALUES, list_formula_names
+    from turtlelog.check.spec import TRAJECTORY_VALUES, build_spec, list_formula_names
 
     if not formulas:
         return tl.load_spec(path, reference=reference)
@@ -208,19 +207,6 @@ def _require_targets(reports: ReportOptions, output: Path | None, words: Sequenc
     options.require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
     options.require_apart([path for path in targets if path is not None])
-
-
-def build_spec(formulas: Sequence[str]) -> "tl.Spec":
-    """Return the specification of --expect; formulas of metrics alone are checked as `expect`."""
-    from turtlelog.check.spec import Check, names_metrics_alone, require_known_names
-
-    checks = []
-    for text in formulas:
-        formula = tl.expressions.parse_expression(text, source="--expect")
-        require_known_names(formula, over_time=True)
-        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
-        checks.append(Check(name=text, kind=kind, formula=formula))
-    return tl.Spec(checks=tuple(checks), source="--expect")
 
 
 def _require_known(spec: "tl.Spec", files: Sequence[Path], topics: options.ReadingOptions) -> None:
@@ -432,7 +418,7 @@ def _print_results(
     results = [*results]
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
-        console.print_json(CheckAnswer(verdict=verdict.value, results=build_results(results)))
+        console.print_json(CheckAnswer(verdict=verdict.value, results=results))
     elif kind == "csv":
         console.print_tables([tabulate_values(spec, results)], kind)
     elif kind == "txt":

@@ -17,65 +17,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResultAnswer:
-    """A check of a recording.
-
-    Attributes:
-        file: The recording.
-        check: Name of the check.
-        verdict: PASS, FAIL or SKIPPED.
-        expected: Expected formula or tolerance.
-        value: Measured value.
-        limit: Limit of the value.
-        margin: Distance of the value to the limit; negative beyond it.
-        unit: Unit of these three.
-        value_s: Time of the value [s].
-        decided_by: The part of the formula that decides.
-        first_violation_s: Time of the first violation [s].
-        reason: Reason why the check fails or is skipped.
-        decided: Whether there was enough to judge.
-        why: Reason why the run differs from its reference, in lines; empty without a reference.
-    """
-
-    file: str
-    check: str
-    verdict: str
-    expected: str | None
-    value: float | None
-    limit: float | None
-    margin: float | None
-    unit: str | None
-    value_s: float | None
-    decided_by: str | None
-    first_violation_s: float | None
-    reason: str | None
-    decided: bool
-    why: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CheckAnswer:
     """The verdict on all recordings, and every check of each."""
 
     verdict: str
-    results: list[ResultAnswer]
-
-
-def build_results(results: "Iterable[CheckResult]") -> list[ResultAnswer]:
-    """Return results as entries of the answer."""
-    return [
-        console.copy_fields(
-            ResultAnswer,
-            result,
-            verdict=result.verdict.value,
-            expected=result.expected or None,
-            unit=result.unit or None,
-            decided_by=result.decided_by or None,
-            reason=result.reason or None,
-            decided=result.is_decided,
-        )
-        for result in results
-    ]
+    results: "Sequence[CheckResult]"
 
 
 _MOST_FAILURES: Final = 40

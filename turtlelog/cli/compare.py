@@ -1,7 +1,7 @@
 """`turtlelog compare`: which runs are compared how."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.compare_answer import ChoiceOptions, compare_across
+from turtlelog.cli.compare_answer import compare_across
 from turtlelog.cli.compare_reference import (
     compare_with_reference,
     compare_with_robot,
@@ -17,6 +17,7 @@ from turtlelog.cli.compare_reference import (
 )
 from turtlelog.cli.compare_trajectories import TrajectoryOptions, compare_with_trajectory
 from turtlelog.cli.compare_why import compare_why
+from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.work import Jobs, count_jobs, show_progress
 from turtlelog.errors import UsageError
 
@@ -61,6 +62,38 @@ class ReferenceOptions:
             given = {"--first": self.first, "--trust-law": self.trust_law}
             options.refuse_given(given, "needs --why")
         return bool(self.why)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChoiceOptions:
+    """Rows and columns of the table across runs.
+
+    Attributes:
+        metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
+        sort: Metric, parameter or column (name, Kp) to sort by. A minus sign sorts in falling
+            order. Example: -run.duration. Default: rising gain.
+        where: Use only the runs that meet this condition. Example: "law.kp_linear >= 2 and
+            run.duration < 20".
+        varied: Keys that were varied on purpose, separated by commas: limits.speed_m_s, or a group
+            such as goal, path, start, plant or limits. If another group differs, no run is called
+            the best. Gains may always differ.
+    """
+
+    metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
+    sort: Annotated[
+        str | None, Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics)
+    ] = None
+    where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
+    varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
+
+    def name_values(self) -> dict[str, str | None]:
+        """Return the values by option."""
+        return {f"--{one.name}": getattr(self, one.name) for one in fields(self)}
+
+    def list_columns(self) -> list[str]:
+        """Return the requested names and patterns; empty for the usual columns."""
+        return options.split_names(self.metric, "--metric") or []
 
 
 @Parameter(name="*")

@@ -1,21 +1,19 @@
 """`turtlelog compare` of runs side by side: which is best at what."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.work import watch_summaries
 from turtlelog.display import describe_count, format_range, join_words
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
+    from turtlelog.cli.compare import ChoiceOptions
     from turtlelog.compare import Ranking, RunSummary, Table
 
 _LABELS: Final = {
@@ -34,42 +32,10 @@ _MOST_NOTES: Final = 6
 """Largest number of notes on differences between runs; JSON contains all."""
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChoiceOptions:
-    """Rows and columns of the table across runs.
-
-    Attributes:
-        metric: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: Metric, parameter or column (name, Kp) to sort by. A minus sign sorts in falling
-            order. Example: -run.duration. Default: rising gain.
-        where: Use only the runs that meet this condition. Example: "law.kp_linear >= 2 and
-            run.duration < 20".
-        varied: Keys that were varied on purpose, separated by commas: limits.speed_m_s, or a group
-            such as goal, path, start, plant or limits. If another group differs, no run is called
-            the best. Gains may always differ.
-    """
-
-    metric: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
-    sort: Annotated[
-        str | None, Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics)
-    ] = None
-    where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
-    varied: Annotated[str | None, Parameter(metavar="KEYS")] = None
-
-    def name_values(self) -> dict[str, str | None]:
-        """Return the values by option."""
-        return {f"--{one.name}": getattr(self, one.name) for one in fields(self)}
-
-    def list_columns(self) -> list[str]:
-        """Return the requested names and patterns; empty for the usual columns."""
-        return options.split_names(self.metric, "--metric") or []
-
-
 def compare_across(
     paths: Sequence[Path],
     held: "Sequence[tl.Run] | None",
-    choice: ChoiceOptions,
+    choice: "ChoiceOptions",
     topics: options.ReadingOptions,
     *,
     jobs: int,
@@ -122,7 +88,7 @@ def list_compared(run: "tl.Run", *, needed: tuple[str, ...], is_usual: bool) -> 
 
 
 def _print_across(
-    summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str, reading: Sequence[str]
+    summaries: "Sequence[RunSummary]", choice: "ChoiceOptions", kind: str, reading: Sequence[str]
 ) -> None:
     count, title = len(summaries), ""
     notes: tuple[str, ...] = ()

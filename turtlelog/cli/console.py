@@ -11,13 +11,15 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final, TextIO, TypeVar
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.display import NULL_IF_EMPTY
 from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
@@ -407,40 +409,40 @@ def _spool() -> Iterator[IO[str]]:
             shutil.copyfileobj(spool, sys.stdout)
 
 
-def find_command_name() -> str:
-    """Return the command name by which a user can call turtlelog again."""
-    if "UV_RUN_RECURSION_DEPTH" in os.environ:
-        return "uv run turtlelog"
-    from shutil import which
-
-    if which("turtlelog"):
-        return "turtlelog"
-    python = Path(sys.executable)
-    if python.is_relative_to(Path.cwd()):
-        python = python.relative_to(Path.cwd())
-    return f"{python} -m turtlelog"
-
-
 def _format_json(value: Any) -> str:
-    import msgspec
+    return json.dumps(_make_plain(value), indent=2, allow_nan=False)
 
-    plain = msgspec.to_builtins(value, enc_hook=_make_plain)
-    return json.dumps(_make_finite(plain), indent=2, allow_nan=False)
+
+@cache
+def list_json_keys(kind: Any) -> Mapping[str, tuple[str, bool]]:
+    """Return the key in JSON of each field of a dataclass, and whether an empty text is null.
+
+    The key is the field's metadata `json`, or its name. JSON lacks a field that the repr lacks.
+    """
+    return {
+        one.name: (
+            one.metadata.get("json", one.name),
+            NULL_IF_EMPTY.items() <= one.metadata.items(),
+        )
+        for one in fields(kind)
+        if one.repr
+    }
 
 
 def _make_plain(value: Any) -> Any:
-    if hasattr(value, "dtype"):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return dict(value)
+    """Return a value in the types of JSON. Numbers that are not finite become null."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, str):
         return str.__str__(value)
-    raise TypeError(f"expected what JSON has, found {type(value).__name__}")
-
-
-def _make_finite(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _make_finite(inner) for key, inner in value.items()}
+        return {_make_plain(key): _make_plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_make_finite(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [*map(_make_plain, value)]
+    if is_dataclass(value):
+        kind: Any = type(value)
+        return {
+            key: getattr(value, name) or None if is_text else _make_plain(getattr(value, name))
+            for name, (key, is_text) in list_json_keys(kind).items()
+        }
+    return _make_plain(value.tolist()) if hasattr(value, "dtype") else value

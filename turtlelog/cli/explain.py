@@ -247,7 +247,7 @@ class MotionAnswer:
         jumps: Jumps of the poses.
         gaps: Gaps in the poses.
         command_delays: Delays with which commands act; None if unknown.
-        replay: The commands driven through the plant; None without a model.
+        replay: The commands driven through the plant.
         needs: Data that an explanation would need.
     """
 
@@ -350,7 +350,7 @@ class ExplainAnswer:
         name: Name of the run.
         metric: Explained metric, with the value of the log.
         identified: The settings of the run, each with its confidence and evidence.
-        resimulation: Comparison of the re-simulated scenario with the log; None without one.
+        resimulation: Comparison of the re-simulated scenario with the log.
         tried: Values that were tried, by key of the loop's settings.
         attribution: The value divided among its causes; None if no scenario reproduces the log.
         in_words: Action of each contributing cause in this run, in words.

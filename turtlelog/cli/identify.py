@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -95,63 +95,6 @@ def identify(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
-    """A value with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisAnswer:
-    """One axis, with the fields of `AxisModel`; a field is None if its value is not known."""
-
-    axis: str
-    status: str
-    reason: str | None
-    advice: str | None
-    model: str
-    gain: Interval | None
-    dead_time_s: Interval | None
-    lag_s: Interval | None
-    total_delay_s: Interval | None
-    lag_product_s2: Interval | None
-    rate_limit: Interval | None
-    limit_acts: str | None
-    rate_limit_beside: Interval | None
-    jerk_time_s: Interval | None
-    bound: Interval | None
-    bound_acts: str | None
-    bound_beside: Interval | None
-    deadband: Interval | None
-    reverse_gain: Interval | None
-    friction: Interval | None
-    drift: Interval | None
-    doubts: tuple[str, ...]
-    correlation_delay_s: Interval | None
-    correlation_reason: str | None
-    silent_stops_s: tuple[float, ...]
-    explained: float | None
-    whiteness: float | None
-    outliers: int
-    steps: int
-    steps_in_all: int
-    changes: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventAnswer:
-    """A place in the log that no command explains, with the fields of `RobotEvent`."""
-
-    file: str
-    axis: str
-    time_s: float
-    size: float
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ScenarioAnswer:
     """The written scenario, with the sources of its numbers."""
 
@@ -165,9 +108,9 @@ class IdentifyAnswer:
 
     files: list[str]
     clock: "tl.run.Clock | None"
-    axes: list[AxisAnswer]
+    axes: "tuple[tl.identify.AxisModel, ...]"
     tick_delays: "tl.identify.TickDelays | None"
-    events: list[EventAnswer]
+    events: "tuple[tl.identify.RobotEvent, ...]"
     notes: tuple[str, ...]
     scenario: ScenarioAnswer | None
 
@@ -183,25 +126,8 @@ def build_identify_answer(
         IdentifyAnswer,
         model,
         files=[*map(str, files)],
-        axes=[*map(_build_axis, model.axes)],
-        events=[console.copy_fields(EventAnswer, event) for event in model.events],
         scenario=robot and ScenarioAnswer(file=str(scenario), notes=robot.notes),
     )
-
-
-_MAY_BE_EMPTY: Final = ("reason", "advice", "limit_acts", "bound_acts", "correlation_reason")
-"""Texts of an axis that are null in the answer if they are empty."""
-
-
-def _build_axis(axis: "tl.identify.AxisModel") -> AxisAnswer:
-    texts = {name: getattr(axis, name) or None for name in _MAY_BE_EMPTY}
-    found = {one.name: getattr(axis, one.name) for one in fields(axis)}
-    intervals = {
-        name: console.copy_fields(Interval, value)
-        for name, value in found.items()
-        if isinstance(value, tl.identify.Estimate)
-    }
-    return console.copy_fields(AxisAnswer, axis, **texts, **intervals)
 
 
 _DOES: Final = {"speed": "drives at {} speed", "turn_rate": "turns at {} rate"}

@@ -13,7 +13,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console
-from turtlelog.cli.info_summary import NOTHING_LEFT, ReadRun, Summary, count_read, summarise
+from turtlelog.cli.info_summary import (
+    NOTHING_LEFT,
+    ReadRun,
+    Summary,
+    count_read,
+    holds_nothing,
+    summarise,
+)
 from turtlelog.cli.options import (
     Files,
     Json,
@@ -292,8 +299,7 @@ def _name_kind(answer: InfoAnswer) -> str:
 
 def _tell_state(answer: InfoAnswer) -> str:
     if not answer.complete:
-        is_empty = answer.summary.endswith(NOTHING_LEFT)
-        return "truncated: nothing left" if is_empty else "not complete"
+        return "truncated: nothing left" if holds_nothing(answer) else "not complete"
     ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
     return ending or _tell_reason(answer)
 
@@ -312,14 +318,14 @@ def _write_head(answer: InfoAnswer) -> str:
         length = f", {answer.run.duration_s:.1f} s"  # without the steps of the clock
     if answer.format_version is not None:
         state = "complete" if answer.complete else "not complete"
-        state = NOTHING_LEFT if answer.summary.endswith(NOTHING_LEFT) else state
+        state = NOTHING_LEFT if holds_nothing(answer) else state
         return f"turtlelog recording, {state}{length}"
     if answer.run is None:
         return answer.summary
-    kind = answer.run.kind
+    what = answer.run.kind
     if not answer.topics:
-        return f"{kind}{length}"
-    what = f"{kind} (not turtlesim)" if kind.startswith("a robot") else kind
+        return f"{what}{length}"
+    what += " (not turtlesim)" if answer.run.is_robot else ""
     return f"ROS {1 if answer.source == 'ros1' else 2} bag of {what}{length}"
 
 
@@ -339,7 +345,7 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
         ]
         yield f"robot {robot.name}", "; ".join(parts)
     told = [_tell_reason(answer), (answer.ending or "").removeprefix("ended ")]
-    if any(told) and not answer.summary.endswith(NOTHING_LEFT):
+    if any(told) and not holds_nothing(answer):
         yield "ended", ": ".join(filter(None, told))
 
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from turtlelog.cli.info import InfoAnswer
+
 
 LARGEST_BYTES: Final = 64 * 2**20
 """Largest bag whose poses are read by default [bytes]; MCAP or SQLite of this size takes less than
@@ -55,6 +57,16 @@ _TOLD: Final = (
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """Description of an incomplete file without messages."""
 
+_TURTLESIM: Final = "turtlesim"
+_ROBOT: Final = "a robot"
+_IMU_ALONE: Final = "an IMU, which turns in one place"
+_CONTROLLER: Final = "a log of a controller"
+_TABLE: Final = "poses in a table"
+_NO_POSES: Final = "commands without poses"
+
+_NO_ROBOTS: Final = frozenset({_TURTLESIM, _IMU_ALONE, _CONTROLLER, _TABLE, _NO_POSES})
+"""Kinds of runs other than robots; a robot's kind may name the type of its poses."""
+
 _SHOWN_TOPICS: Final = 3
 
 CONTROL: Final = "turtlelog_msgs/msg/ControlSample"
@@ -78,6 +90,11 @@ class ReadRun:
     poses: str
     commands: str
     samples: int
+
+    @property
+    def is_robot(self) -> bool:
+        """Whether the poses are those of a robot other than turtlesim."""
+        return self.kind not in _NO_ROBOTS
 
     @property
     def first_row(self) -> str:
@@ -110,7 +127,7 @@ def summarise(
     path: Path, info: "tl.log.RecordingInfo", choice: "tl.log.ReadChoice", *, is_asked: bool = False
 ) -> Summary:
     """Return the description of a file; of a bag, from poses and commands unless it is large."""
-    is_lost = not info.complete and not any(topic.count for topic in info.topics)
+    is_lost = holds_nothing(info)
     if info.format_version is not None:
         text = f"a recording of turtlelog's, {NOTHING_LEFT}" if is_lost else _summarise_own(info)
         return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
@@ -128,6 +145,11 @@ def summarise(
         reason = str(err).removeprefix(f"{path}: ")
         return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))
     return _summarise_run(run, info)
+
+
+def holds_nothing(info: "tl.log.RecordingInfo | InfoAnswer") -> bool:
+    """Return whether a file was not finished and has no messages."""
+    return not info.complete and not any(topic.count for topic in info.topics)
 
 
 def count_read(path: Path, *, is_asked: bool) -> int:
@@ -206,12 +228,13 @@ def _summarise_topics(info: "tl.log.RecordingInfo", reason: str) -> str:
         fault = "give no poses" if chosen.type == _TRANSFORMS else "cannot be read"
         noun = "transforms" if chosen.type == _TRANSFORMS else "poses"
         return f"{noun} on {chosen.topic}, which {fault}: {reason}"
-    kind = "turtlesim" if chosen.type.startswith("turtlesim") else "a robot"
+    is_turtlesim = chosen.type.startswith("turtlesim")
+    kind = _TURTLESIM if is_turtlesim else _ROBOT
     rate = ""
     if info.duration_s and chosen.count >= _FEWEST_RATED:
         rate = f", {_format_hz(chosen.count / info.duration_s)} on the average"
     parts = [f"{kind}: {describe_count(chosen.count, 'pose')} on {chosen.topic}{rate}"]
-    parts += [] if kind == "turtlesim" else ["not turtlesim"]
+    parts += [] if is_turtlesim else ["not turtlesim"]
     return "; ".join(filter(None, [*parts, reason]))
 
 
@@ -280,17 +303,17 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
     if sideways := tl.measure.describe_sideways(run):
         notes["sideways"] = f"{sideways}; speeds are those ahead or back"
-    kind = _describe_kind(run)
+    read = ReadRun(
+        kind=_describe_kind(run),
+        duration_s=run.duration_s,
+        poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
+        commands=_describe_rows(run, "command_topic", run.commands.time_ns),
+        samples=len(run.samples),
+    )
     return Summary(
-        text=_describe_run(run, kind),
+        text=_describe_run(run, read),
         ending=_describe_ending(run),
-        run=ReadRun(
-            kind=kind,
-            duration_s=run.duration_s,
-            poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
-            commands=_describe_rows(run, "command_topic", run.commands.time_ns),
-            samples=len(run.samples),
-        ),
+        run=read,
         missing=tuple(_list_missing(run, info)),
         clock=run.clock,
         notes=notes,
@@ -308,23 +331,23 @@ def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
 def _describe_kind(run: "tl.Run") -> str:
     """Return the source of poses, or the kind of a file without topics."""
     if not len(run.poses):
-        return "commands without poses"
+        return _NO_POSES
     pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
     if not _name_topic(run, "pose_topic"):
-        return "a log of a controller" if len(run.samples) else "poses in a table"
+        return _CONTROLLER if len(run.samples) else _TABLE
     if not pose_type.startswith("turtlesim"):
         is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
         has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
-        return "an IMU, which turns in one place" if is_named and not has_moved else "a robot"
+        return _IMU_ALONE if is_named and not has_moved else _ROBOT
     return (
-        "turtlesim" if tl.replay.moves_as_turtlesim(run) else f"a robot that publishes {pose_type}"
+        _TURTLESIM if tl.replay.moves_as_turtlesim(run) else f"{_ROBOT} that publishes {pose_type}"
     )
 
 
 _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\d)])")
 
 
-def _describe_run(run: "tl.Run", kind: str) -> str:
+def _describe_run(run: "tl.Run", read: ReadRun) -> str:
     if not len(run.poses):
         return f"no poses, {_describe_commands(run)}"
     pose_topic = _name_topic(run, "pose_topic")
@@ -338,8 +361,7 @@ def _describe_run(run: "tl.Run", kind: str) -> str:
         parts.append(_describe_commands(run))
     else:
         parts.append("no commands")
-    end = "; not turtlesim" if kind.startswith("a robot") else ""
-    return f"{kind}: {', '.join(parts)}{end}"
+    return f"{read.kind}: {', '.join(parts)}{'; not turtlesim' if read.is_robot else ''}"
 
 
 def _on(topic: str) -> str:

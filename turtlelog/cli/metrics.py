@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -15,14 +15,21 @@ import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.metrics_answer import (
+    MOST_SAID,
+    drop_words,
+    find_value,
+    format_run,
+    format_runs,
+    list_jumps,
     list_motion,
+    list_resolutions,
     list_scatter,
     list_summary_metrics,
-    print_chosen,
-    print_essential,
+    tell_range,
 )
 from turtlelog.cli.usage import Whole, parse_option
 from turtlelog.cli.work import WorkOptions, summarise_table, tabulate, watch_summaries
+from turtlelog.display import describe_count
 from turtlelog.errors import MeasureError, TurtlelogError, UsageError
 from turtlelog.escapes import escape_controls
 
@@ -89,10 +96,10 @@ class MeasuredFile:
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        ending: End at the goal, in words; None without a goal.
-        jumps: Jumps that the path length contains, in words; None without jumps.
+        ending: End at the goal, in words.
+        jumps: Jumps that the path length contains, in words.
         scatter: Path and turning without steps back and forth, in words.
-        gaps: Time without poses, in words; None without gaps.
+        gaps: Time without poses, in words.
         rest: Motion that counts as rest, in words.
         metrics: Requested metrics. Default: all metrics.
     """
@@ -211,10 +218,88 @@ def metrics(
                 _refuse_patterns(patterns, [found.declaration for found in held])
             if is_short:
                 held = list(tl.compare.complete_summaries(held, settings, topics=choice))
-                print_essential(held, kind, options.list_option_words(topics))
+                _print_essential(held, kind, options.list_option_words(topics))
             else:
-                print_chosen(held, kind)
+                _print_chosen(held, kind)
     return console.print_errors(errors)
+
+
+def _print_essential(
+    summaries: "Sequence[tl.compare.RunSummary]", kind: str, reading: Sequence[str]
+) -> None:
+    """Print the essential metrics: sentences for one run, a row per run for several.
+
+    `reading`: words of options that further commands on the same file need, too.
+    """
+    if kind != "txt":
+        _print_chosen([drop_words(one) for one in summaries], kind, is_essential=True)
+    elif len(summaries) == 1:
+        who = tl.compare.label_file(summaries[0].file)
+        console.print_text(format_run(summaries[0], who, reading=reading))
+    elif summaries:
+        console.print_text(format_runs(summaries))
+
+
+_MOST_COLUMNS: Final = 6
+"""Largest number of runs, or metrics, side by side; more runs become rows."""
+
+
+def _print_chosen(
+    summaries: "Sequence[tl.compare.RunSummary]", kind: str, *, is_essential: bool = False
+) -> None:
+    """Print the metrics of runs as a table by id; as text, the answer comes first."""
+    if not summaries:
+        return
+    declarations = [found.declaration for found in summaries]
+    ids = (name for found in summaries for name in found.metrics)
+    chosen = tl.compare.order_ids(ids, declarations)
+    if is_essential:
+        chosen = tl.compare.drop_absent(summaries, chosen)
+    summaries = tl.compare.order_by_gain(summaries)
+    notes: list[str] = []
+    if kind == "txt":
+        summaries, notes = tl.compare.shorten_names(summaries)
+    is_wide = len(summaries) > _MOST_COLUMNS
+    if is_wide or (kind == "txt" and len(summaries) > 1 and len(chosen) <= _MOST_COLUMNS):
+        table = tl.tabulate_runs(summaries, only=chosen)
+        if kind == "txt":
+            reasons = tl.compare.list_reasons(found.metrics for found in summaries)
+            table = replace(table, marks={}, notes=reasons)
+    else:
+        names = tl.compare.name_runs(summaries)
+        measured = [
+            {name: found for name, found in summary.metrics.items() if name in chosen}
+            for summary in summaries
+        ]
+        table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
+    notes += [*list_jumps(summaries, chosen), *list_resolutions(summaries)]
+    table = replace(table, notes=(*table.notes, *notes))
+    if kind != "txt":
+        console.print_tables([table], kind)
+        return
+    console.print_text(f"{_describe_chosen(summaries, chosen)}\n{console.fit_body(table)}")
+
+
+def _describe_chosen(summaries: "Sequence[tl.compare.RunSummary]", chosen: Sequence[str]) -> str:
+    """Return the values of a few metrics; for more metrics, the end of the run or their number."""
+    several = describe_count(len(summaries), "run")
+    who = several if len(summaries) > 1 else tl.compare.label_file(summaries[0].file)
+    if len(chosen) <= MOST_SAID:
+        said = [f"{name} {tell_range(summaries, name)}" for name in chosen]
+        return console.fill_lines([f"{who}: {', '.join(said)}."])
+    count = describe_count(len(chosen), "metric")
+    if len(summaries) == 1:
+        if {"final.position_error", "run.duration"} <= {*chosen}:
+            return console.fill_lines([f"{who}: {tl.compare.describe_end(summaries[0])}."])
+        known = sum(find_value(summaries[0], name) is not None for name in chosen)
+        return f"{who}: {count}, {known} with a value."
+    first = next((name for name in _FIRST if name in chosen), chosen[0])
+    return console.fill_lines([f"{who}, {count}: {first} {tell_range(summaries, first)}."])
+
+
+_FIRST: Final = ("final.position_error", "run.duration")
+"""Metrics for the first line about many metrics of several runs; the first available metric is
+used."""
 
 
 def _tell(done: "tl.sweep.TabulatedFiles", kind: str) -> int:

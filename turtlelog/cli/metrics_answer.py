@@ -9,10 +9,7 @@ import turtlelog as tl
 from turtlelog.cli import console
 from turtlelog.display import describe_count, describe_range, format_short, join_words
 
-_MOST_COLUMNS: Final = 6
-"""Largest number of runs, or metrics, side by side; more runs become rows."""
-
-_MOST_SAID: Final = 3
+MOST_SAID: Final = 3
 """Largest number of metrics with values in the first line, and of runs whose jumps are listed."""
 
 _PATH: Final = "run.path_length"
@@ -64,87 +61,14 @@ def _list_of_words(declaration: "tl.Declaration") -> tuple[str, ...]:
     return tuple(name for name in known if name.rpartition(".")[2] in _OF_WORDS)
 
 
-def print_essential(
-    summaries: "Sequence[tl.compare.RunSummary]", kind: str, reading: Sequence[str]
-) -> None:
-    """Print the essential metrics: sentences for one run, a row per run for several.
-
-    `reading`: words of options that further commands on the same file need, too.
-    """
-    if kind != "txt":
-        print_chosen([_drop_words(one) for one in summaries], kind, is_essential=True)
-    elif len(summaries) == 1:
-        who = tl.compare.label_file(summaries[0].file)
-        console.print_text(format_run(summaries[0], who, reading=reading))
-    elif summaries:
-        console.print_text(_format_runs(summaries))
-
-
-def _drop_words(summary: "tl.compare.RunSummary") -> "tl.compare.RunSummary":
+def drop_words(summary: "tl.compare.RunSummary") -> "tl.compare.RunSummary":
+    """Return a summary without the metrics that are used only in sentences."""
     found = summary.metrics
     kept = {name: found[name] for name in found if name.rpartition(".")[2] not in _OF_WORDS}
     return replace(summary, metrics=kept)
 
 
-def print_chosen(
-    summaries: "Sequence[tl.compare.RunSummary]", kind: str, *, is_essential: bool = False
-) -> None:
-    """Print the metrics of runs as a table by id; as text, the answer comes first."""
-    if not summaries:
-        return
-    declarations = [found.declaration for found in summaries]
-    ids = (name for found in summaries for name in found.metrics)
-    chosen = tl.compare.order_ids(ids, declarations)
-    if is_essential:
-        chosen = tl.compare.drop_absent(summaries, chosen)
-    summaries = tl.compare.order_by_gain(summaries)
-    notes: list[str] = []
-    if kind == "txt":
-        summaries, notes = tl.compare.shorten_names(summaries)
-    is_wide = len(summaries) > _MOST_COLUMNS
-    if is_wide or (kind == "txt" and len(summaries) > 1 and len(chosen) <= _MOST_COLUMNS):
-        table = tl.tabulate_runs(summaries, only=chosen)
-        if kind == "txt":
-            reasons = tl.compare.list_reasons(found.metrics for found in summaries)
-            table = replace(table, marks={}, notes=reasons)
-    else:
-        names = tl.compare.name_runs(summaries)
-        measured = [
-            {name: found for name, found in summary.metrics.items() if name in chosen}
-            for summary in summaries
-        ]
-        table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
-    notes += [*_list_jumps(summaries, chosen), *_list_resolutions(summaries)]
-    table = replace(table, notes=(*table.notes, *notes))
-    if kind != "txt":
-        console.print_tables([table], kind)
-        return
-    console.print_text(f"{_describe_chosen(summaries, chosen)}\n{console.fit_body(table)}")
-
-
-def _describe_chosen(summaries: "Sequence[tl.compare.RunSummary]", chosen: Sequence[str]) -> str:
-    """Return the values of a few metrics; for more metrics, the end of the run or their number."""
-    several = describe_count(len(summaries), "run")
-    who = several if len(summaries) > 1 else tl.compare.label_file(summaries[0].file)
-    if len(chosen) <= _MOST_SAID:
-        said = [f"{name} {_describe_range(summaries, name)}" for name in chosen]
-        return console.fill_lines([f"{who}: {', '.join(said)}."])
-    count = describe_count(len(chosen), "metric")
-    if len(summaries) == 1:
-        if {"final.position_error", "run.duration"} <= {*chosen}:
-            return console.fill_lines([f"{who}: {tl.compare.describe_end(summaries[0])}."])
-        known = sum(_find_value(summaries[0], name) is not None for name in chosen)
-        return f"{who}: {count}, {known} with a value."
-    first = next((name for name in _FIRST if name in chosen), chosen[0])
-    return console.fill_lines([f"{who}, {count}: {first} {_describe_range(summaries, first)}."])
-
-
-_FIRST: Final = ("final.position_error", "run.duration")
-"""Metrics for the first line about many metrics of several runs; the first available metric is
-used."""
-
-
-def _describe_range(summaries: "Sequence[tl.compare.RunSummary]", name: str) -> str:
+def tell_range(summaries: "Sequence[tl.compare.RunSummary]", name: str) -> str:
     """Return the value of one run; for several, the smallest and largest values with their runs."""
     found = {one.name: one.metrics[name] for one in summaries if name in one.metrics}
     values = [(metric.value, who) for who, metric in found.items() if metric.value is not None]
@@ -158,7 +82,8 @@ def _describe_range(summaries: "Sequence[tl.compare.RunSummary]", name: str) -> 
     return f"{text.removesuffix(' (all)')} ({lacking} without a value)" if lacking else text
 
 
-def _find_value(summary: "tl.compare.RunSummary", name: str) -> float | None:
+def find_value(summary: "tl.compare.RunSummary", name: str) -> float | None:
+    """Return the value of a metric; None without a value."""
     metric = summary.metrics.get(name)
     return None if metric is None else metric.value
 
@@ -174,7 +99,7 @@ def format_run(
 
     The summary needs the metrics of `list_summary_metrics`; its file is empty if there is none.
     """
-    essential = _drop_words(summary).metrics
+    essential = drop_words(summary).metrics
     head = [f"{who}: {tl.compare.describe_end(summary)}.", *facts, *_list_place(summary)]
     loops = [loop.name for loop in summary.declaration.loops]
     known = {name for name, one in summary.metrics.items() if one.value is not None}
@@ -192,7 +117,7 @@ def format_run(
         table = console.build_table("", ("metric", "value"), rows, tl.compare.list_reasons([found]))
         said = []
     notes = [
-        *(*said, *_list_since(summary), *_list_jumps([summary], summary.metrics)),
+        *(*said, *_list_since(summary), *list_jumps([summary], summary.metrics)),
         *(*_list_rates([summary]), *_list_travel(summary), *tl.compare.list_unlocks([summary])),
     ]
     return "\n".join(
@@ -230,7 +155,7 @@ def _list_remarks(
     """Yield which loops oscillate, do not settle, or have no values, and motion to the side."""
     if "sideways" in summary.notes:
         yield f"The robot is {summary.notes['sideways']}. Speeds are those ahead or back."
-    restless = [loop for loop in shown if _find_value(summary, f"{loop}.stable") == 0.0]
+    restless = [loop for loop in shown if find_value(summary, f"{loop}.stable") == 0.0]
     if restless:
         yield f"The oscillation does not die out: {join_words(restless)}."
     stable = {loop: summary.metrics.get(f"{loop}.stable") for loop in shown}
@@ -282,9 +207,9 @@ def _describe_rest(summary: "tl.compare.RunSummary") -> list[str]:
     said = [
         f"{_name_metric(name)} {_show(summary.metrics[name])}"
         for name in names
-        if _find_value(summary, name) is not None
+        if find_value(summary, name) is not None
     ]
-    gap, usual = (_find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
+    gap, usual = (find_value(summary, f"run.{one}") for one in ("largest_gap", _OF_WORDS[1]))
     if gap is not None and usual and gap > _SILENT * usual and not summary.is_lawless:
         said.append(f"longest silence of the controller {format_short(gap, 's')}")
     return [f"{', '.join(said).capitalize()}."] if said else []
@@ -337,10 +262,11 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
         noise = ", and contain their noise" if sizes else ""
         size = f": about {sizes[0]}" if sizes and len(lawless) == 1 else ""
         yield f"Measured rates are differences of poses{which}{noise}{size}."
-    yield from _list_resolutions(summaries)
+    yield from list_resolutions(summaries)
 
 
-def _list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
+def list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
+    """Return the sentence on the steps of measured rates, if they are known."""
     steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
     if not steps:
         return []
@@ -362,7 +288,7 @@ def _list_travel(summary: "tl.compare.RunSummary") -> Iterator[str]:
         yield f"{told[0].upper()}{told[1:]}{own}."
 
 
-def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
+def list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[str]) -> list[str]:
     """Return sentences on gaps, and on path lengths that contain jumps or scatter of the poses."""
     if _PATH not in shown:
         return []
@@ -373,9 +299,9 @@ def _list_jumps(summaries: "Sequence[tl.compare.RunSummary]", shown: Collection[
         names = (name for name in _OF_MOTION if which or name != "sideways")
         said = [*list_motion(one, which, names), *list_scatter(one, which, shown)]
         told.extend([said] if said else [])
-    first = [sentence for said in told[:_MOST_SAID] for sentence in said]
-    if len(told) > _MOST_SAID:
-        more = describe_count(len(told) - _MOST_SAID, "more run")
+    first = [sentence for said in told[:MOST_SAID] for sentence in said]
+    if len(told) > MOST_SAID:
+        more = describe_count(len(told) - MOST_SAID, "more run")
         first.append(f"Gaps, jumps or steps are in {more}, too.")
     return first
 
@@ -417,14 +343,14 @@ def list_scatter(
         )
 
 
-def _format_runs(summaries: "Sequence[tl.compare.RunSummary]") -> str:
+def format_runs(summaries: "Sequence[tl.compare.RunSummary]") -> str:
     """Return the range of the runs' ends, and a row for each run."""
     summaries, notes = tl.compare.shorten_names(tl.compare.order_by_gain(summaries))
     table, shown = _tabulate_runs(summaries)
     reasons = tl.compare.list_reasons(
         {name: one.metrics[name] for name in shown if name in one.metrics} for one in summaries
     )
-    jumps, rates = _list_jumps(summaries, shown), _list_rates(summaries)
+    jumps, rates = list_jumps(summaries, shown), _list_rates(summaries)
     told = (*reasons, *notes, *jumps, *rates, *tl.compare.list_unlocks(summaries))
     table = replace(table, notes=told)
     count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
@@ -457,7 +383,7 @@ def _round(cell: "tl.compare.Cell") -> "tl.compare.Cell":
 
 def _rank(name: str, summaries: "Sequence[tl.compare.RunSummary]") -> tuple[bool, int, bool]:
     """Return a sort key for choosing metrics: the end first, then metrics of most runs."""
-    lacking = sum(_find_value(one, name) is None for one in summaries)
+    lacking = sum(find_value(one, name) is None for one in summaries)
     is_end = name in {"final.position_error", "run.duration"}
     return not is_end, lacking, not name.endswith("time")
 
@@ -476,10 +402,10 @@ def _choose_columns(summaries: "Sequence[tl.compare.RunSummary]") -> tuple[str, 
 
 def _describe_ends(summaries: "Sequence[tl.compare.RunSummary]") -> str:
     ends = [one.goal_end for one in summaries if one.goal_end is not None]
-    lasting = f"after {_describe_range(summaries, 'run.duration')}"
-    errors = [_find_value(one, "final.position_error") for one in summaries]
+    lasting = f"after {tell_range(summaries, 'run.duration')}"
+    errors = [find_value(one, "final.position_error") for one in summaries]
     if len(ends) == len(summaries) and None not in errors:
-        far = _describe_range(summaries, "final.position_error")
+        far = tell_range(summaries, "final.position_error")
         told = [tl.compare.describe_reached(summaries), f"the ends are {far} from the goal"]
         return f"{'; '.join(filter(None, told))}, {lasting}"
-    return f"they last {_describe_range(summaries, 'run.duration')}"
+    return f"they last {tell_range(summaries, 'run.duration')}"

@@ -150,8 +150,8 @@ class AskedOptions:
                 work = tl.explain.Work(jobs=None, report=progress.count)
                 return kind.prepare(runs, metric=self.metric, work=work)
         if kind.content == "formula" and len(runs) == 1 and self.expect is not None:
+            from turtlelog.check.spec import build_spec
             from turtlelog.check.violation import find_judged_signal
-            from turtlelog.cli.check import build_spec
 
             (result,) = tl.check_runs(build_spec([self.expect]), [(runs[0].name, runs[0])])
             judged = find_judged_signal(runs[0], result)
@@ -314,11 +314,11 @@ class PlotAnswer:
 
     Attributes:
         files: Names of the files, as given.
-        ending: Ends of the runs, in words; None without runs.
+        ending: Ends of the runs, in words.
         figures: The figures.
         tables: Files of tables.
         left_out: Figures that were not drawn, with reasons.
-        movie: The movie; None without a movie.
+        movie: The movie.
     """
 
     files: list[str]

@@ -14,6 +14,7 @@ import turtlelog as tl
 from turtlelog.cli import console
 from turtlelog.cli.list_names import complete_keys
 from turtlelog.cli.options import PICTURES, refuse_given, require_new_target
+from turtlelog.cli.usage import find_command_name
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import TurtlelogError, UsageError
@@ -451,7 +452,7 @@ def list_map_lines(view: "SweptView", limits: "Sequence[LoopLimits]", told: MapA
     first = next((ids.index(name) for name in _FIRST if name in ids), 0)
     lines.insert(0, f"{results.path}: {lines.pop(first + 1)}")
     lines = [console.fill_lines([line], indent=2) for line in lines]
-    command, path = console.find_command_name(), shlex.quote(str(results.path))
+    command, path = find_command_name(), shlex.quote(str(results.path))
     for row, names in best.items():
         again = f"{command} run --from {path} --row {row}"
         lines.append(f"best {join_words(names)}: {again}")

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli import console, options
-from turtlelog.cli.check_answers import build_results, format_results
+from turtlelog.cli.check_answers import format_results
 from turtlelog.cli.replay_answer import (
     CommandReplayAnswer,
     LawReplayAnswer,
@@ -24,7 +24,7 @@ from turtlelog.cli.replay_answer import (
     format_plant,
     tell_time,
 )
-from turtlelog.cli.scenario import ScenarioOptions, change_scenario, name_by_changes
+from turtlelog.cli.scenario import ScenarioOptions, change_scenario, choose_replayed
 from turtlelog.display import describe_count, format_pair, format_short, show_angle
 from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls
@@ -33,10 +33,6 @@ from turtlelog.run.stop_reasons import find_goal_end
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
-
-
-_OF_LAW: Final = ("law", "shaping", "limits", "goal")
-"""Tables of a scenario that have an effect if poses are given."""
 
 
 @Parameter(name="*")
@@ -126,9 +122,11 @@ def replay(
             answer: ReplayAnswer = build_plant(file, run, driven)
             text = format_plant(file, run, driven)
         else:
-            answer, text, found = _replay(
-                file, run, _choose_replayed(run, mode, changes, *words), mode, output
+            keeps_poses = mode.law is not None
+            changed = choose_replayed(
+                run, changes, *words, base=mode.scenario, keeps_poses=keeps_poses
             )
+            answer, text, found = _replay(file, run, changed, mode, output)
     failed = False
     if mode.expect_equal:
         from turtlelog.check.reference import judge_replay
@@ -136,7 +134,7 @@ def replay(
         results = judge_replay(run, found, file=str(file))
         verdict = tl.check.join_verdicts(results)
         failed = verdict == "FAIL"
-        answer = replace(answer, verdict=verdict.value, results=build_results(results))
+        answer = replace(answer, verdict=verdict.value, results=results)
         text = f"{text}\n\n{format_results(results, files=1)}"
     _print(answer, text, json=json)
     return console.EXIT_FAILED if failed else console.EXIT_FINE
@@ -255,53 +253,6 @@ def _require_sound(mode: ReplayOptions, changes: ScenarioOptions, output: Path |
         raise UsageError(
             f"--plant: leave out {wrong[0]}; the recorded commands are used as they are"
         )
-
-
-def _choose_replayed(
-    run: "Run", mode: ReplayOptions, changes: ScenarioOptions, kind: str | None = None
-) -> "tuple[Scenario, str] | None":
-    """Return the scenario to replay, and its changes as text; None for the recording's own."""
-    assigned = changes.parse_assignments()
-    for key in assigned if mode.law is not None else ():
-        if key.partition(".")[0] not in _OF_LAW:
-            raise UsageError(
-                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
-                " from the recording"
-            )
-    if changes == ScenarioOptions() and kind is None and mode.scenario is None:
-        return None
-    named = kind or assigned.get("law.kind")
-    if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
-        # The recorded law is replaced, and may be impossible to load.
-        kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
-        run = replace(run, parameters=kept)
-    scenario = _find_base(run, mode.scenario)
-    if kind is not None:
-        scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
-    # Without a given law, the recording's declaration is used, so that no code runs.
-    is_recorded = not isinstance(named, str) and mode.scenario is None
-    declared = run.declaration if is_recorded else None
-    changed = change_scenario(scenario, changes, declared)
-    said = [] if mode.scenario is None else [f"as {Path(mode.scenario).stem}"]
-    return name_by_changes(changed, run.name, changes, *said)
-
-
-def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
-    if name_or_path is None:
-        return tl.scenario.restore_scenario(run)
-    base = tl.load_scenario(name_or_path)
-    if run.scenario_is_complete:
-        return base
-    base = tl.scenario.resolve_scenario(base)
-    completed, was = tl.scenario.complete_scenario(run, base), tl.scenario.flatten_scenario(base)
-    kept = [
-        f"{key} = {value} ({was.get(key, 'none')})"
-        for key, value in tl.scenario.flatten_scenario(completed).items()
-        if value != was.get(key)
-    ]
-    if kept:
-        console.print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
-    return completed
 
 
 def _describe_software(run: "Run", changes: "Sequence[tl.run.SoftwareChange]") -> list[str]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.check_answers import ResultAnswer
 from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.escapes import escape_controls
 
@@ -80,8 +79,8 @@ class ReplayAnswer:
         stretches: Segments of a replay through the plant.
         jumps: Jumps of the robot to another place.
         gaps: Gaps in the poses.
-        verdict: Verdict of --expect-equal; None without this option.
-        results: Results of --expect-equal; None without this option.
+        verdict: Verdict of --expect-equal.
+        results: Results of --expect-equal.
     """
 
     file: str
@@ -94,7 +93,7 @@ class ReplayAnswer:
     jumps: "tuple[JumpAnswer, ...]" = ()
     gaps: "tuple[GapAnswer, ...]" = ()
     verdict: str | None = None
-    results: list[ResultAnswer] | None = None
+    results: "Sequence[tl.check.CheckResult] | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +191,7 @@ class CommandReplayAnswer:
         end: Last pose of the plant [m, rad].
         wall_s: Time at which the plant met a wall of its world, from the first command [s]; None:
             never.
-        output: Written recording; None without a recording.
+        output: Written recording.
     """
 
     file: str

@@ -107,7 +107,7 @@ class ReportAnswer:
         bytes: Size of the report [bytes].
         runs: Runs in the report.
         explained: Name of the explained run; None if no run is explained.
-        verdict: Verdict of all checks; None without a specification.
+        verdict: Verdict of all checks.
     """
 
     ending: str

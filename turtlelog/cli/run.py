@@ -19,6 +19,7 @@ from turtlelog.cli.scenario import (
     list_given_keys,
     load_changed_scenario,
 )
+from turtlelog.cli.usage import find_command_name
 from turtlelog.cli.work import (
     ProgressLine,
     read_texts,
@@ -324,8 +325,8 @@ class RunAnswer:
 
     Attributes:
         name: Name of the run.
-        file: Written recording; None without a recording.
-        rrd: Written Rerun recording; None without a Rerun recording.
+        file: Written recording.
+        rrd: Written Rerun recording.
         samples: Number of samples.
         stop_reason: Reason why the run ended.
         ending: End of the run at its goal, in words; None without a goal.
@@ -423,7 +424,7 @@ def demo(
         f"{output}: {len(runs)} runs. {near} ends {format_short(errors[near], 'm')} from the goal,"
         f" {far} {format_short(errors[far], 'm')}."
     )
-    command = console.find_command_name()
+    command = find_command_name()
     following = (
         f"See the four runs:   {command} view {output / 'comparison.rrd'}\n"
         f"See one of them:     {command} view {output / 'kp10.rrd'}\n"

@@ -1,4 +1,4 @@
-"""`turtlelog scenario`: printing of a scenario; options that choose and change scenarios."""
+"""`turtlelog scenario`: printing of a scenario; choice and change of scenarios by options."""
 
 import re
 from dataclasses import dataclass, replace
@@ -177,6 +177,70 @@ def apply_options(
     return named[0]
 
 
+_OF_LAW: Final = ("law", "shaping", "limits", "goal")
+"""Tables of a scenario that have an effect if poses are given."""
+
+
+def choose_replayed(
+    run: "tl.Run",
+    changes: ScenarioOptions,
+    law: str | None = None,
+    *,
+    base: str | None,
+    keeps_poses: bool,
+) -> "tuple[tl.Scenario, str] | None":
+    """Return the scenario to replay, and its changes as text; None for the recording's own.
+
+    Args:
+        run: Recorded run.
+        changes: Changes to its scenario.
+        law: Kind of another law.
+        base: Preset or file of another scenario.
+        keeps_poses: Whether the poses are the recorded ones, so that only the law can change.
+    """
+    assigned = changes.parse_assignments()
+    for key in assigned if keeps_poses else ():
+        if key.partition(".")[0] not in _OF_LAW:
+            raise UsageError(
+                f"--set {key}: must be a key of {', '.join(_OF_LAW)}, because --law takes the poses"
+                " from the recording"
+            )
+    if changes == ScenarioOptions() and law is None and base is None:
+        return None
+    named = law or assigned.get("law.kind")
+    if isinstance(named, str) and run.parameters.get("law.kind") not in (None, named):
+        # The recorded law is replaced, and may be impossible to load.
+        kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
+        run = replace(run, parameters=kept)
+    scenario = _find_base(run, base)
+    if law is not None:
+        scenario = tl.override_scenario(scenario, {"law.kind": law}, source="--law")
+    # Without a given law, the recording's declaration is used, so that no code runs.
+    is_recorded = not isinstance(named, str) and base is None
+    declared = run.declaration if is_recorded else None
+    changed = change_scenario(scenario, changes, declared)
+    said = [] if base is None else [f"as {Path(base).stem}"]
+    return name_by_changes(changed, run.name, changes, *said)
+
+
+def _find_base(run: "tl.Run", name_or_path: str | None) -> "tl.Scenario":
+    if name_or_path is None:
+        return tl.scenario.restore_scenario(run)
+    base = tl.load_scenario(name_or_path)
+    if run.scenario_is_complete:
+        return base
+    base = tl.scenario.resolve_scenario(base)
+    completed, was = tl.scenario.complete_scenario(run, base), tl.scenario.flatten_scenario(base)
+    kept = [
+        f"{key} = {value} ({was.get(key, 'none')})"
+        for key, value in tl.scenario.flatten_scenario(completed).items()
+        if value != was.get(key)
+    ]
+    if kept:
+        print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
+    return completed
+
+
 def list_given_keys(options: ScenarioOptions) -> list[str]:
     """Return the keys of a scenario that the options set by name."""
     goal = {} if options.goal is None else _parse_goal(options.goal)
@@ -231,11 +295,10 @@ def change_scenario(
     try:
         return tl.override_scenario(scenario, changes, source="--set")
     except ScenarioError as err:
-        if "law.kp: unknown key" not in str(err):
+        if err.unknown_key != "law.kp":
             raise
-        kp, law = changes["law.kp"], scenario.law.kind
-        problem = str(err).replace("--set: law.kp: unknown key", f"{law} has no key law.kp")
-        problem = re.sub(r"\bkp_", "law.kp_", problem)
+        kp, advice = changes[err.unknown_key], re.sub(r"\bkp_", "law.kp_", err.advice)
+        problem = f"{scenario.law.kind} has no key law.kp; {advice}"
         raise UsageError(f"{problem} --kp {kp} sets the gain of every loop") from err
 
 

@@ -73,8 +73,8 @@ class TuneAnswer:
         is_flat: Whether all candidates have the same value.
         neighbourhood: Range of each key with good values.
         slack: Accepted loss of the objective in this range.
-        jump: Largest jump of the objective by more than the accepted loss; None without such a
-            jump. A search may miss a better value of an objective that jumps.
+        jump: Largest jump of the objective by more than the accepted loss. A search may miss a
+            better value of an objective that jumps.
         largest_step: Largest distance between neighbouring tried values in the searched range; None
             if several keys vary.
         spread: Spread of variants; None if no variants were simulated.

@@ -1,6 +1,8 @@
 """Layout of help, and errors of command lines."""
 
+import os
 import re
+import sys
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence, Set as Collection
@@ -309,3 +311,17 @@ _DESCRIPTIONS: Final = {
     RepeatArgumentError: _describe_repeated,
 }
 """Functions that describe errors by class; subclasses come before their bases."""
+
+
+def find_command_name() -> str:
+    """Return the command name by which a user can call turtlelog again."""
+    if "UV_RUN_RECURSION_DEPTH" in os.environ:
+        return "uv run turtlelog"
+    from shutil import which
+
+    if which("turtlelog"):
+        return "turtlelog"
+    python = Path(sys.executable)
+    if python.is_relative_to(Path.cwd()):
+        python = python.relative_to(Path.cwd())
+    return f"{python} -m turtlelog"

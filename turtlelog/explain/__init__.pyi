@@ -1,4 +1,5 @@
 from .answer_words import (
+    Attribution as Attribution,
     choose_named as choose_named,
     format_contribution as format_contribution,
     write_cause_head as write_cause_head,
@@ -7,14 +8,12 @@ from .answer_words import (
     write_sentences as write_sentences,
 )
 from .answers import (
-    Attribution as Attribution,
     CausePart as CausePart,
     Change as Change,
     Contribution as Contribution,
     Departure as Departure,
     DifferenceRange as DifferenceRange,
     EffectShift as EffectShift,
-    ExplainedDifference as ExplainedDifference,
     Resolution as Resolution,
     ResolutionReason as ResolutionReason,
     SeedRange as SeedRange,
@@ -37,6 +36,7 @@ from .causes import (
     simulate_without as simulate_without,
 )
 from .difference_report import (
+    ExplainedDifference as ExplainedDifference,
     format_change as format_change,
     format_magnitude as format_magnitude,
     name_change as name_change,

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from html import escape
 from typing import Final
 
 from turtlelog.display import format_html, format_notebook, join_words
 from turtlelog.explain import answers
-from turtlelog.explain.answers import Attribution, Contribution, Together, ValueSet
+from turtlelog.explain.answers import AttributedValue, Contribution, Together, ValueSet, is_clear
 from turtlelog.explain.causes import RANDOM_EFFECTS
 
 NAMED: Final = 0.1
@@ -23,24 +24,23 @@ _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 """Numbers of effects in words. More than six effects take part only if the user chooses them."""
 
 
-def write_sentences(found: Attribution) -> tuple[str, ...]:
+def write_sentences(found: AttributedValue) -> tuple[str, ...]:
     """Return sentences on the value, its causes, their dependences, and other causes of change."""
-    parts = [write_part(found, one) for one in choose_named(found)]
+    parts = [f"{one.cause} {format_contribution(found, one)}" for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
     return (_write_value(found), *causes, *write_reasons(found))
 
 
-def write_headline(found: Attribution) -> str:
+def write_headline(found: AttributedValue) -> str:
     """Return the value with the largest contributions, or that no effect changes the value.
 
     The re-simulation's value follows in brackets if it differs from the log's. Without
     contributions, the value stands alone.
     """
-    is_divided = not (found.without_value or found.withheld)
-    if not is_divided or None in (found.as_logged, found.resimulated):
+    values = (found.as_logged, found.resimulated)
+    if found.without_value or found.withheld or None in values:
         return _write_value(found)
-    known = [one for one in (found.as_logged, found.resimulated) if one is not None]
-    sizes = [*dict.fromkeys(_format_value(found, one) for one in known)]
+    sizes = [*dict.fromkeys(_format_value(found, one) for one in values)]
     again = f" ({sizes[1]} re-simulated)" if len(sizes) > 1 else ""
     if choose_named(found):
         main = _write_main(found)
@@ -55,7 +55,7 @@ def write_headline(found: Attribution) -> str:
     return f"{found.metric} is {sizes[0]}{again}: {main}"
 
 
-def _write_value(found: Attribution) -> str:
+def _write_value(found: AttributedValue) -> str:
     logged, built = found.as_logged, found.resimulated
     if logged is None and built is None:
         return f"{found.metric} has no value: {found.reason}."
@@ -74,7 +74,7 @@ def _write_value(found: Attribution) -> str:
     return f"{found.metric} is {size} in the log, and {_format_value(found, built)} re-simulated."
 
 
-def write_cause_head(found: Attribution) -> str:
+def write_cause_head(found: AttributedValue) -> str:
     """Return how many effects and design parameters cause the value, as the title of a list."""
     named = choose_named(found)
     sizes = [one.size for one in named]
@@ -97,7 +97,7 @@ def write_cause_head(found: Attribution) -> str:
     return f"{head}, in about equal parts{here}" if is_alike else head
 
 
-def _need_each_other(found: Attribution, named: list[Contribution]) -> bool:
+def _need_each_other(found: AttributedValue, named: list[Contribution]) -> bool:
     """Return whether more than half of what the named causes add arises only if all act.
 
     This half is divided equally by definition, so equal parts say nothing about the causes.
@@ -107,11 +107,11 @@ def _need_each_other(found: Attribution, named: list[Contribution]) -> bool:
     return len(names) > 1 and joint > 0.5 * abs(sum(one.size for one in named))
 
 
-def _is_wide(found: Attribution) -> bool:
+def _is_wide(found: AttributedValue) -> bool:
     return found.starts is not None and found.starts.is_wide
 
 
-def _write_main(found: Attribution) -> str:
+def _write_main(found: AttributedValue) -> str:
     """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
     largest = abs(named[0].size)
@@ -123,36 +123,32 @@ def _write_main(found: Attribution) -> str:
         # Parts of what only arises together would read as if each cause alone added its part.
         names = join_words([one.cause for one in named])
         return f"{names} add {_format_value(found, added)}{mean}"
-    return label + ", ".join(write_part(found, one) for one in main) + mean
+    parts = ", ".join(f"{one.cause} {format_contribution(found, one)}" for one in main)
+    return f"{label}{parts}{mean}"
 
 
-def choose_named(found: Attribution) -> list[Contribution]:
+def choose_named(found: AttributedValue) -> list[Contribution]:
     """Return the contributions that explain the value, the largest first; empty if too small."""
     if not found.acting or found.withheld or _is_negligible(found):
         return []
     return [one for one in _list_large(found) if one.is_clear]
 
 
-def write_part(found: Attribution, one: Contribution) -> str:
-    """Return a cause and its contribution."""
-    return f"{one.cause} {format_contribution(found, one)}"
-
-
-def format_contribution(found: Attribution, one: Contribution) -> str:
+def format_contribution(found: AttributedValue, one: Contribution) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
     value = one.size
     return f"{'+' if value >= 0.0 else ''}{_format_value(found, value, one.standard_error)}"
 
 
-def write_reasons(found: Attribution) -> tuple[str, ...]:
+def write_reasons(found: AttributedValue) -> tuple[str, ...]:
     """Return the total of the causes, their dependences, and what else changes the value."""
     if found.without_value:
         names = join_words(found.causes, "or")
         never = f"It has no value without {names} either." if found.causes else ""
         is_never = not found.with_value and found.without_all is None
-        sets, nothing = (found.without_value, found.with_value), join_words(found.causes)
-        known = dict(zip(found.causes, found.causes, strict=True))
-        missing = write_missing(*sets, known, f"without {nothing}")
+        known = {name: name for name in found.causes}
+        nothing = f"without {join_words(found.causes)}"
+        missing = write_missing(found.without_value, found.with_value, known, nothing)
         sentences = [never if is_never else missing]
     elif found.withheld:
         sentences = [f"No contributions: {found.withheld}."]
@@ -160,13 +156,11 @@ def write_reasons(found: Attribution) -> tuple[str, ...]:
         # Parts that other samples would change must not be read as facts about the robot.
         last = [_write_together(found), _write_starts(found)]
         last = last[::-1] if _is_wide(found) else last
-        sentences = [_write_seeds(found), _write_rest(found), *last]
-        sentences += [_write_unclear(found)]
+        sentences = [_write_seeds(found), _write_rest(found), *last, _write_unclear(found)]
         if found.this_seed is not None and found.seeds is not None and found.seeds.varies:
             size = _format_value(found, abs(found.this_seed))
-            where = "above" if found.this_seed >= 0.0 else "below"
-            mean = "the mean over the seeds"
-            sentences += [f"With this run's seed, the value is {size} {where} {mean}."]
+            where = f"{'above' if found.this_seed >= 0.0 else 'below'} the mean over the seeds"
+            sentences += [f"With this run's seed, the value is {size} {where}."]
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         be = "is" if len(found.left) == 1 else "are"
@@ -193,17 +187,17 @@ def write_missing(
     return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
 
 
-def _is_negligible(found: Attribution) -> bool:
+def _is_negligible(found: AttributedValue) -> bool:
     """Return whether each effect, and their total, is within the resolution."""
     largest = max((abs(one.size) for one in found.contributions), default=0.0)
     return max(largest, abs(_sum_effects(found))) <= found.resolution.size
 
 
-def _sum_effects(found: Attribution) -> float:
+def _sum_effects(found: AttributedValue) -> float:
     return found.divided - (found.without_all or 0.0)
 
 
-def _write_rest(found: Attribution) -> str:
+def _write_rest(found: AttributedValue) -> str:
     """Return the value without the effects, or a sentence that they change it little."""
     if not found.causes:
         return "No effect of the implementation is in this run."
@@ -224,26 +218,25 @@ def _write_rest(found: Attribution) -> str:
     whole = f"without {_name_acting(found)} {{}}{_format_value(found, found.without_all)}"
     single = _write_singles(found)
     without = f"{single}, {whole.format('')}" if single else whole.format("it would be ")
-    without = _capitalise(without)
     cancel = ""
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
     chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
-    return f"{chance}{without}{_write_bound(found)}.{cancel}"
+    return f"{chance}{_capitalise(without)}{_write_bound(found)}.{cancel}"
 
 
-def _name_acting(found: Attribution) -> str:
+def _name_acting(found: AttributedValue) -> str:
     """Return the names of the acting causes, or `both` if the list has just named them."""
     if len(found.acting) == 2 == len(choose_named(found)):
         return "both"
     return join_words(found.acting)
 
 
-def _describe_resolution(found: Attribution) -> str:
+def _describe_resolution(found: AttributedValue) -> str:
     return f"{_format_value(found, found.resolution.size)} ({found.resolution.reason})"
 
 
-def _write_bound(found: Attribution) -> str:
+def _write_bound(found: AttributedValue) -> str:
     """Return whether the tolerances allow the value, for final errors with such a bound."""
     is_bounded = found.metric in {"final.position_error", "final.heading_error"}
     is_bounded = is_bounded and "tolerance" not in found.causes
@@ -254,44 +247,41 @@ def _write_bound(found: Attribution) -> str:
     return f", not more than {_describe_resolution(found)}"
 
 
-def _list_large(found: Attribution) -> list[Contribution]:
+def _list_large(found: AttributedValue) -> list[Contribution]:
     ordered = sorted(found.contributions, key=lambda one: -abs(one.size))
     least = NAMED * _sum_contributions(found)
     return [one for one in ordered if abs(one.size) > least]
 
 
-def _sum_contributions(found: Attribution) -> float:
+def _sum_contributions(found: AttributedValue) -> float:
     return math.fsum(abs(one.size) for one in found.contributions)
 
 
-def _write_together(found: Attribution) -> str:
+def _write_together(found: AttributedValue) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
-
-    def write_size(case: Together) -> str:
-        return _format_value(found, abs(case.value), case.standard_error)
-
-    return write_joint_parts(found.together, _sum_contributions(found), {}, write_size)
+    total = _sum_contributions(found)
+    return write_joint_parts(found.together, total, {}, partial(_format_value, found))
 
 
 def write_joint_parts(
     together: Iterable[Together],
     total: float,
     names: Mapping[str, str],
-    write_size: Callable[[Together], str],
+    format_size: Callable[[float, float | None], str],
 ) -> str:
     """Return the parts that arise only if several causes act, if clear and not small.
 
     `total` is that of the contributions' magnitudes, `names` have causes in other words, and
-    `write_size` returns a size with its unit.
+    `format_size` returns a size with its standard error and unit.
     """
     sentences = []
     for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
-        is_clear = answers.is_clear(case.value, case.standard_error)
-        if not is_clear or abs(case.value) <= NAMED * total:
+        if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
             continue
-        of, size = [names.get(name, name) for name in case.causes], write_size(case)
+        of = [names.get(name, name) for name in case.causes]
+        size = format_size(abs(case.value), case.standard_error)
         them, is_pair = _capitalise(join_words(of)), len(of) == 2
         both = "both" if is_pair else "all of them"
         text = f"{them} act together: {size} of what they add arises only if {both} act."
@@ -303,7 +293,7 @@ def write_joint_parts(
     return " ".join(sentences)
 
 
-def _write_singles(found: Attribution) -> str:
+def _write_singles(found: AttributedValue) -> str:
     """Return the value without each of two causes; empty if chance or others take part."""
     alone = {one.cause: one.alone for one in found.contributions if one.cause in found.acting}
     is_pair = len(alone) == 2 == len(choose_named(found))
@@ -316,7 +306,7 @@ def _write_singles(found: Attribution) -> str:
     )
 
 
-def _write_seeds(found: Attribution) -> str:
+def _write_seeds(found: AttributedValue) -> str:
     seeds = found.seeds
     if seeds is None:
         return ""
@@ -343,23 +333,22 @@ def _write_seeds(found: Attribution) -> str:
     )
 
 
-def _list_idle(found: Attribution) -> list[str]:
+def _list_idle(found: AttributedValue) -> list[str]:
     """Return the random effects that never change the value, in any combination."""
     return [name for name in found.causes if name in RANDOM_EFFECTS - {*found.acting}]
 
 
-def _write_unclear(found: Attribution) -> str:
+def _write_unclear(found: AttributedValue) -> str:
     unclear = [one for one in _list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
     parts = [
-        f"{one.cause} ({_format_value(found, one.contribution, one.standard_error)})"
-        for one in unclear
+        f"{one.cause} ({_format_value(found, one.size, one.standard_error)})" for one in unclear
     ]
     return f"The contribution of {join_words(parts)} may be chance."
 
 
-def _write_starts(found: Attribution) -> str:
+def _write_starts(found: AttributedValue) -> str:
     starts = found.starts
     if starts is None:
         return ""
@@ -383,12 +372,12 @@ def _write_starts(found: Attribution) -> str:
     return f"It depends on single samples: f{where} {span}{rest}{missing}.{divided}"
 
 
-def _format_span(found: Attribution, low: float, high: float) -> str:
+def _format_span(found: AttributedValue, low: float, high: float) -> str:
     least, most = f"{low:.4g}", _format_value(found, high)
     return most if _format_value(found, low) == most else f"{least} to {most}"
 
 
-def _write_others(found: Attribution) -> list[str]:
+def _write_others(found: AttributedValue) -> list[str]:
     """Return the causes that change the value alone, except those that lower a large value."""
     told, lowering = [], []
     mean = "" if found.seeds is None else " in the mean"
@@ -397,7 +386,7 @@ def _write_others(found: Attribution) -> list[str]:
         # The tolerance is not judged by the resolution that it makes.
         makes = one.cause == "tolerance" and found.resolution.is_tolerance
         least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
-        if change <= least or not answers.is_clear(change, one.standard_error):
+        if change <= least or not is_clear(change, one.standard_error):
             continue
         is_design = one.cause not in found.effects and one.alone is not None and not one.ending
         if is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found):
@@ -408,13 +397,13 @@ def _write_others(found: Attribution) -> list[str]:
         return told
     names = join_words([one.cause for one in lowering])
     each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
+    larger = f"The value is larger{mean} {join_words(each)}"
     if len(lowering) == 1:
-        value = _format_value(found, lowering[0].alone)
-        return [f"Not a cause: {names}. Without it the value is larger{mean}: {value}.", *told]
-    return [f"Not a cause: {names}. The value is larger{mean} {join_words(each)}.", *told]
+        larger = f"Without it the value is larger{mean}: {_format_value(found, lowering[0].alone)}"
+    return [f"Not a cause: {names}. {larger}.", *told]
 
 
-def _write_alone(found: Attribution, one: Contribution) -> str:
+def _write_alone(found: AttributedValue, one: Contribution) -> str:
     kind = "Effect apart" if one.cause in found.effects else "Design parameter"
     mean = "" if found.seeds is None else " in the mean"
     without = f"{kind}: {one.cause}. Without it ({one.meaning})"
@@ -426,7 +415,7 @@ def _write_alone(found: Attribution, one: Contribution) -> str:
 
 
 def _format_value(
-    found: Attribution, value: float | None, standard_error: float | None = None
+    found: AttributedValue, value: float | None, standard_error: float | None = None
 ) -> str:
     """Return a value with four digits, the metric's unit, and a given standard error."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
@@ -437,19 +426,25 @@ def _capitalise(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def tabulate_attribution(found: Attribution) -> str:
-    """Return an attribution as a table with its sentences, for a notebook."""
-    unit, changing = found.unit, found.changing
-    heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
-    rows: list[list[object]] = [
-        [one.cause, one.contribution, one.alone, one.ending or one.meaning] for one in changing
-    ]
-    if found.seeds is not None:
-        heads.insert(2, f"s.e. [{unit}]")
-        for row, one in zip(rows, changing, strict=True):
-            row.insert(2, one.standard_error)
-        if found.contributions and found.seeds.varies:
-            row = [answers.THIS_SEED, found.this_seed, None, None, answers.THIS_SEED_MEANS]
-            rows.insert(sum(one.contribution is not None for one in changing), row)
-    rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
-    return format_notebook(write_headline(found), format_html(rows, heads=heads), *rest)
+class Attribution(AttributedValue):  # noqa: D101 (the fields are those of the value)
+    __doc__, __slots__ = AttributedValue.__doc__, ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "sentences", write_sentences(self))
+
+    def _repr_html_(self) -> str:
+        unit, changing = self.unit, self.changing
+        heads = ["cause", f"contribution [{unit}]", f"without it alone [{unit}]", "means"]
+        rows: list[list[object]] = [
+            [one.cause, one.contribution, one.alone, one.ending or one.meaning] for one in changing
+        ]
+        if self.seeds is not None:
+            heads.insert(2, f"s.e. [{unit}]")
+            for row, one in zip(rows, changing, strict=True):
+                row.insert(2, one.standard_error)
+            if self.contributions and self.seeds.varies:
+                row = [answers.THIS_SEED, self.this_seed, None, None, answers.THIS_SEED_MEANS]
+                rows.insert(sum(one.contribution is not None for one in changing), row)
+        rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
+        return format_notebook(write_headline(self), format_html(rows, heads=heads), *rest)

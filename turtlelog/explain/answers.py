@@ -1,53 +1,17 @@
-"""The answers: a value attributed to causes, and the difference of two runs explained."""
+"""The values of the answers: a value attributed to causes, and a difference divided."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Final
 
 from turtlelog.display import fit_line
+from turtlelog.explain.causes import Resolution as Resolution, ResolutionReason as ResolutionReason
 from turtlelog.replay import Departure as Departure
 
 SAME: Final = 1e-6
 """Share of a value below which a difference counts as 0: two platforms differ by less."""
 
 _ROUNDING: Final = 1e-12  # share of a value by which sums in another order may differ
-
-
-class ResolutionReason(StrEnum):
-    """Origin of the largest negligible change, as a clause."""
-
-    SAMPLE = "one sample period"
-    COUNT = "half a count"
-    SHARE = "1 % of the value"
-    POSITION_TOLERANCE = "heading tolerance times distance plus position tolerance"
-    HEADING_TOLERANCE = "the heading tolerance"
-    STEP_TOLERANCE = "the tolerance over the step"
-    NO_SCENARIO = "no scenario is known"
-    NO_RUN = "no run is simulated"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Resolution:
-    """The largest change of a metric that is negligible.
-
-    Attributes:
-        size: Size of the change, in the metric's unit.
-        reason: Origin of a change of this size, in one clause.
-    """
-
-    size: float
-    reason: ResolutionReason
-
-    @property
-    def is_tolerance(self) -> bool:
-        """Whether the tolerances of the law allow a change of this size."""
-        reasons = ResolutionReason
-        return self.reason in {
-            reasons.POSITION_TOLERANCE,
-            reasons.HEADING_TOLERANCE,
-            reasons.STEP_TOLERANCE,
-        }
 
 
 _CLEAR: Final = 3.0
@@ -190,8 +154,7 @@ class SeedRange:
 
     Attributes:
         count: Number of simulated seeds.
-        used: Seeds with which every combination of causes has a value; the contributions use only
-            these seeds.
+        used: Seeds with which every combination of causes has a value, for the contributions.
         mean: Mean of the value with all effects over the used seeds.
         standard_error: Standard error of the mean.
         low: Lower end of the central 95 % of the values with all effects.
@@ -212,7 +175,7 @@ class SeedRange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attribution:
+class AttributedValue:
     """Causes of a value of a run, and their contributions.
 
     Attributes:
@@ -225,8 +188,7 @@ class Attribution:
         causes: Causes that take part: the value is divided among them.
         contributions: Contributions of these causes, in the same order; empty if withheld. The
             `math.fsum` of the contributions is resimulated - without_all: see
-            `compute_contributions`. With random effects the contributions are means over seeds, and
-            `this_seed` is the difference.
+            `compute_contributions`. With random effects they are means over seeds.
         others: Other causes in the scenario, each removed alone.
         resolution: Largest change that is negligible.
         withheld: Reason why there are no contributions, in one clause.
@@ -237,8 +199,7 @@ class Attribution:
         starts: Range of the value over starts within the turn of one sample. None if the robot does
             not turn, turns by more than 90 deg between samples, or with random effects.
         seeds: Range of the value over seeds; None without random effects.
-        reason: Reason why there is no value in the log, or else in the re-simulation; None if there
-            is a value.
+        reason: Reason why the log, or else the re-simulation, has no value.
         doubts: Assumptions of the contributions that the log does not prove, in sentences.
         left: Effects that stay as recorded, because more than six are present.
         effects: Every effect that loop and law can have, in the scenario or not.
@@ -272,13 +233,10 @@ class Attribution:
     sentences: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Write the sentences."""
-        from turtlelog.explain.answer_words import write_sentences
-
         value, seeds = self.resimulated, self.seeds
         this_seed = None if value is None or seeds is None else value - seeds.mean
         object.__setattr__(self, "this_seed", this_seed)
-        object.__setattr__(self, "sentences", write_sentences(self))
+        object.__setattr__(self, "sentences", ())
 
     @property
     def acting(self) -> tuple[str, ...]:
@@ -322,11 +280,6 @@ class Attribution:
         size = "no value" if value is None else f"{value:.4g} {self.unit}"
         return fit_line(f"<Attribution of {self.metric}: {size}: {cause}>")
 
-    def _repr_html_(self) -> str:
-        from turtlelog.explain.answer_words import tabulate_attribution
-
-        return tabulate_attribution(self)
-
 
 SEED: Final = "seed"
 """Name of the line with the effect of the two seeds, relative to the means over seeds."""
@@ -339,8 +292,7 @@ class Side:
     Attributes:
         name: Name of the run.
         as_logged: The metric of the log; None if the metric has no value.
-        resimulated: The metric re-simulated with the run's own seed; None if the metric has no
-            value.
+        resimulated: The metric re-simulated with the run's own seed; None without a value.
         reason: Reason why the metric has no value; empty if it has a value.
         basis: Scenario that reproduces the run. `recorded`: the run's own scenario, which
             reproduces every sample. `identified`: a scenario identified from the samples. `robot`:
@@ -369,8 +321,7 @@ class Change(Sized):
 
     Attributes:
         name: Name of the group: `gains`, `queue`, `goal`, or the key of a setting.
-        keys: Keys of the settings in which the scenarios differ; `seed` for the effect of the
-            seeds.
+        keys: Keys of the settings that differ; `seed` for the effect of the seeds.
         first: Values in the first run; None for a key that the run does not have.
         second: Values in the second run.
         contribution: Contribution to the difference, in the metric's unit; None if it is withheld.
@@ -378,8 +329,7 @@ class Change(Sized):
             orders, or depends on identified values.
         low: Lower end of the contribution's 95 % interval; None if the contribution is exact.
         high: Upper end of the interval.
-        undone: The metric of the second run if only this group is as in the first run; None if it
-            has no value.
+        undone: The metric of the second run if only this group is as in the first run, if any.
     """
 
     name: str
@@ -399,8 +349,7 @@ class EffectShift:
 
     Attributes:
         cause: Name of the effect.
-        first: Contribution in the first run, in the metric's unit; 0 if the run does not have the
-            effect.
+        first: Contribution in the first run, in the metric's unit; 0 without the effect.
         second: Contribution in the second run.
     """
 
@@ -425,8 +374,7 @@ class DifferenceRange:
         difference: Smallest and largest difference, in the metric's unit.
         first: Smallest and largest metric of the first run.
         second: Smallest and largest metric of the second run.
-        is_wide: Whether the difference depends on single samples: whether its range exceeds half of
-            the difference.
+        is_wide: Whether the range exceeds half of the difference, which depends on single samples.
     """
 
     count: int
@@ -438,7 +386,7 @@ class DifferenceRange:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExplainedDifference:
+class DividedDifference:
     """The difference of a metric between two runs, divided among the changed settings.
 
     Attributes:
@@ -459,8 +407,7 @@ class ExplainedDifference:
         withheld: Reason why there are no contributions, in one clause.
         together: Parts that several groups add only if all of these groups are changed.
         without_value: Smallest sets of changes that leave the metric without a value.
-        with_value: Smallest sets of changes that give the metric a value, if the first run has no
-            value.
+        with_value: Smallest sets of changes that give the metric a value, if the first lacks one.
         resolution: Largest change that is negligible.
         starts: Range of the difference over starts within the turn of one sample; None with random
             effects.
@@ -496,16 +443,8 @@ class ExplainedDifference:
     sentences: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Write the sentences."""
-        from turtlelog.explain.difference_report import write_difference_sentences
-
-        object.__setattr__(self, "sentences", write_difference_sentences(self))
+        object.__setattr__(self, "sentences", ())
 
     def __repr__(self) -> str:
-        names = f"{self.first.name} and {self.second.name}"
-        return fit_line(f"<ExplainedDifference of {names}: {self.metric}>")
-
-    def _repr_html_(self) -> str:
-        from turtlelog.explain.difference_report import tabulate_difference
-
-        return tabulate_difference(self)
+        first, second = self.first.name, self.second.name
+        return fit_line(f"<ExplainedDifference of {first} and {second}: {self.metric}>")

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from turtlelog.display import fit_line
 from turtlelog.errors import ExplainError
 from turtlelog.explain import contributions
-from turtlelog.explain.answers import SAME, Attribution, Contribution
+from turtlelog.explain.answer_words import Attribution
+from turtlelog.explain.answers import SAME, Contribution
 from turtlelog.explain.causes import (
     SAMPLING,
     choose_metric,
@@ -184,7 +185,6 @@ def attribute_scenario(
 def _choose_causes(game: Game, causes: Sequence[str]) -> list[str]:
     if len(causes) <= _MOST:
         return [*causes]
-
     every = {*causes}
     game.prepare([[], every, *(every - {name} for name in causes), *([name] for name in causes)])
 
@@ -211,9 +211,9 @@ def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     if built is None or without is None:
         return "the re-simulation has no value"
     if found.seeds is not None and not knows_seed:
-        is_central = found.seeds.low <= logged <= found.seeds.high
-        outside = "the log's value lies outside of the central 95 % over seeds"
-        return "" if is_central else f"{outside}, its own is not known"
+        if found.seeds.low <= logged <= found.seeds.high:
+            return ""
+        return "the log's value lies outside of the central 95 % over seeds, its own is not known"
     added, apart, same = abs(built - without), abs(logged - built), SAME * abs(logged)
     if apart <= (same if added <= same else _AGREEMENT * added):
         return ""

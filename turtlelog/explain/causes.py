@@ -10,13 +10,13 @@ The metric to explain is chosen and checked here as well, and its resolution is 
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from typing import Any, Final
 
 from turtlelog import measure
 from turtlelog.effects import EFFECTS
 from turtlelog.errors import ExplainError, describe_unknown
-from turtlelog.explain.answers import Resolution, ResolutionReason
 from turtlelog.laws import LAWS, find_law, list_causes, list_sample_counters, name_law
 from turtlelog.plants import PLANTS
 from turtlelog.run import Run
@@ -336,6 +336,42 @@ _HALF_A_COUNT: Final = 0.5  # negligible change of a count; counts change by at 
 _COUNTS: Final = (
     *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),
 )
+
+
+class ResolutionReason(StrEnum):
+    """Origin of the largest negligible change, as a clause."""
+
+    SAMPLE = "one sample period"
+    COUNT = "half a count"
+    SHARE = "1 % of the value"
+    POSITION_TOLERANCE = "heading tolerance times distance plus position tolerance"
+    HEADING_TOLERANCE = "the heading tolerance"
+    STEP_TOLERANCE = "the tolerance over the step"
+    NO_SCENARIO = "no scenario is known"
+    NO_RUN = "no run is simulated"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resolution:
+    """The largest change of a metric that is negligible.
+
+    Attributes:
+        size: Size of the change, in the metric's unit.
+        reason: Origin of a change of this size, in one clause.
+    """
+
+    size: float
+    reason: ResolutionReason
+
+    @property
+    def is_tolerance(self) -> bool:
+        """Whether the tolerances of the law allow a change of this size."""
+        reasons = ResolutionReason
+        return self.reason in {
+            reasons.POSITION_TOLERANCE,
+            reasons.HEADING_TOLERANCE,
+            reasons.STEP_TOLERANCE,
+        }
 
 
 def find_resolution(

@@ -12,13 +12,19 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from statistics import fmean, stdev
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.explain import answers
-from turtlelog.explain.answers import Attribution, CausePart, Contribution, StartRange, Together
+from turtlelog.explain.answers import (
+    AttributedValue,
+    CausePart,
+    Contribution,
+    StartRange,
+    Together,
+)
 from turtlelog.explain.causes import find_sample_period_s
 from turtlelog.explain.game import (
     SEEDS,
@@ -83,6 +89,8 @@ def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
     return [inside for inside in found if not any(other < inside for other in found)]
 
 
+_Divided = TypeVar("_Divided", bound=AttributedValue)
+
 _PAIRS: Final = 4 * len(SEEDS)
 """Number of sampled orders, each used together with its reverse: about 6 s for the paper's runs
 with fourteen groups."""
@@ -91,7 +99,7 @@ ORDERS: Final = 2 * _PAIRS
 """Number of sampled orders."""
 
 
-def sample_game(found: Attribution, game: Game) -> Attribution:
+def sample_game(found: _Divided, game: Game) -> _Divided:
     """Return an attribution whose contributions are means over sampled orders of its causes.
 
     Each order is paired with its reverse, which cancels the effect of the position in an order. If
@@ -283,7 +291,7 @@ def _divide_again(games: Sequence[ScenarioGame], causes: Sequence[str]) -> tuple
     )
 
 
-def divide_game(found: Attribution, game: Game) -> Attribution:
+def divide_game(found: _Divided, game: Game) -> _Divided:
     """Return an attribution with the contributions of its causes, or why these are missing."""
     if game.is_random and found.resimulated is not None:
         return divide_over_seeds(found, game)
@@ -305,9 +313,7 @@ def divide_game(found: Attribution, game: Game) -> Attribution:
     )
 
 
-def _tell_what_has_no_value(
-    found: Attribution, outcomes: Mapping[Coalition, Outcome]
-) -> Attribution:
+def _tell_what_has_no_value(found: _Divided, outcomes: Mapping[Coalition, Outcome]) -> _Divided:
     """Return the smallest sets of causes that decide whether there is a value."""
     missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
     present = [inside for inside in outcomes if inside not in missing]
@@ -334,7 +340,7 @@ majority."""
 _CENTRAL: Final = (0.025, 0.975)  # quantiles that bound the central 95 %
 
 
-def divide_over_seeds(found: Attribution, game: Game) -> Attribution:
+def divide_over_seeds(found: _Divided, game: Game) -> _Divided:
     """Return the attribution divided over the seeds with which every combination has a value."""
     names = found.causes
     coalitions = list_coalitions(names)

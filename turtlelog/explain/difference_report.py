@@ -11,7 +11,7 @@ from turtlelog.explain.answers import (
     SAME,
     SEED,
     Change,
-    ExplainedDifference,
+    DividedDifference,
     Side,
 )
 from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES
@@ -60,7 +60,7 @@ _PARTS: Final = {
 
 
 def write_difference_sentences(
-    found: ExplainedDifference, *, are_recorded: bool = True
+    found: DividedDifference, *, are_recorded: bool = True
 ) -> tuple[str, ...]:
     """Return sentences on the difference, its reasons, their dependences, and what else differs.
 
@@ -92,7 +92,7 @@ def write_difference_sentences(
     return tuple(filter(None, [*sentences, *_write_robot_basis(found)]))
 
 
-def _write_dependences(found: ExplainedDifference) -> Iterator[str]:
+def _write_dependences(found: DividedDifference) -> Iterator[str]:
     """Yield what the contributions depend on: starts, each other, seeds, orders and effects."""
     if found.starts is not None and found.starts.is_wide:
         within = f"{math.degrees(found.starts.within_rad):.3g} deg"
@@ -137,7 +137,7 @@ def _write_identified(side: Side) -> str:
     )
 
 
-def write_difference_headline(found: ExplainedDifference) -> str:
+def write_difference_headline(found: DividedDifference) -> str:
     """Return both values, and how much each change adds to the first value or subtracts from it."""
     first, second = found.first, found.second
     if first.as_logged is None or second.as_logged is None:
@@ -161,7 +161,7 @@ def write_difference_headline(found: ExplainedDifference) -> str:
     return f"{found.metric} {moves}{f': {told}' if told else ''}."
 
 
-def _write_parts(found: ExplainedDifference) -> str:
+def _write_parts(found: DividedDifference) -> str:
     """Return the contributions of the changes; those not in the headline are added up."""
     parts = [
         f"{name_change(one)} {_write_move(found, one.size, is_many=one.name in _PLURALS)}"
@@ -177,22 +177,22 @@ def _write_parts(found: ExplainedDifference) -> str:
     return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
 
 
-def _list_divided(found: ExplainedDifference) -> list[Change]:
+def _list_divided(found: DividedDifference) -> list[Change]:
     return [one for one in found.contributions if not _is_chance(found, one)]
 
 
-def _is_chance(found: ExplainedDifference, one: Change) -> bool:
+def _is_chance(found: DividedDifference, one: Change) -> bool:
     """Return whether a change is due to chance. Noise that a scenario sets is a cause instead."""
     return one.name == SEED or (found.unexplained is not None and one.name in CHANCE)
 
 
-def _write_side(found: ExplainedDifference, side: Side) -> str:
+def _write_side(found: DividedDifference, side: Side) -> str:
     if side.as_logged is None:
         return f"{side.name} has no value ({side.reason})"
     return f"{side.name} has {format_magnitude(found, side.as_logged)}"
 
 
-def choose_told(found: ExplainedDifference) -> list[Change]:
+def choose_told(found: DividedDifference) -> list[Change]:
     """Return the changes that the first line names: all relevant ones, or the largest of many."""
     divided = _list_divided(found)
     if found.unexplained is not None:
@@ -213,12 +213,12 @@ def _is_large(one: Change, least: float) -> bool:
     return abs(one.size) > least and one.is_clear
 
 
-def _write_move(found: ExplainedDifference, size: float, *, is_many: bool) -> str:
+def _write_move(found: DividedDifference, size: float, *, is_many: bool) -> str:
     verb, end = ("add", "") if size >= 0.0 else ("take", " away")
     return f"{verb}{'' if is_many else 's'} {format_magnitude(found, abs(size))}{end}"
 
 
-def format_change(found: ExplainedDifference, one: Change) -> str:
+def format_change(found: DividedDifference, one: Change) -> str:
     """Return a contribution with its sign, its unit and its standard error, if any."""
     if one.low is not None and one.high is not None:
         low, high = (format_magnitude(found, end) for end in (one.low, one.high))
@@ -249,12 +249,12 @@ def name_change(one: Change) -> str:
     return f"the {change}{one.name}"
 
 
-def _is_negligible(found: ExplainedDifference) -> bool:
+def _is_negligible(found: DividedDifference) -> bool:
     sizes = [abs(one.size) for one in found.contributions]
     return max([*sizes, abs(found.difference or 0.0)]) <= found.resolution.size
 
 
-def format_magnitude(found: ExplainedDifference, value: float) -> str:
+def format_magnitude(found: DividedDifference, value: float) -> str:
     """Return a value with its unit, with as many decimals as all values of the answer."""
     text = f"{value:.{_count_decimals(found)}f}"
     if not float(text):
@@ -262,7 +262,7 @@ def format_magnitude(found: ExplainedDifference, value: float) -> str:
     return f"{text} {found.unit}".removesuffix(" 1")
 
 
-def _count_decimals(found: ExplainedDifference) -> int:
+def _count_decimals(found: DividedDifference) -> int:
     """Return the decimals that show four digits of the largest value, or two of a contribution."""
     sides = (found.first.as_logged, found.second.as_logged)
     sizes = [one.contribution for one in found.contributions]
@@ -274,7 +274,7 @@ def _count_decimals(found: ExplainedDifference) -> int:
     return min(max([*decimals, 0]), _MOST_DECIMALS)
 
 
-def _write_obstacle(found: ExplainedDifference) -> list[str]:
+def _write_obstacle(found: DividedDifference) -> list[str]:
     if found.without_value:
         words = {one.name: name_change(one) for one in found.changes}
         sets = (found.without_value, found.with_value)
@@ -296,17 +296,17 @@ def _write_obstacle(found: ExplainedDifference) -> list[str]:
     return [f"Why is not known: {found.withheld}.{differ}{software}"]
 
 
-def _write_together(found: ExplainedDifference) -> str:
+def _write_together(found: DividedDifference) -> str:
     if not found.contributions or _is_negligible(found):
         return ""
     names = {one.name: name_change(one) for one in found.contributions}
     total = _sum(_list_divided(found))
     return write_joint_parts(
-        found.together, total, names, lambda one: format_magnitude(found, abs(one.value))
+        found.together, total, names, lambda value, _: format_magnitude(found, value)
     )
 
 
-def _write_departure(found: ExplainedDifference) -> list[str]:
+def _write_departure(found: DividedDifference) -> list[str]:
     one = found.departure
     if not found.has_same_settings:
         return []
@@ -323,7 +323,7 @@ def _write_departure(found: ExplainedDifference) -> list[str]:
     ]
 
 
-def _write_software(found: ExplainedDifference) -> str:
+def _write_software(found: DividedDifference) -> str:
     first, second = found.first.simulated_by, found.second.simulated_by
     silent = [side.name for side in (found.first, found.second) if not side.simulated_by]
     if silent:
@@ -355,7 +355,7 @@ def _format_pair(key: str, before: Any, after: Any) -> str:
     return f"{' -> '.join(shown)}{unit}"
 
 
-def _write_robot_basis(found: ExplainedDifference) -> list[str]:
+def _write_robot_basis(found: DividedDifference) -> list[str]:
     """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
     sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
     said = [f"{side.name}: {side.note}." for side in sides if side.note]
@@ -375,14 +375,19 @@ def _write_robot_basis(found: ExplainedDifference) -> list[str]:
     ]
 
 
-def tabulate_difference(found: ExplainedDifference) -> str:
-    """Return an explained difference as a table with its sentences, for a notebook."""
-    heads = ["settings", f"contribution [{found.unit}]", "first run", "second run"]
-    rows: list[list[object]] = []
-    for one in found.contributions:
-        pairs = (zip(one.keys, values, strict=False) for values in (one.first, one.second))
-        texts = (", ".join(f"{key} = {value}" for key, value in pair) for pair in pairs)
-        rows.append([one.name, one.contribution, *texts])
-    table = format_html(rows, heads=heads) if rows else ""
-    rest = [f"<p>{escape(text)}</p>" for text in found.sentences[1:]]
-    return format_notebook(found.sentences[0], table, *rest)
+class ExplainedDifference(DividedDifference):  # noqa: D101 (the fields are those of the value)
+    __doc__, __slots__ = DividedDifference.__doc__, ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sentences", write_difference_sentences(self))
+
+    def _repr_html_(self) -> str:
+        heads = ["settings", f"contribution [{self.unit}]", "first run", "second run"]
+        rows: list[list[object]] = []
+        for one in self.contributions:
+            pairs = (zip(one.keys, values, strict=False) for values in (one.first, one.second))
+            texts = (", ".join(f"{key} = {value}" for key, value in pair) for pair in pairs)
+            rows.append([one.name, one.contribution, *texts])
+        table = format_html(rows, heads=heads) if rows else ""
+        rest = [f"<p>{escape(text)}</p>" for text in self.sentences[1:]]
+        return format_notebook(self.sentences[0], table, *rest)

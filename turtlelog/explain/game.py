@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError, ScenarioError, SimulationError
-from turtlelog.explain.answers import Attribution
+from turtlelog.explain.answers import AttributedValue
 from turtlelog.explain.causes import (
     SAMPLING,
     draws_random,
@@ -353,7 +353,7 @@ has little space."""
 
 def simulate_what_ifs(
     identified: Identification,
-    found: Attribution,
+    found: AttributedValue,
     *,
     report: Callable[[int, int], None] | None = None,
 ) -> Mapping[str, Run]:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from turtlelog.display import join_words
 from turtlelog.explain import answers, robot_log
-from turtlelog.explain.answers import Change, Contribution, ExplainedDifference, Side
+from turtlelog.explain.answers import Change, Contribution, Side
 from turtlelog.explain.contributions import ORDERS, divide_game, sample_game
+from turtlelog.explain.difference_report import ExplainedDifference
 from turtlelog.explain.game import SEEDS, Coalition, Game, Outcome, Work
 from turtlelog.explain.robot_log import COMMANDS, ROBOT, RobotLog
 from turtlelog.identify.axis_fit import NORMAL_95
@@ -122,7 +123,7 @@ def _divide(
     difference = found.difference or 0.0
     acting = _find_acting(found, logs, parts)
     game = RobotGame(logs[0], logs[1], found.metric, acting, work)
-    base = answers.Attribution(
+    base = answers.AttributedValue(
         metric=found.metric,
         unit=found.unit,
         resimulated=game.play_as_recorded().value,

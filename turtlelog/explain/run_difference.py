@@ -8,7 +8,7 @@ from typing import Final
 from turtlelog.display import join_words
 from turtlelog.errors import ExplainError
 from turtlelog.explain import answers
-from turtlelog.explain.answers import SEED, Attribution, Change, ExplainedDifference, Side
+from turtlelog.explain.answers import SEED, AttributedValue, Change, Side
 from turtlelog.explain.attribute import attribute_scenario
 from turtlelog.explain.causes import (
     choose_metric,
@@ -18,6 +18,7 @@ from turtlelog.explain.causes import (
     set_values,
 )
 from turtlelog.explain.contributions import ORDERS, divide_game, sample_game, vary_both_starts
+from turtlelog.explain.difference_report import ExplainedDifference
 from turtlelog.explain.game import SEEDS, ChangeGame, Work
 from turtlelog.explain.robot_difference import explain_robots
 from turtlelog.explain.scenario_from_log.identify_scenario import identify_run
@@ -293,7 +294,7 @@ def _divide(
         changes=tuple(listed),
         difference=None if before is None or after is None else after - before,
     )
-    base = Attribution(
+    base = AttributedValue(
         metric=found.metric,
         unit=found.unit,
         resimulated=after,
@@ -334,7 +335,7 @@ def _divide(
 
 def _list_contributions(
     found: ExplainedDifference,
-    divided: Attribution,
+    divided: AttributedValue,
     game: ChangeGame,
     scenarios: Sequence[Scenario],
 ) -> tuple[Change, ...]:

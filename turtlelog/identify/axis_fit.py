@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
 from turtlelog.identify.held_response import FIRST_ORDER, HeldResponse, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, fit_noise
+from turtlelog.identify.robot_noise import LEAST_STEP, NORMAL_MAD, Whitening, learn_noise
 
 _GRID_S: Final = 0.04
 """Distance of the dead times in the first search [s]: a quarter of a usual delay."""
@@ -27,18 +27,6 @@ heading gives two wrong steps, there and back."""
 
 SOFT: Final = 3.0
 """Standard deviations from which a residual counts less than its square (soft L1)."""
-
-_OUTLIER: Final = 8.0
-"""Size of an outlier in robust standard deviations; outliers do not count. Normal noise exceeds
-this size once in 1e15 steps; stamp jitter at the highest speed has five times the usual
-residual."""
-
-_MOST_OUTLIERS: Final = 0.05
-"""Largest share of the steps that may be outliers. A simulated robot rests exactly, and all its
-moving steps deviate more than its rests: these steps are its motion."""
-
-_LONGEST_JUMP: Final = 5
-"""Largest number of steps of a jump: a wrong pose gives two, an odometry filter some more."""
 
 _LAG_STEP_S: Final = 1e-4  # difference for derivatives with respect to the time constant [s]
 
@@ -128,9 +116,7 @@ class StepModel:
 
     def fit_noise(self, residual: Values) -> tuple[NDArray[np.bool_], Whitening]:
         """Return which residuals are outliers, and the whitening by the noise of the others."""
-        is_outlier = find_outlying_steps(residual, self.rounding)
-        whitening = fit_noise(residual, self.duration_s, self.shared, is_outlier, self.rounding)
-        return is_outlier, whitening
+        return learn_noise(residual, self.duration_s, self.shared, self.rounding)
 
     def predict_beside(self, dead_time_s: float) -> Values:
         """Return the displacement of each step by the commands of the other axis [m or rad]."""
@@ -207,8 +193,8 @@ def fit_without_lag(fit: AxisFit) -> AxisFit:
     start = fit.parameters.copy()
     start[DEAD_TIME] += start[LAG]
     start[LAG] = 0.0
-    parameters, cost = _descend(fit.model, start, fit.whitening.apply, fixed=(LAG,))
-    return _conclude(fit.model, parameters, cost, fit.whitening, fit.is_outlier)
+    parameters, cost = _descend(fit.model, start, fit.whitening.apply, LAG)
+    return _conclude(fit.model, parameters, cost, (fit.is_outlier, fit.whitening))
 
 
 def refit_axis(fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]) -> AxisFit:
@@ -287,7 +273,7 @@ def _find_longest_lag(fit: AxisFit) -> Values | None:
         start[LAG] += step_s
         if start[LAG] > LARGEST_DEAD_TIME_S:
             return None
-        tried, cost = _descend(fit.model, start, fit.whitening.apply, fixed=(LAG,))
+        tried, cost = _descend(fit.model, start, fit.whitening.apply, LAG)
         if cost <= most:
             inside = tried
         else:
@@ -300,13 +286,12 @@ def finish_fit(model: StepModel, parameters: Values) -> AxisFit:
     """Return the best fit near the given parameters, with its own noise."""
     least = np.inf
     for _ in range(_MOST_LESSONS):
-        residual = model.moved - model.linearise(parameters)[0]
-        is_outlier, whitening = model.fit_noise(residual)
+        is_outlier, whitening = model.fit_noise(model.moved - model.linearise(parameters)[0])
         parameters, cost = _descend(model, parameters, whitening.apply)
         gained, least = least - (cost + whitening.log_size), cost + whitening.log_size
         if gained < _LEARNT:
             break
-    return _conclude(model, parameters, cost, whitening, is_outlier)
+    return _conclude(model, parameters, cost, (is_outlier, whitening))
 
 
 def solve_part(fit: AxisFit, part: NDArray[np.bool_], *beside: Values) -> tuple[Values, Values]:
@@ -326,12 +311,9 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_], *beside: Values) -> tuple[
 
 
 def _conclude(
-    model: StepModel,
-    parameters: Values,
-    cost: float,
-    whitening: Whitening,
-    is_outlier: NDArray[np.bool_],
+    model: StepModel, parameters: Values, cost: float, noise: tuple[NDArray[np.bool_], Whitening]
 ) -> AxisFit:
+    is_outlier, whitening = noise
     modelled, slopes = model.linearise(parameters)
     residual = model.moved - modelled
     white = whitening.apply(residual)
@@ -351,21 +333,6 @@ def _conclude(
         is_outlier=is_outlier,
         whitening=whitening,
     )
-
-
-def find_outlying_steps(residual: Values, rounding: float = 0.0) -> NDArray[np.bool_]:
-    """Return which residuals are outliers, of poses with a standard deviation of rounding."""
-    size = np.abs(residual)
-    # A robot that rests long repeats its pose exactly, but its motion is rounded.
-    scale = max(NORMAL_MAD * float(np.median(size)), 2.0**0.5 * rounding)
-    if scale <= 0.0:
-        return np.zeros(len(size), dtype=bool)
-    # Steps that are off for long, and in one direction, are a motion that the model lacks.
-    least = max(_OUTLIER * scale, float(np.quantile(size, 1.0 - _MOST_OUTLIERS)))
-    signs = np.where(size > least, np.sign(residual), 0.0)
-    begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
-    lengths = np.diff(np.append(begins, len(signs)))
-    return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))
 
 
 def _search_start(motions: Sequence[AxisMotion]) -> Values:
@@ -400,10 +367,7 @@ def _search_start(motions: Sequence[AxisMotion]) -> Values:
 
 
 def _descend(
-    model: StepModel,
-    parameters: Values,
-    whiten: Callable[[Values], Values],
-    fixed: Sequence[int] = (),
+    model: StepModel, parameters: Values, whiten: Callable[[Values], Values], *fixed: int
 ) -> tuple[Values, float]:
     """Return the parameters with the smallest cost (Levenberg-Marquardt), and the cost."""
     # Only a drift may be negative, and the dead time is not larger than the limit.
@@ -417,9 +381,8 @@ def _descend(
         weights = 1.0 / np.sqrt(1.0 + (white / SOFT) ** 2)
         downhill = slopes.T @ (weights * white)
         curvature = slopes.T @ (weights[:, None] * slopes)
-        stuck = ((parameters <= lowest) & (downhill < 0.0)) | (
-            (parameters >= highest) & (downhill > 0.0)
-        )
+        stuck = (parameters <= lowest) & (downhill < 0.0)
+        stuck |= (parameters >= highest) & (downhill > 0.0)
         stuck[[*fixed]] = True
         free = np.flatnonzero(~stuck)
         inner = curvature[np.ix_(free, free)]
@@ -453,11 +416,9 @@ def _estimate_covariance(
 ) -> tuple[Values, Values]:
     """Return the covariance, and the ratio of each variance to that of normal noise.
 
-    The covariance is the larger of two: the model covariance, and a robust ("sandwich") estimate
-    from the residuals.
-
-    The robust estimate allows for correlated neighbours. If a few steps carry all information, the
-    robust estimate is too small, but the model covariance is not.
+    The covariance is the larger of two: a robust ("sandwich") estimate from the residuals, which
+    allows for correlated neighbours but is too small if a few steps carry all information, and the
+    model covariance.
     """
     bent = 1.0 + (white / SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]

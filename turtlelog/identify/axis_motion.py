@@ -358,8 +358,7 @@ def _look_at_silence(
     least = max(_OBEYS * held * _SILENCE_S, _ABOVE_NOISE * float(np.ptp(way[at_s >= last_s])))
     if not largest or still_moves or float(np.abs(way).max()) <= least:
         return None
-    moving = np.flatnonzero(rate > 0.5 * largest)
-    stop_s = float(rate_s[moving[-1]])
+    stop_s = float(rate_s[np.flatnonzero(rate > 0.5 * largest)[-1]])
     return SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=end_s)
 
 

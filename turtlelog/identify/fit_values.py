@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from turtlelog.display import join_words
 from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import DEAD_TIME, EXTRA, GAIN, LAG, NORMAL_95, TOTAL, AxisFit
-from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis
-from turtlelog.identify.held_response import FIRST_ORDER, Structure
+from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, read_axis_motion
+from turtlelog.identify.held_response import Structure
 from turtlelog.identify.robot_model import FURTHER, ORDERS, AxisModel, Estimate
 from turtlelog.identify.robot_noise import LEAST_STEP
 from turtlelog.measure.motion import measure_whiteness
+from turtlelog.run import Run
 
 _SHORT_LAG: Final = 2.0  # time constant in steps between poses up to which it may be 0
 
@@ -100,7 +101,12 @@ def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Est
     its curvature.
     """
     short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
-    if fit.model.structure.without_drift != FIRST_ORDER or lag.low <= 0.0 or lag.value > short_s:
+    if (
+        fit.model.structure.bends
+        or fit.model.structure.order != "first_order"
+        or lag.low <= 0.0
+        or lag.value > short_s
+    ):
         return dead_time, lag
     without = axis_fit.fit_without_lag(fit)
     if without.cost - fit.cost > NORMAL_95**2 * fit.dispersion:
@@ -216,11 +222,27 @@ def cover_rivals(
     return replace(covered, doubts=(*found.doubts, doubt))
 
 
+_JOINTLY: Final = 0.9
+"""Share of the changes of an axis together with the other axis, above which its delay alone is
+unknown: one change in ten does not outweigh the others."""
+
 _UNCOVERED: Final = " The delay of the {} is unknown, so the intervals do not cover that case."
 
 
-def cover_waiting(found: AxisModel, other: AxisModel) -> AxisModel:
-    """Return an axis in doubt that may wait for the other axis, whose delays it then has, too."""
+def cover_waiting(runs: Sequence[Run], found: AxisModel, other: AxisModel) -> AxisModel:
+    """Return an axis in doubt, with the other axis's delays, too, if it may wait for that axis.
+
+    Then it is slower than the other axis and hardly changes without it.
+    """
+    # Wheels whose acceleration is limited turn only after they have braked. Both axes share wheels,
+    # motors and odometry, so nothing else delays one of them alone.
+    delay, other_delay = found.total_delay_s, other.total_delay_s
+    is_slower = delay is not None and (other_delay is None or delay.low > other_delay.high)
+    if not is_slower or found.limit_acts == "at_wheels":
+        return found
+    joint = np.concatenate([read_axis_motion(run, found.axis).joint for run in runs])
+    if np.mean(joint) < _JOINTLY:
+        return found
     covered = found
     for field in ("dead_time_s", "total_delay_s"):
         covered = _widen(covered, field, getattr(other, field))

@@ -8,7 +8,7 @@ parameters: limits, a bound, friction, a deadband, a drift.
 
 import cmath
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -21,17 +21,13 @@ Values = NDArray[np.float64]
 
 _FADED: Final = 1e-18  # share of an earlier transient that is below the resolution of doubles
 
-_LEAST_LAG_S: Final = 1e-9
-"""Time constant that represents no time constant [s]: it decays within the resolution of any
-clock."""
+_LEAST_LAG_S: Final = 1e-9  # stands for no time constant [s]: below the resolution of any clock
 
-_CURVE_LINES: Final = 4
-"""Number of lines for a part of an S-curve; the rate is off by less than 1 % of the change that the
-part makes."""
+_CURVE_LINES: Final = 4  # for a part of an S-curve, whose rate is then off by less than 1 %
 
 _APART: Final = 1e-3
-"""Smallest relative difference of two time constants; smaller differences are enlarged to it,
-because the two parts would cancel. The response changes by less than a millionth."""
+"""Smallest relative difference of two time constants, because equal parts would cancel. It changes
+the response by less than a millionth."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,12 +70,16 @@ class HeldInput:
     def place(self, time_s: Values) -> Places:
         """Return the command held at each time; before the first entry, the first entry is held."""
         held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
-        since_s = time_s - self.time_s[held]
-        slope = self.slope[held]
+        since_s, slope = time_s - self.time_s[held], self.slope[held]
         value = self.value[held] + slope * since_s
         way = self.way[held] + (value - 0.5 * slope * since_s) * since_s
         since_s = np.maximum(since_s, 0.0)
         return Places(held=held, since_s=since_s, value=value, slope=slope, way=way)
+
+    def list_held(self) -> Iterable[tuple[float, float, float]]:
+        """Return the begin [s], end [s] and value of each command."""
+        ends_s = [*self.time_s[1:].tolist(), math.inf]
+        return zip(self.time_s.tolist(), ends_s, self.value.tolist(), strict=True)
 
 
 def hold_commands(time_s: Values, value: Values) -> HeldInput:
@@ -108,9 +108,8 @@ def limit_changes(commands: HeldInput, slowness: float) -> HeldInput:
         return commands
     begins, left_s = commands.value.copy(), np.append(np.diff(commands.time_s), np.inf)
     reached = float(commands.value[0])
-    for row, (value, most) in enumerate(
-        zip(commands.value.tolist(), (left_s / slowness).tolist(), strict=True)
-    ):
+    values = zip(commands.value.tolist(), (left_s / slowness).tolist(), strict=True)
+    for row, (value, most) in enumerate(values):
         begins[row] = reached
         reached += min(max(value - reached, -most), most)
     change = commands.value - begins
@@ -133,10 +132,7 @@ def limit_softly(commands: HeldInput, slowness: float, jerk_time_s: float) -> He
         return limit_changes(commands, slowness)
     rates = 1.0 / slowness, 1.0 / (slowness * jerk_time_s)
     value, slope, rows = float(commands.value[0]), 0.0, []
-    ends_s = np.append(commands.time_s[1:], np.inf)
-    for now_s, end_s, wanted in zip(
-        commands.time_s.tolist(), ends_s.tolist(), commands.value.tolist(), strict=True
-    ):
+    for now_s, end_s, wanted in commands.list_held():
         jerk, *durations_s = plan_curve(value, slope, rates, wanted)
         for bend, duration_s in zip((jerk, 0.0, -jerk), durations_s, strict=True):
             part_s = max(min(duration_s, end_s - now_s), 0.0)
@@ -168,10 +164,7 @@ def limit_within(
     lag_s = max(lag_s, _LEAST_LAG_S)
     ahead = lag_s / slowness if slowness > 0.0 else math.inf
     rate, rows = float(commands.value[0]), []
-    ends_s = np.append(commands.time_s[1:], np.inf)
-    for begin_s, end_s, value in zip(
-        commands.time_s.tolist(), ends_s.tolist(), commands.value.tolist(), strict=True
-    ):
+    for begin_s, end_s, value in commands.list_held():
         now_s, left_s, off = begin_s, end_s - begin_s, value - rate
         stops, end = abs(value) > most, math.copysign(most, value)
         if abs(off) > ahead:
@@ -200,22 +193,14 @@ class HeldResponse:
     """
 
     def __init__(
-        self,
-        inputs: Sequence[HeldInput],
-        lag_s: float,
-        product_s2: float = 0.0,
-        drift: float = 0.0,
+        self, inputs: Sequence[HeldInput], lag_s: float, product_s2: float = 0.0, drift: float = 0.0
     ) -> None:
-        """Store inputs, sum b [s] and product c [s^2] of the time constants, and an added rate.
-
-        A product of 0 stands for a single time constant.
-        """
-        self._inputs, self._lag_s, self._product_s2 = inputs, lag_s, product_s2
-        self._drift = drift
+        """Store inputs, sum b [s] and product c [s^2] of the time constants, and an added rate."""
+        self._inputs, self._drift = inputs, drift
+        self._lag_s, self._product_s2 = lag_s, product_s2
         split = _split(lag_s, product_s2)
         self._parts = [
-            [(share, lag, _list_transients(commands, lag)) for share, lag in split]
-            for commands in inputs
+            [(share, lag, _list_transients(one, lag)) for share, lag in split] for one in inputs
         ]
 
     def place(self, time_s: Values) -> tuple[Values, list[Places]]:
@@ -280,22 +265,16 @@ _LEAST_TIGHTNESS: Final = 1e-6
 _LEAST_SLOWNESS: Final = 1e-9  # time for a unit change that stands for none [s^2/m] or [s^2/rad]
 
 Order = Literal[
-    "first_order",
-    "second_order",
-    "limited_before",
-    "limited_softly",
-    "limited_within",
-    "limited_wheels",
-]
+    "first_order", "second_order",
+    "limited_before", "limited_softly", "limited_within", "limited_wheels",
+]  # fmt: skip
 """Order of a robot model.
 
-`first_order`: one time constant. `second_order`: two, with their product as a further parameter
-[s^2]. `limited_before` and `limited_within`: one time constant and a limit of the change of rate,
-before the lag (the command becomes a ramp) or within its loop (the rate does). Their further
-parameter is the time per unit of the command [s^2/m] or [s^2/rad]. `limited_softly`: before the
-lag, by S-curves with a limited jerk; the parameter is the time in which the slope builds up [s].
-`limited_wheels`: within the loop of each wheel; the parameter is the time per unit of the other
-axis's command, which the same limit of the wheels sets."""
+`first_order`: one time constant. `second_order`: two, and their product [s^2]. `limited_before`,
+`limited_within`: one, and the time per unit of the command [s^2/m] or [s^2/rad] by a limit of the
+change of rate, before the lag (the command becomes a ramp) or within its loop (the rate does).
+`limited_softly`: before the lag, also with the time in which the slope builds up [s].
+`limited_wheels`: within the loop of each wheel, also with the time per unit of the other axis."""
 
 Bound = Literal["", "command", "rate", "scaled", "clipped", "yielding", "reduced"]
 
@@ -323,12 +302,11 @@ class Structure:
 
     Attributes:
         order: Order of its lag, and the place of its acceleration limit.
-        bound: Limited quantity: the command, the wheels, or the rate, which follows larger commands
-            as without the limit until it reaches it. The parameter is the reciprocal of the command
-            that leads there [s/m or s/rad]; for the wheels also that of the other axis.
+        bound: Limited quantity: command, wheels, or rate, which follows larger commands up to it.
+            The parameter is the reciprocal of the command that leads there [s/m or s/rad]; for the
+            wheels also that of the other axis.
         has_reverse: Whether the gain of negative commands differs; the parameter is the ratio.
-        has_friction: Whether the magnitude of every command is reduced; the parameter is the
-            reduction [m/s or rad/s].
+        has_friction: Whether each command is reduced, by the parameter [m/s or rad/s].
         deadband: Magnitude up to which commands cause no motion [m/s or rad/s].
         has_drift: Whether a constant rate is added to the response; the parameter is the command
             that would cause this rate [m/s or rad/s], the only one that may be negative.
@@ -386,19 +364,10 @@ class Structure:
     @property
     def bends(self) -> bool:
         """Whether the effective commands depend on the further parameters."""
-        return self.without_drift not in {FIRST_ORDER, SECOND_ORDER}
-
-    @property
-    def without_drift(self) -> "Structure":
-        """The same structure without a drift."""
-        return replace(self, has_drift=False)
+        return replace(self, has_drift=False) not in {FIRST_ORDER, SECOND_ORDER}
 
     def respond(
-        self,
-        commands: HeldInput,
-        lag_s: float,
-        extras: Sequence[float],
-        beside: HeldInput | None = None,
+        self, commands: HeldInput, lag_s: float, extras: Sequence[float], beside: HeldInput | None
     ) -> HeldResponse:
         """Return the response to commands for a time constant and the further parameters.
 
@@ -454,9 +423,8 @@ def _bound_wheels(bound: Bound, value: Values, beside: Any) -> Values:
     if bound in {"scaled", "reduced"}:
         return np.asarray(value / np.maximum(np.abs(value) + beside, 1.0))
     if bound == "clipped":
-        return np.asarray(
-            0.5 * (np.clip(value + beside, -1.0, 1.0) + np.clip(value - beside, -1.0, 1.0))
-        )
+        wheels = [np.clip(value + way * beside, -1.0, 1.0) for way in (1.0, -1.0)]
+        return np.asarray(0.5 * (wheels[0] + wheels[1]))
     most = np.maximum(1.0 - beside, 0.0) if bound == "yielding" else 1.0
     return np.asarray(np.clip(value, -most, most))
 

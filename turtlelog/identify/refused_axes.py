@@ -92,12 +92,12 @@ _SENTENCES: Final[Mapping[Refusal, str]] = {
     ),
     "jump": "commands act in only {count} of {steps} between poses, which may be a jump",
     "wide": (
-        "the interval of the {what}, {low:.3g} to {high}{of_unit}, is wider than its value of"
-        " {value:.3g}{of_unit}"
+        "the interval of the {what}, {found.low:.3g} to {high}{of_unit}, is wider than its value of"
+        " {found.value:.3g}{of_unit}"
     ),
     "repeated": (
-        "the commands {how}, so gains of {gain:.3g} with a dead time of {dead_time_s:.3g} s and"
-        " {other_gain:.3g} with {other_s:.3g} s explain the motion alike"
+        "the commands {how}, so gains of {own[0]:.3g} with a dead time of {own[1]:.3g} s and"
+        " {other[0]:.3g} with {other[1]:.3g} s explain the motion alike"
     ),
     "at_bound": (
         "{every} positive command reaches the limit of {bound:.3g} {unit}, so that the gain of"
@@ -142,12 +142,11 @@ def refuse_implausible(
 ) -> AxisModel | None:
     """Return an axis without values if its commands or steps are implausible; else None."""
     unit = UNITS[axis]
-    columns = (
+    for what, of_unit, values in (
         ("commands", unit, [get_commands(run, axis) for run in runs]),
         ("steps between poses", unit.removesuffix("/s"), [motion.moved for motion in motions]),
-    )
-    for what, of_unit, values in columns:
-        largest = max((float(np.abs(value).max()) for value in values if len(value)), default=0.0)
+    ):
+        largest = max(float(np.abs(value).max(initial=0.0)) for value in values)
         if largest > _ABSURD:
             return refuse_axis(axis, "implausible", what=what, largest=largest, of_unit=of_unit)
     return None
@@ -165,17 +164,13 @@ def refuse_fit(
     axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit, found: AxisModel
 ) -> AxisModel | None:
     """Return an axis without values if a fit does not identify it, with the reason; else None."""
-    opposite = None
     refused = _doubt_fit(found, fit)
-    if refused or found.explained is None or found.explained < _OPPOSITE_EXPLAINS:
-        opposite = refuse_opposite(axis, motions, fit)
-    repetition = None if refused or opposite else find_repetition(motions)
-    if repetition is not None:
-        refused, is_opposite = _refuse_twin(axis, fit, *repetition)
-        opposite = refuse_opposite(axis, motions, None) if is_opposite else None
-    if opposite or refused is None:
+    explains = found.explained is not None and found.explained >= _OPPOSITE_EXPLAINS
+    if (refused or not explains) and (opposite := refuse_opposite(axis, motions, fit)):
         return opposite
-    if found.gain is None or found.bound is None or not _is_wide(found.gain):
+    if refused is None and (repetition := find_repetition(motions)):
+        refused = _refuse_twin(axis, motions, fit, *repetition)
+    if refused is None or not (found.gain and found.bound and _is_wide(found.gain)):
         return refused
     # Commands at the bound show no gain: any larger one leads there, too.
     most = found.bound.value / found.gain.value
@@ -229,16 +224,10 @@ def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> A
     ):
         if value is not None and _is_wide(value, fine):
             most = _ENDLESS * value.value
-            return refuse_axis(
-                found.axis,
-                "wide",
-                drive=drive,
-                what=what,
-                low=value.low,
-                high=f"more than {most:.3g}" if value.high > most else f"{value.high:.3g}",
-                value=value.value,
-                of_unit="" if value.unit == "1" else f" {value.unit}",
-            )
+            high = f"more than {most:.3g}" if value.high > most else f"{value.high:.3g}"
+            unit = "" if value.unit == "1" else f" {value.unit}"
+            facts = {"what": what, "found": value, "high": high, "of_unit": unit}
+            return refuse_axis(found.axis, "wide", drive=drive, **facts)
     return None
 
 
@@ -291,12 +280,9 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
 
 
 def _refuse_twin(
-    axis: Axis, fit: AxisFit, shift_s: float, sign: int
-) -> tuple[AxisModel | None, bool]:
-    """Return an axis without values if a dead time is ambiguous, else None.
-
-    The second value is whether the other sign explains the motion better.
-    """
+    axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit, shift_s: float, sign: int
+) -> AxisModel | None:
+    """Return an axis without values if the motion leaves a dead time ambiguous; else None."""
     gain, dead_time_s, lag_s, *extra = fit.parameters.tolist()
     count = int(LARGEST_DEAD_TIME_S / shift_s) + 1
     for number in range(-count, count + 1):
@@ -307,17 +293,12 @@ def _refuse_twin(
         if ratio is not None and ratio <= _BETTER:
             continue
         how = f"repeat every {shift_s:.3g} s" + (" with the other sign" if sign < 0 else "")
-        refused = refuse_axis(
-            axis,
-            "repeated",
-            how=how,
-            gain=gain,
-            dead_time_s=dead_time_s,
-            other_gain=its_sign * gain,
-            other_s=other_s,
-        )
-        return refused, its_sign < 0 and ratio is not None and ratio >= 1.0 / _BETTER
-    return None, False
+        is_opposite = its_sign < 0 and ratio is not None and ratio >= 1.0 / _BETTER
+        if is_opposite and (opposite := refuse_opposite(axis, motions, None)):
+            return opposite
+        own, other = (gain, dead_time_s), (its_sign * gain, other_s)
+        return refuse_axis(axis, "repeated", how=how, own=own, other=other)
+    return None
 
 
 def _sample(motion: AxisMotion) -> Values:
@@ -356,10 +337,6 @@ the gain varies."""
 _MOSTLY: Final = 0.95
 """Share of an axis's commands beside one command of the other axis, above which no commands are
 left to compare: less than a twentieth of the commands gives no interval of its own."""
-
-_JOINTLY: Final = 0.9
-"""Share of the changes of an axis together with the other axis, above which its delay alone is
-unknown: one change in ten does not outweigh the others."""
 
 
 def list_open_questions(runs: Sequence[Run], models: Sequence[AxisModel]) -> list[str]:
@@ -465,15 +442,8 @@ def _note_one_beside(runs: Sequence[Run], model: AxisModel) -> Iterator[str]:
 
 
 def doubt_waiting(runs: Sequence[Run], model: AxisModel, other: AxisModel) -> AxisModel:
-    """Return an axis in doubt if it is slower than the other axis and never changes without it."""
-    # Wheels whose acceleration is limited turn only after they have braked. Both axes share wheels,
-    # motors and odometry, so nothing else delays one of them alone.
-    delay, other_delay = model.total_delay_s, other.total_delay_s
-    is_slower = delay is not None and (other_delay is None or delay.low > other_delay.high)
-    if not is_slower or model.limit_acts == "at_wheels":
+    """Return an axis in doubt if it may wait for the other axis; without values if that is all."""
+    covered = cover_waiting(runs, model, other)
+    if covered is model:
         return model
-    joint = np.concatenate([read_axis_motion(run, model.axis).joint for run in runs])
-    if np.mean(joint) < _JOINTLY:
-        return model
-    covered = cover_waiting(model, other)
     return _refuse_wide(covered, drive=f", while the {NAMES[other.axis]} rests") or covered

@@ -1,12 +1,12 @@
 """Values of a robot's dynamics with intervals and in words, or the reason why they are unknown."""
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Final, Literal, SupportsFloat
 
-from turtlelog.display import fit_line, format_html, format_notebook, join_words
+from turtlelog.display import NULL_IF_EMPTY, fit_line, format_html, format_notebook, join_words
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_motion import NAMES, UNITS, Axis
 from turtlelog.identify.held_response import Bound, Order, Structure
@@ -28,7 +28,7 @@ class Estimate:
     value: float
     low: float
     high: float
-    unit: str = "s"
+    unit: str = field(default="s", repr=False)
 
     def __float__(self) -> float:
         return self.value
@@ -70,6 +70,8 @@ class TickDelays:
     largest_s: float
 
 
+LimitPlace = Literal["", "before_lag", "within_lag", "at_wheels"]
+
 Refusal = Literal[
     "no_commands", "never_commanded", "negligible", "constant", "ramps", "implausible",
     "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide", "repeated",
@@ -82,12 +84,14 @@ Refusal = Literal[
 class AxisModel:
     """One axis: rate = gain exp(-dead_time s) / (lag s + 1), with commands under zero-order hold.
 
+    An estimate is None if the motion does not show it.
+
     Attributes:
         axis: `speed` or `turn_rate`.
         status: Whether the values of the axis are known.
-        refusal: Cause why the values are unknown; None if they are known.
-        reason: The same in a sentence; empty if they are known.
-        advice: Test drive that would identify the values; empty if they are known.
+        refusal: Cause why the values are unknown.
+        reason: The same in a sentence.
+        advice: Test drive that would identify the values.
         model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
             lag s + 1).
         gain: Steady-state rate per command [1].
@@ -95,52 +99,44 @@ class AxisModel:
         lag_s: Time constant of the response [s]; for second order, the sum of both time constants.
         total_delay_s: Sum of dead time and time constant, which is known better than either [s].
         lag_product_s2: Product of both time constants for second order [s^2].
-        rate_limit: Largest acceleration [m/s^2] or [rad/s^2], if the motion shows a limit.
-        limit_acts: Place of the limit: before the low-pass, which then follows a ramp; within its
-            loop, so that the rate itself is a ramp; or at each of the wheels, which both axes
-            share. Empty if there is none.
+        rate_limit: Largest acceleration [m/s^2] or [rad/s^2].
+        limit_acts: Place of the limit: before the low-pass, within its loop, or at the wheels,
+            which both axes share.
         rate_limit_beside: Change of the other axis's command that alone reaches the limit of the
             wheels [m/s^2] or [rad/s^2]; `rate_limit` then is that without the other axis.
-        jerk_time_s: Time in which the acceleration reaches its limit before the low-pass [s], if
-            the motion shows a limit of the jerk as well.
-        bound: Largest rate [m/s] or [rad/s], if commands exceed it.
-        bound_acts: Limited quantity. `command`: the low-pass follows the limited command. `rate`:
-            the robot follows larger commands until the rate reaches the limit. The wheels, which
-            both axes share: a larger command is `scaled` on both axes, `clipped` at each wheel,
-            `yielding` to the other axis, or `reduced` by the other axis alone. Empty without a
-            bound.
+        jerk_time_s: Time in which the acceleration reaches its limit before the low-pass [s].
+        bound: Largest rate [m/s] or [rad/s].
+        bound_acts: Limited quantity: the `command`, the `rate`, or the wheels, which both axes
+            share. A larger command is then `scaled` on both axes, `clipped` at each wheel,
+            `yielding` to the other axis, or `reduced` by it.
         bound_beside: Command of the other axis that alone reaches the limit of the wheels [m/s] or
-            [rad/s]. `bound` is then the largest rate without a command of the other axis.
-        deadband: Largest command that moves nothing [m/s] or [rad/s], if the motion shows a
-            deadband.
+            [rad/s]; `bound` then is that without the other axis.
+        deadband: Largest command that moves nothing [m/s] or [rad/s].
         reverse_gain: Gain of negative commands, if it differs [1].
-        friction: Part of every command's magnitude that has no effect [m/s] or [rad/s], if the
-            motion shows it. The gain applies to the rest.
-        drift: Rate at a command of 0 [m/s] or [rad/s], if the motion shows it; it is added to the
-            response to every command.
+        friction: Part of every command's magnitude that has no effect [m/s] or [rad/s]. The gain
+            applies to the rest.
+        drift: Rate at a command of 0 [m/s] or [rad/s], added to the response to every command.
         explained: Fraction of the variance of the steps about one constant speed that the model
             explains.
         whiteness: Mean square of the changes of the residuals divided by twice their mean square,
             without the noise of poses: 1 for noise, near 0 for a curve.
-        outliers: Number of steps left out because their residual exceeds the noise.
+        outliers: Number of steps whose residual exceeds the noise, left out.
         correlation_delay_s: Delay with the largest correlation of commands and motion [s], with the
-            range of delays that the correlation cannot distinguish: a second estimate without a
-            time constant.
-        correlation_reason: Reason why the correlation shows no delay; empty if it does.
+            range of delays that the correlation cannot distinguish.
+        correlation_reason: Reason why the correlation shows no delay.
         steps: Number of steps between poses that were used.
-        steps_in_all: Number of steps between poses in which commands act.
+        steps_in_all: Number of steps in which commands act.
         changes: Number of changes of the command.
-        doubts: Reasons other than noise for wider intervals, in sentences: structures that the log
-            cannot distinguish, and parts of the motion that differ.
-        silent_stops_s: Time from the last command until the rate is down to half [s], if the robot
-            stops by itself without commands.
+        doubts: Reasons other than noise for wider intervals, in sentences.
+        silent_stops_s: Times from the last command to half of the rate [s], if the robot stops by
+            itself.
     """
 
     axis: Axis
     status: Literal["ok", "not_identifiable"]
     refusal: Refusal | None = None
-    reason: str = ""
-    advice: str = ""
+    reason: str = field(default="", metadata=NULL_IF_EMPTY)
+    advice: str = field(default="", metadata=NULL_IF_EMPTY)
     model: Literal["first_order", "second_order"] = "first_order"
     gain: Estimate | None = None
     dead_time_s: Estimate | None = None
@@ -148,11 +144,11 @@ class AxisModel:
     total_delay_s: Estimate | None = None
     lag_product_s2: Estimate | None = None
     rate_limit: Estimate | None = None
-    limit_acts: Literal["", "before_lag", "within_lag", "at_wheels"] = ""
+    limit_acts: LimitPlace = field(default="", metadata=NULL_IF_EMPTY)
     rate_limit_beside: Estimate | None = None
     jerk_time_s: Estimate | None = None
     bound: Estimate | None = None
-    bound_acts: Bound = ""
+    bound_acts: Bound = field(default="", metadata=NULL_IF_EMPTY)
     bound_beside: Estimate | None = None
     deadband: Estimate | None = None
     reverse_gain: Estimate | None = None
@@ -162,7 +158,7 @@ class AxisModel:
     whiteness: float | None = None
     outliers: int = 0
     correlation_delay_s: Estimate | None = None
-    correlation_reason: str = ""
+    correlation_reason: str = field(default="", metadata=NULL_IF_EMPTY)
     steps: int = 0
     steps_in_all: int = 0
     changes: int = 0
@@ -263,8 +259,8 @@ class AxisModel:
         """Values of the further parameters, as fractions of the gain."""
         gain = math.nan if self.gain is None else self.gain.value
         found = []
-        for field, relation, _ in (FURTHER[name] for name in self.structure.names):
-            if (one := getattr(self, field)) is not None:
+        for key, relation, _ in (FURTHER[name] for name in self.structure.names):
+            if (one := getattr(self, key)) is not None:
                 of_gain = gain if relation in {"product", "quotient"} else 1.0
                 is_inverse = relation in {"reciprocal", "quotient"}
                 found.append(of_gain / one.value if is_inverse else one.value / of_gain)
@@ -313,22 +309,23 @@ class RobotEvent:
         axis: `speed` or `turn_rate`.
         time_s: Time of the pose after the event [s].
         size: Error of the step [m] or [rad].
+        text: The event as one sentence.
     """
 
     file: str
     axis: Axis
     time_s: float
     size: float
+    text: str = field(init=False)
 
-    @property
-    def text(self) -> str:
-        """The event as one sentence."""
+    def __post_init__(self) -> None:
         unit = UNITS[self.axis].removesuffix("/s")
         what = "way" if self.axis == "speed" else "turn"
-        return (
+        told = (
             f"{self.file}: the {what} from the pose before to the one at {self.time_s:.3f} s is off"
             f" by {self.size:.3g} {unit}"
         )
+        object.__setattr__(self, "text", told)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -381,14 +378,13 @@ _WHOLE_MS: Final = 10.0
 """Width of an interval from which tenths of a millisecond are not printed [ms]."""
 
 
-def write_robot_headline(axes: Iterable[AxisModel], name: str) -> list[str]:
+def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
     """Return how each axis follows its commands as sentences: delays, gains, and doubts.
 
     Args:
         axes: Axes of the robot.
         name: Name of the run from which the robot was identified.
     """
-    axes = [*axes]
     delays = [
         f"of {NAMES[axis.axis]} {format_delay(axis.total_delay_s).replace(' ', ' ms ', 1)}"
         for axis in axes

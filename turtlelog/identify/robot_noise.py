@@ -12,13 +12,20 @@ Therefore the variance of a step is `slip` + 2 `sensing`, and the covariance of 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from turtlelog.identify.axis_motion import AXES, Axis, get_commands, predict_axis, read_axis_motion
+from turtlelog.identify.axis_motion import (
+    AXES,
+    NAMES,
+    Axis,
+    get_commands,
+    predict_axis,
+    read_axis_motion,
+)
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
@@ -94,6 +101,64 @@ class SensingNoise:
     position: Noise
     heading: Noise
     standing_s: float
+
+
+WRITTEN_DIGITS: Final = 6
+"""Significant digits of written numbers: a hundredth of the narrowest interval."""
+
+
+def round_written(value: float) -> float:
+    """Return a value with the digits of written numbers."""
+    return float(f"{value:.{WRITTEN_DIGITS}g}")
+
+
+def list_noise(model: RobotModel, runs: Sequence[Run]) -> tuple[dict[str, Any], list[str]]:
+    """Return the keys of a scenario for the noise of a robot, and sentences on them."""
+    sensing = measure_sensing_noise(model, runs)
+    values: dict[str, Any] = {}
+    notes = []
+    if sensing is None:
+        notes.append(
+            "The robot never stands for long with commands of 0, so the noise of poses is not"
+            " known: it is 0."
+        )
+    else:
+        position_m, heading_rad = (
+            round_written(sensing.position.size),
+            round_written(sensing.heading.size),
+        )
+        hidden = [
+            f"{1e3 * noise.hidden:.2g} {unit}"
+            for noise, unit in ((sensing.position, "mm"), (sensing.heading, "mrad"))
+            if not noise.size
+        ]
+        zero = f" What shows none has 0: up to {' and '.join(hidden)} may hide." if hidden else ""
+        values |= {"sensing.noise_position_m": position_m, "sensing.noise_heading_rad": heading_rad}
+        notes.append(
+            f"The noise of poses is that of {sensing.standing_s:.3g} s in which the robot stands:"
+            f" {1e3 * position_m:.3g} mm and {1e3 * heading_rad:.3g} mrad.{zero}"
+        )
+    for axis, key in zip(AXES, ("noise_speed", "noise_turn_rate"), strict=True):
+        noise = measure_disturbance_noise(model, axis, runs)
+        values[f"disturbance.{key}"] = round_written(noise.size if noise else 0.0)
+        notes += _tell_rate_noise(axis, noise)
+    return values, notes
+
+
+def _tell_rate_noise(axis: Axis, noise: Noise | None) -> Iterator[str]:
+    name, unit = NAMES[axis], "mm" if axis == "speed" else "mrad"
+    if noise is None:
+        yield f"How the noise of the {name} grows is not known: it is 0."
+    elif noise.size:
+        yield (
+            f"The noise of the {name} is how the model's error grows with time:"
+            f" {1e3 * noise.size:.3g} {unit} by the root of a second."
+        )
+    else:
+        yield (
+            f"The model's error of the {name} does not clearly grow with time: its noise is 0."
+            f" Up to {1e3 * noise.hidden:.2g} {unit} by the root of a second may hide."
+        )
 
 
 def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNoise | None:
@@ -264,6 +329,34 @@ NORMAL_MAD: Final = 1.4826
 """Standard deviation of normal noise divided by the median of its magnitude."""
 
 
+_OUTLIER: Final = 8.0
+"""Size of an outlier in robust standard deviations; outliers do not count. Normal noise exceeds
+this size once in 1e15 steps; stamp jitter at the highest speed has five times the usual
+residual."""
+
+_MOST_OUTLIERS: Final = 0.05
+"""Largest share of the steps that may be outliers. A simulated robot rests exactly, and all its
+moving steps deviate more than its rests: these steps are its motion."""
+
+_LONGEST_JUMP: Final = 5
+"""Largest number of steps of a jump: a wrong pose gives two, an odometry filter some more."""
+
+
+def find_outlying_steps(residual: Values, rounding: float = 0.0) -> NDArray[np.bool_]:
+    """Return which residuals are outliers, of poses with a standard deviation of rounding."""
+    size = np.abs(residual)
+    # A robot that rests long repeats its pose exactly, but its motion is rounded.
+    scale = max(NORMAL_MAD * float(np.median(size)), 2.0**0.5 * rounding)
+    if scale <= 0.0:
+        return np.zeros(len(size), dtype=bool)
+    # Steps that are off for long, and in one direction, are a motion that the model lacks.
+    least = max(_OUTLIER * scale, float(np.quantile(size, 1.0 - _MOST_OUTLIERS)))
+    signs = np.where(size > least, np.sign(residual), 0.0)
+    begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
+    lengths = np.diff(np.append(begins, len(signs)))
+    return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepNoise:
     """Variances of the noise of steps.
@@ -340,3 +433,11 @@ def fit_noise(
     share = min(2.0 * rounding**2 / (slip + 2.0 * variance), 1.0)
     noise = StepNoise(slip=slip, sensing=variance, rounded=share)
     return Whitening(noise, duration_s, shared, is_outlier)
+
+
+def learn_noise(
+    residual: Values, duration_s: Values, shared: Values, rounding: float
+) -> tuple[NDArray[np.bool_], Whitening]:
+    """Return which residuals are outliers, and the whitening by the noise of the others."""
+    is_outlier = find_outlying_steps(residual, rounding)
+    return is_outlier, fit_noise(residual, duration_s, shared, is_outlier, rounding)

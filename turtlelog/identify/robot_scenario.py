@@ -11,9 +11,9 @@ import numpy as np
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
-from turtlelog.identify.axis_motion import AXES, NAMES, OTHER, UNITS, Axis, get_commands
+from turtlelog.identify.axis_motion import NAMES, OTHER, UNITS, Axis, get_commands
 from turtlelog.identify.robot_model import AxisModel, RobotModel
-from turtlelog.identify.robot_noise import Noise, measure_disturbance_noise, measure_sensing_noise
+from turtlelog.identify.robot_noise import WRITTEN_DIGITS, list_noise, round_written
 from turtlelog.plants import LAGGED
 from turtlelog.run import Run
 from turtlelog.run.loops import LIMIT_KEYS, PLANT_KEYS
@@ -27,7 +27,6 @@ _MOSTLY: Final = 0.8
 """Share of the intervals that must be regular; the others are lost messages and pauses."""
 
 _FEWEST: Final = 10  # smallest number of intervals from which a period is computed
-_DIGITS: Final = 6  # significant digits of written numbers: a hundredth of the narrowest interval
 
 _DOUBT: Final = "Doubt: "
 _NOTE: Final = "Note: "
@@ -126,7 +125,7 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         _list_plant(model),
         _list_periods(runs),
         _list_limits(model, runs),
-        _list_noise(model, runs),
+        list_noise(model, runs),
         _find_start_and_goal(runs[0]),
     )
     values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
@@ -187,13 +186,15 @@ def _list_plant(model: RobotModel) -> Part:
             )
             continue
         values |= {
-            f"{key}gain": _round(gain),
-            f"{key}dead_time_s": _round(max(delay_s - lag.value, 0.0) + axis.oscillation_delay_s),
-            f"{key}lag_s": _round(max(lag.value, 0.0)),
+            f"{key}gain": round_written(gain),
+            f"{key}dead_time_s": round_written(
+                max(delay_s - lag.value, 0.0) + axis.oscillation_delay_s
+            ),
+            f"{key}lag_s": round_written(max(lag.value, 0.0)),
         }
-        values |= {f"{key}{name}": _round(value) for name, value in _list_own_limits(axis)}
+        values |= {f"{key}{name}": round_written(value) for name, value in _list_own_limits(axis)}
         if axis.drift is not None:
-            values[_DRIFT_KEYS[axis.axis]] = _round(axis.drift.value)
+            values[_DRIFT_KEYS[axis.axis]] = round_written(axis.drift.value)
         if axis.model == "second_order":
             longer_s = axis.oscillation_delay_s
             longer = f" Its dead time is {1e3 * longer_s:.3g} ms longer, because it oscillates."
@@ -283,10 +284,10 @@ def _list_periods(runs: Sequence[Run]) -> Part:
     told = f"Poses come every {1e3 * pose_s:.4g} ms"
     if timer_s is None or not _SHORTEST_PERIOD_S <= timer_s <= _LONGEST_PERIOD_S:
         note = f"{told}. Commands keep no period, so the controller answers each pose."
-        return {"plant.period_s": _round(pose_s)}, [note]
-    timer_s, note = _round(timer_s), f"{told}, commands every {1e3 * timer_s:.4g} ms"
+        return {"plant.period_s": round_written(pose_s)}, [note]
+    timer_s, note = round_written(timer_s), f"{told}, commands every {1e3 * timer_s:.4g} ms"
     times = round(timer_s / pose_s)
-    period_s = _round(pose_s)
+    period_s = round_written(pose_s)
     if times and abs(timer_s / pose_s - times) <= _WHOLE * times:
         # Rounded down to whole nanoseconds, so that a pose comes before the timer that reads it.
         period_s = round(timer_s * 1e9) // times / 1e9
@@ -324,7 +325,7 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
         is_limit = arrivals >= _FEWEST_ARRIVALS
         values[key] = largest if is_limit or axis.rate_limit else math.inf
         if axis.bound is not None and bound <= largest:
-            values[key] = _round(bound)
+            values[key] = round_written(bound)
             notes.append(
                 f"Commands of the {name} above {bound:.3g} {unit} do no more: the rate ends at"
                 f" {axis.bound.value:.3g} {unit}. That is the limit."
@@ -348,10 +349,10 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
         if axis.rate_limit is not None and axis.gain and axis.limit_acts == "before_lag":
             keys = _RAMP_KEYS[axis.axis]
             acceleration = axis.rate_limit.value / abs(axis.gain.value)
-            values[keys[0]] = _round(acceleration)
+            values[keys[0]] = round_written(acceleration)
             jerk = ""
             if axis.jerk_time_s is not None and axis.jerk_time_s.value > 0.0:
-                values[keys[1]] = _round(acceleration / axis.jerk_time_s.value)
+                values[keys[1]] = round_written(acceleration / axis.jerk_time_s.value)
                 jerk = " So does the limit of the jerk."
             notes.append(
                 f"The limit of how fast the {name} changes acts before its time constant. It clips"
@@ -371,7 +372,7 @@ def _delay_jerk(values: Mapping[str, Any]) -> Part:
     axes = [axis for axis, (_, jerk) in _RAMP_KEYS.items() if jerk in values]
     for axis in axes:
         key = f"{PLANT_KEYS[axis]}dead_time_s"
-        delays[key] = _round(values[key] + early_s)
+        delays[key] = round_written(values[key] + early_s)
     names = join_words([NAMES[axis] for axis in axes])
     told = (
         "The robot limits the jerk all the time, the scenario once per period, which is half a"
@@ -390,56 +391,7 @@ def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
         int(np.count_nonzero((np.abs(value) >= largest - near) & (np.abs(change) > near)))
         for value, change in ((value, np.diff(value, prepend=0.0)) for value in commands)
     )
-    return _round(largest), arrivals
-
-
-def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
-    sensing = measure_sensing_noise(model, runs)
-    values: dict[str, Any] = {}
-    notes = []
-    if sensing is None:
-        notes.append(
-            "The robot never stands for long with commands of 0, so the noise of poses is not"
-            " known: it is 0."
-        )
-    else:
-        position_m, heading_rad = _round(sensing.position.size), _round(sensing.heading.size)
-        hidden = [
-            f"{1e3 * noise.hidden:.2g} {unit}"
-            for noise, unit in ((sensing.position, "mm"), (sensing.heading, "mrad"))
-            if not noise.size
-        ]
-        zero = f" What shows none has 0: up to {' and '.join(hidden)} may hide." if hidden else ""
-        values |= {"sensing.noise_position_m": position_m, "sensing.noise_heading_rad": heading_rad}
-        notes.append(
-            f"The noise of poses is that of {sensing.standing_s:.3g} s in which the robot stands:"
-            f" {1e3 * position_m:.3g} mm and {1e3 * heading_rad:.3g} mrad.{zero}"
-        )
-    for axis, key in zip(AXES, ("noise_speed", "noise_turn_rate"), strict=True):
-        noise = measure_disturbance_noise(model, axis, runs)
-        values[f"disturbance.{key}"] = _round(noise.size if noise else 0.0)
-        notes += _tell_rate_noise(axis, noise)
-    return values, notes
-
-
-def _tell_rate_noise(axis: Axis, noise: Noise | None) -> Iterator[str]:
-    name, unit = NAMES[axis], "mm" if axis == "speed" else "mrad"
-    if noise is None:
-        yield f"How the noise of the {name} grows is not known: it is 0."
-    elif noise.size:
-        yield (
-            f"The noise of the {name} is how the model's error grows with time:"
-            f" {1e3 * noise.size:.3g} {unit} by the root of a second."
-        )
-    else:
-        yield (
-            f"The model's error of the {name} does not clearly grow with time: its noise is 0."
-            f" Up to {1e3 * noise.hidden:.2g} {unit} by the root of a second may hide."
-        )
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+    return round_written(largest), arrivals
 
 
 _TOLERANCE: Final = 0.01  # tolerance of the goal [m] and [rad], usual for wheeled robots
@@ -468,7 +420,7 @@ def _find_start_and_goal(run: Run) -> Part:
         )
     values = {"start.x_m": x_m, "start.y_m": y_m, "start.heading_rad": heading_rad}
     values |= {"goal.x_m": goal_m[0], "goal.y_m": goal_m[1]}
-    return {key: round(value, _DIGITS) for key, value in values.items()}, [note]
+    return {key: round(value, WRITTEN_DIGITS) for key, value in values.items()}, [note]
 
 
 def _choose_tolerances(values: dict[str, Any]) -> Part:

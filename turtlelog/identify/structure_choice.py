@@ -2,12 +2,12 @@
 
 More parameters always reduce the residual. Therefore another structure must reduce the residual
 clearly, and change the robot's response noticeably. After a fit to only a part of the log, it must
-also predict the rest better than the simpler structure. Structures that the log cannot distinguish
-are called rivals.
+also predict the rest better. Structures that the log cannot distinguish are called rivals.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Final, get_args
 
@@ -28,16 +28,15 @@ _CLEARLY: Final = 15.0
 robots."""
 
 _MATTERS: Final = 0.02
-"""Required change of some step between poses, as a share of the largest rate: 2 % counts as
-settled. A smaller change is invisible, even if a log without noise shows it."""
+"""Required change of some step between poses, as a share of the largest rate: 2 % is settled."""
 
 _DRIFTS: Final = 0.002
 """The same share for a drift. A drift also acts at rest: in ten seconds it moves a robot as far as
 a change of 2 % does in one second."""
 
 _AT_REST: Final = 0.5
-"""Smallest share of a drift that the mean rate at rest must have: then it is nearer to the drift
-than to rest. A robot that only veers while it drives does not drift."""
+"""Smallest share of a drift that the mean rate at rest must have, to be nearer to it than to rest.
+A robot that only veers while it drives does not drift."""
 
 RESTED_S: Final = 1.0
 """Shortest total rest that shows a drift [s]: thirty poses of a usual robot."""
@@ -48,42 +47,29 @@ _SURELY: Final = 4.0
 
 _PREDICTED: Final = 1.0
 """Required decrease of twice the negative log-likelihood for the predicted steps, with the
-uncertainty of the fitted ones. Noise alone increases this number by 0.7 on average, and decreases
-it by 1 in 1 of 27 robots. With 2.0, which noise never reached, limits are missed that a log just
-shows."""
+uncertainty of the fitted ones. Noise alone decreases it by 1 in 1 of 27 robots. With 2.0, which
+noise never reached, limits are missed that a log just shows."""
 
-_STARTS_S: Final = (0.1, 0.5)
-"""Durations of the largest change of the command at which the search for a limit starts [s]."""
-
-_JERK_TIMES_S: Final = (0.05, 0.2)
-"""Times in which a slope builds up, from which the search for a limit of the jerk starts [s]."""
-
+# Values at which the searches for further parameters start.
+_LEAST_LAG_S: Final = 0.02  # time constant for a second one, if the first is nearly 0 [s]
+_STARTS_S: Final = (0.1, 0.5)  # durations of the largest change of a limited command [s]
+_JERK_TIMES_S: Final = (0.05, 0.2)  # times in which a slope builds up [s]
 _TRACKS: Final = (0.2, 0.6, 1.5)
-"""Change of a wheel by the largest change of the other axis, as a share of that by the largest one
-of its own, at which the search for a limit of the wheels' acceleration starts."""
-
-_BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)
-"""Shares of the largest command at which the search for a bound starts."""
-
+"""Largest change of a wheel by commands of the other axis, as a share of that by its own."""
+_FRICTIONS: Final = (0.05, 0.15)  # shares of the largest command
+_BOUNDS: Final = (0.2, 0.4, 0.6, 0.75, 0.9)  # shares of the largest command
 _ALONE: Final = (0.3, 0.6, 0.9, 1.5, 3.0)
-"""The same shares for a limit of the wheels, which commands may reach only together with commands
-of the other axis."""
-
 _BESIDE: Final = (0.25, 0.4, 0.6, 0.8, 0.95)
-"""Shares of the largest command of the other axis at which the search for the limit of the wheels
-starts."""
+"""The same shares for a limit of the wheels, and those of the largest command of the other axis.
+Commands may reach this limit only together."""
 
 LEAST_BELOW: Final = 0.02
-"""Share of the time with commands in which commands must stay below a bound. A robot that otherwise
-drives at its bound gets a gain of four from two messages. Of random steps, more than a tenth stay
-below."""
-
-_FRICTIONS: Final = (0.05, 0.15)
-"""Shares of the largest command at which the search for friction starts."""
+"""Share of the time with commands in which commands must stay below a bound: two messages gave a
+robot that drives at its bound a gain of four. Of random steps, more than a tenth stay below."""
 
 _DEADBANDS: Final = 12
-"""Magnitudes of commands that are tried as deadband, up to half of the largest. As many are then
-tried between the neighbours of the best magnitude, until they are adjacent."""
+"""Number of magnitudes up to half of the largest command that are tried as deadband, and then
+between the neighbours of the best one, until they are adjacent."""
 
 _RIVAL: Final = 10.0
 """Difference of twice the negative log-likelihood up to which a log cannot decide between two
@@ -94,17 +80,17 @@ _DOUBTFUL: Final = 6.0
 reaches it in 1.5 % of robots."""
 
 _SOFTENS: Final = 2.0
-"""The same decrease for a limit of the jerk, which then has an interval that excludes 0. It is
-always tried, because it moves the dead time by half the time in which the slope builds up: by
-chance it is a rival of 7 % of robots with a limit of the acceleration before the time constant. Of
-160 robots with such a jerk, one was missed; with 4.0, three of 60 were, by 31 to 41 ms."""
+"""The same decrease for a limit of the jerk, which moves the dead time by half the time in which
+the slope builds up: by chance, 7 % of robots with a limit of the acceleration before the time
+constant have this rival. Of 160 with such a jerk, one was missed; with 4.0, three of 60 were."""
 
-_MOST_CHANGES: Final = 20_000
-"""Largest number of changes of the command for the search of a limit, which processes the changes
-one by one."""
+_MOST_CHANGES: Final = 20_000  # commands for the search of a limit, which takes them one by one
 
-_LEAST_LAG_S: Final = 0.02
-"""Time constant at which the search for a second one starts, if the first is nearly 0 [s]."""
+Starts = list[tuple[float, ...]]
+"""Start values of further parameters."""
+
+_Tried = dict[Structure, AxisFit]
+_Neighbours = Iterable[tuple[Structure, Starts]]
 
 
 def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
@@ -116,16 +102,11 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
     splits = split_motions(fit.model.motions)
     if not all(known for known, _ in splits):
         return fit, []
-    tried: dict[Structure, AxisFit] = {}
+    tried: _Tried = {}
     found = _search(fit, tried, splits, _list_neighbours)
     if found.model.structure.has_friction:
         smooth = {one: other for one, other in tried.items() if not one.has_friction}
-        other = _search(
-            fit,
-            smooth,
-            splits,
-            lambda fit: (pair for pair in _list_neighbours(fit) if not pair[0].has_friction),
-        )
+        other = _search(fit, smooth, splits, partial(_list_neighbours, frictions=()))
         tried |= smooth
         if measure_score(other) < measure_score(found) and _is_better(found, other, splits):
             found = other
@@ -135,13 +116,10 @@ def choose_structure(fit: AxisFit) -> tuple[AxisFit, list[AxisFit]]:
 
 
 def _search(
-    fit: AxisFit,
-    tried: dict[Structure, AxisFit],
-    splits: Sequence[Parts],
-    list_neighbours: Callable[[AxisFit], Iterable[tuple[Structure, "Starts"]]],
+    fit: AxisFit, tried: _Tried, splits: Sequence[Parts], find: Callable[[AxisFit], _Neighbours]
 ) -> AxisFit:
     while True:
-        fit = _try_neighbours(fit, tried, list_neighbours(fit))
+        fit = _try_neighbours(fit, tried, find(fit))
         for other in sorted(tried.values(), key=measure_score):
             if other is fit:
                 return fit
@@ -150,9 +128,7 @@ def _search(
                 break
 
 
-def _try_neighbours(
-    fit: AxisFit, tried: dict[Structure, AxisFit], neighbours: Iterable[tuple[Structure, "Starts"]]
-) -> AxisFit:
+def _try_neighbours(fit: AxisFit, tried: _Tried, neighbours: _Neighbours) -> AxisFit:
     """Fit the neighbouring structures of a structure; return its own fit, possibly improved."""
     tried[fit.model.structure] = fit
     for structure, starts in neighbours:
@@ -171,9 +147,8 @@ def _try_neighbours(
 def _is_better(fit: AxisFit, other: AxisFit, splits: Sequence[Parts]) -> bool:
     if other.model.structure.size <= fit.model.structure.size:
         return True
-    return is_distinct(fit, other) and (
-        sum(compare_predictions(fit, other, *parts) for parts in splits) > _PREDICTED
-    )
+    gains = (compare_predictions(fit, other, *parts) for parts in splits)
+    return is_distinct(fit, other) and sum(gains) > _PREDICTED
 
 
 def measure_score(fit: AxisFit) -> float:
@@ -184,11 +159,10 @@ def measure_score(fit: AxisFit) -> float:
 def is_rival(fit: AxisFit, other: AxisFit) -> bool:
     """Return whether the log cannot exclude another structure."""
     more = other.model.structure.size - fit.model.structure.size
-    worse = other.badness - fit.badness
     if other is fit or more < 0:
         return False
     least = _SOFTENS if is_soft(fit.model.structure, other.model.structure) else _DOUBTFUL
-    return worse <= (-least if more else _RIVAL)
+    return other.badness - fit.badness <= (-least if more else _RIVAL)
 
 
 def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
@@ -198,14 +172,12 @@ def is_distinct(fit: AxisFit, other: AxisFit) -> bool:
         off = abs(value - (1.0 if name == "reverse" else 0.0))
         if name not in fit.extras and off <= axis_fit.NORMAL_95 * error:
             return False
-    is_clear = fit.badness - other.badness >= _CLEARLY
-    if not is_clear or other.parameters[GAIN] <= 0.0:
+    if fit.badness - other.badness < _CLEARLY or other.parameters[GAIN] <= 0.0:
         return False
+    if is_soft(fit.model.structure, other.model.structure):
+        return True
     has_drift = [one.model.structure.has_drift for one in (fit, other)]
-    least = _DRIFTS if has_drift == [False, True] else _MATTERS
-    return is_soft(fit.model.structure, other.model.structure) or (
-        measure_effect(fit, other) >= least
-    )
+    return measure_effect(fit, other) >= (_DRIFTS if has_drift == [False, True] else _MATTERS)
 
 
 def is_soft(structure: Structure, other: Structure) -> bool:
@@ -231,16 +203,15 @@ def shows_gain(fit: AxisFit) -> bool:
 def shows_drift(fit: AxisFit) -> bool:
     """Return whether the rests of a log show the drift of a fit, if it has one.
 
-    In a log without rests, the steps while the other axis rests must show it: a robot that turns
-    about another point than the one it reports seems to drift as long as it turns. If the other
-    axis never rests, all steps must show it beside a motion that is proportional to its commands.
+    In a log without rests, the steps while the other axis rests must show it, because turning may
+    look like a drift. If the other axis never rests, all steps must show it beside a motion that is
+    proportional to its commands.
     """
     drift = fit.extras.get("drift")
     if drift is None:
         return True
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
-    at_rest = find_rests(fit.model.motions, dead_time_s, lag_s)
-    at_rest &= ~fit.is_outlier
+    at_rest = find_rests(fit.model.motions, dead_time_s, lag_s) & ~fit.is_outlier
     rested_s = float(fit.model.duration_s[at_rest].sum())
     if rested_s >= RESTED_S:
         off = float(fit.residual[at_rest].sum()) / rested_s / gain if gain > 0.0 else 0.0
@@ -275,14 +246,9 @@ def measure_effect(fit: AxisFit, other: AxisFit) -> float:
     return float(np.abs(rates[0] - rates[1]).max() / max(np.abs(rates[0]).max(), LEAST_STEP))
 
 
-Starts = list[tuple[float, ...]]
-"""Start values of further parameters."""
-
-
-def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
+def _list_neighbours(fit: AxisFit, frictions: Sequence[float] = _FRICTIONS) -> _Neighbours:
     """Yield structures with one difference, with start values of their further parameters."""
-    structure = fit.model.structure
-    known, commands = fit.extras, fit.model.commands
+    structure, known, commands = fit.model.structure, fit.extras, fit.model.commands
     levels = np.unique(np.abs(commands))
 
     def start(other: Structure, **value: float) -> tuple[float, ...]:
@@ -290,14 +256,17 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
 
     yield from _list_orders(fit)
     largest, turns_back = float(levels[-1]), commands.min() < 0.0 < commands.max()
-    frictions = [share * largest for share in _FRICTIONS]
     bounds = [known["tightness"]] if "tightness" in known else []
     bounds += [1.0 / (share * largest) for share in _BOUNDS]
     for other, name, values in (
         (replace(structure, bound="command"), "tightness", bounds),
         (replace(structure, bound="rate"), "tightness", bounds),
         (replace(structure, has_reverse=True), "reverse", [1.0] if turns_back else []),
-        (replace(structure, has_friction=True), "friction", frictions),
+        (
+            replace(structure, has_friction=True),
+            "friction",
+            [share * largest for share in frictions],
+        ),
         (replace(structure, has_drift=True), "drift", [_find_drift(fit)]),
     ):
         if values and other != structure and _is_open(other, commands):
@@ -309,7 +278,7 @@ def _list_neighbours(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         yield other, [start(other)]
 
 
-def _list_orders(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
+def _list_orders(fit: AxisFit) -> _Neighbours:
     structure, known, commands = fit.model.structure, fit.extras, fit.model.commands
     lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
     span = max(float(np.ptp(commands)), LEAST_STEP)
@@ -332,20 +301,18 @@ def _list_orders(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
         yield other, [tuple(one[name] for name in other.names) for one in values]
 
 
-def _list_wheels(fit: AxisFit) -> Iterator[tuple[Structure, Starts]]:
+def _list_wheels(fit: AxisFit) -> _Neighbours:
     """Yield a limit of the wheels' acceleration; nothing if the other axis rests."""
     known, commands = fit.extras, fit.model.commands
     span = max(float(np.ptp(commands)), LEAST_STEP)
-    beside = max(
-        (float(np.ptp(one.beside.value)) for one in fit.model.motions if one.beside), default=0.0
-    )
+    ranges = [float(np.ptp(one.beside.value)) for one in fit.model.motions if one.beside]
+    beside = max(ranges, default=0.0)
     if beside and _is_open(LIMITED_WHEELS, commands):
         slow = [known["slowness"]] if "slowness" in known else [one / span for one in _STARTS_S]
-        starts: Starts = [(one, one * share * span / beside) for one in slow for share in _TRACKS]
-        yield LIMITED_WHEELS, starts
+        yield LIMITED_WHEELS, [(one, one * by * span / beside) for one in slow for by in _TRACKS]
 
 
-def _list_coupled(fit: AxisFit, largest: float) -> Iterator[tuple[Structure, Starts]]:
+def _list_coupled(fit: AxisFit, largest: float) -> _Neighbours:
     """Yield limits of the wheels; none if the other axis rests, or the first is not promising."""
     others = [motion.beside.value for motion in fit.model.motions if motion.beside is not None]
     beside = float(np.abs(np.concatenate([np.zeros(1), *others])).max())
@@ -422,8 +389,7 @@ def _measure_reductions(
     fit: AxisFit, structure: Structure, starts: Sequence[Sequence[float]]
 ) -> list[tuple[float, float]]:
     """Return by how much further parameters could reduce the sum of squares, to first order."""
-    # The second number is the reduction by the start values themselves: of starts whose effects
-    # differ in size alone, one is nearest.
+    # The second number is the reduction by the start values themselves.
     modelled, slopes = fit.model.linearise(fit.parameters)
     gain, dead_time_s, lag_s = fit.parameters[: LAG + 1].tolist()
     other = axis_fit.StepModel(fit.model.motions, structure)
@@ -454,8 +420,7 @@ def compare_predictions(
     """Return by how much another structure predicts the rest of the steps better than a fit.
 
     Both are fitted to the first part. The difference is that of twice the negative log-likelihoods,
-    by the noise of the rest for the other one: if neither explains the rest, the one with less
-    noise before is not the worse.
+    both by the noise that the rest has for the other one.
     """
     predicted = []
     for one in (fit, other):
@@ -463,8 +428,7 @@ def compare_predictions(
         ahead = axis_fit.StepModel(rest, one.model.structure)
         modelled, slopes = ahead.linearise(known.parameters)
         predicted.append((known, ahead.moved - modelled, slopes))
-    residual = predicted[1][1]
-    whitening = ahead.fit_noise(residual)[1]
+    whitening = ahead.fit_noise(predicted[1][1])[1]
     badness, other_badness = (_measure_ahead(*one, whitening) for one in predicted)
     return badness - other_badness
 
@@ -478,10 +442,8 @@ def _measure_ahead(known: AxisFit, residual: Values, slopes: Values, whitening: 
     before, after = earlier.T @ earlier, slopes.T @ slopes
     before = before + (before + after) / (len(earlier) + len(slopes))
     size = np.maximum(np.sqrt(np.diag(before + after)), axis_fit.UNSEEN)
-    before, after = (
-        matrix / np.outer(size, size) + axis_fit.ROUNDED * np.eye(len(size))
-        for matrix in (before, after)
-    )
+    scale, rounded = np.outer(size, size), axis_fit.ROUNDED * np.eye(len(size))
+    before, after = before / scale + rounded, after / scale + rounded
     slopes = slopes / size
     step = np.linalg.solve(before + after, slopes.T @ np.clip(white, -axis_fit.SOFT, axis_fit.SOFT))
     spread = np.linalg.slogdet(before + after)[1] - np.linalg.slogdet(before)[1]

@@ -1,10 +1,9 @@
 """Motion in a recording of turtlesim: its jumps and gaps, and the command taken in each tick.
 
-A recording shows when a command was published, but not when the plant took it, because queues and
-transport lie between. The applied velocity in each pose shows which command the plant took. The
-replay integrates this COMMAND, in double precision. If no recorded command explains the velocity of
-a pose, the replay integrates the recorded velocity. This velocity is rounded to 32 bits and has no
-sign.
+A recording shows when a command was published, not when the plant took it. The applied velocity in
+each pose shows which command the plant took, and the replay integrates this command in double
+precision. If no command explains the velocity of a pose, the replay integrates the recorded
+velocity, which is rounded to 32 bits and has no sign.
 """
 
 import re
@@ -41,8 +40,8 @@ _FEWEST_MOVING: Final = 10
 class RecordedMotion:
     """Poses, one per tick, and the steps between them; step i ends at pose i + 1.
 
-    The rates are those applied in the tick before the pose. A turn is the shorter way.
-    `is_simulated`: time stamps are exact multiples of a tick; stamps of a wall clock have jitter.
+    The rates are those applied in the tick before the pose. A turn is the shorter way. Time stamps
+    are exact multiples of a tick (`is_simulated`), or those of a wall clock, which have jitter.
     """
 
     time_ns: NDArray[np.int64]
@@ -98,10 +97,8 @@ def read_motion(run: Run) -> RecordedMotion:
     step_ns = np.diff(poses.time_ns)
     usual_ns = float(np.median(step_ns)) if len(step_ns) else TICK_NS
     if abs(usual_ns - TICK_NS) > _NEAR_TICK_NS:
-        raise ReplayError(
-            f"{run.name}: expected a pose per tick of {TICK_NS / 1e6:g} ms,"
-            f" found one per {usual_ns / 1e6:.3g} ms: {run.source}"
-        )
+        found = f"found one per {usual_ns / 1e6:.3g} ms: {run.source}"
+        raise ReplayError(f"{run.name}: expected a pose per tick of {TICK_NS / 1e6:g} ms, {found}")
     return RecordedMotion(
         time_ns=poses.time_ns,
         xy_m=poses.xy_m,
@@ -119,25 +116,19 @@ def require_whole(run: Run) -> None:
     """Require the whole scenario, the commands, and poses at the ticks from the start on."""
     expected = "to drive a robot model with the recorded commands"
     if not run.scenario_is_complete:
-        raise ReplayError(
-            f"{run.name}: expected a whole scenario {expected}, found a part:"
-            " it tells when each command reaches the robot"
-        )
+        why = "it tells when each command reaches the robot"
+        raise ReplayError(f"{run.name}: expected a whole scenario {expected}, found a part: {why}")
     if not has_ticks(run) or run.poses.time_ns[0] != 0:
-        period_ms = find_plant(run).period_ns / 1e6
-        first_s = run.poses.time_ns[0] / 1e9
+        period_ms, first_s = find_plant(run).period_ns / 1e6, run.poses.time_ns[0] / 1e9
         raise ReplayError(
             f"{run.name}: expected a pose per tick of exactly {period_ms:g} ms from 0 s on"
             f" {expected}, found the first at {first_s:g} s: a robot's rates before that are not"
             " recorded"
         )
     if not len(run.commands) or not has_all_commands(run):
-        raise ReplayError(
-            f"{run.name}: expected a command per sample {expected},"
-            f" found {len(run.commands)} of {int(run.samples.sequence[-1]) + 1}"
-            if len(run.samples)
-            else f"{run.name}: no commands {expected}"
-        )
+        count = int(run.samples.sequence[-1]) + 1 if len(run.samples) else 0
+        found = f"expected a command per sample {expected}, found {len(run.commands)} of {count}"
+        raise ReplayError(f"{run.name}: {found if count else f'no commands {expected}'}")
 
 
 _MOST_S: Final = 3600.0  # longest simulated time [s], as for a replay in closed loop
@@ -149,16 +140,15 @@ def require_driveable(run: Run) -> None:
     if not len(commands):
         raise ReplayError(f"{run.name}: no commands to drive a plant with")
     if commands.lateral_speed_m_s.any():
-        row = int(np.flatnonzero(commands.lateral_speed_m_s)[0])
+        number = int(np.flatnonzero(commands.lateral_speed_m_s)[0]) + 1
         raise ReplayError(
             f"{run.name}: expected commands along the heading, found one to the side"
-            f" (command {row + 1}): a plant that drives sideways is not known"
+            f" (command {number}): a plant that drives sideways is not known"
         )
     length_s = float(commands.time_ns[-1] - commands.time_ns[0]) / 1e9
     if length_s > _MOST_S:
-        raise ReplayError(
-            f"{run.name}: expected commands for {_MOST_S:g} s at most, found {length_s:g} s"
-        )
+        most = f"expected commands for {_MOST_S:g} s at most"
+        raise ReplayError(f"{run.name}: {most}, found {length_s:g} s")
 
 
 _SLACK: Final = 1e-5
@@ -190,7 +180,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """A segment of time whose poses are missing: after start_ns, before end_ns.
+    """A segment of time whose poses are missing.
 
     Attributes:
         start_ns: Time of the last pose before the gap [ns].
@@ -205,8 +195,6 @@ class Gap:
 
 def find_breaks(motion: RecordedMotion) -> tuple[tuple[Jump, ...], tuple[Gap, ...], list[int]]:
     """Return jumps, gaps, and the rows at which the motion starts again."""
-    if not len(motion.step_ns):
-        return (), (), []
     ticks = np.maximum(np.rint(motion.step_ns / TICK_NS).astype(np.int64), 1)
     moved = np.hypot(motion.step_xy_m[:, 0], motion.step_xy_m[:, 1])
     turned = np.abs(motion.step_rad)
@@ -221,26 +209,28 @@ def find_breaks(motion: RecordedMotion) -> tuple[tuple[Jump, ...], tuple[Gap, ..
     is_jump = is_beyond_tick & (
         (moved > speed * within * TICK_S + _SLACK) | (turned > turn_rate * within * TICK_S + _SLACK)
     )
-    if motion.is_simulated:
-        is_gap = ticks > 1
-    else:
-        tells_nothing = is_jump | ((moved == 0.0) & (turned == 0.0))
-        is_gap = np.where(tells_nothing, ticks > _STALL_TICKS, is_beyond_tick)
+    tells_nothing = is_jump | ((moved == 0.0) & (turned == 0.0))
+    is_gap = np.where(tells_nothing, ticks > _STALL_TICKS, is_beyond_tick)
+    is_gap = ticks > 1 if motion.is_simulated else is_gap
     jumps = []
     for row in (np.flatnonzero(is_jump) + 1).tolist():
         before, after = _get_pose(motion, row - 1), _get_pose(motion, row)
         kind = "spawn" if after == (SPAWN_XY_M, SPAWN_XY_M, 0.0) else "teleport"
         at_ns = int(motion.time_ns[row])
         jumps.append(Jump(at_ns=at_ns, kind=kind, from_pose=before, to_pose=after))
-    gaps = tuple(
-        Gap(
-            start_ns=int(motion.time_ns[row]),
-            end_ns=int(motion.time_ns[row + 1]),
-            missing_ticks=max(int(ticks[row]) - 1, 1),
-        )
-        for row in np.flatnonzero(is_gap)
-    )
+    gaps = list_gaps(motion.time_ns, ticks, is_gap)
     return tuple(jumps), gaps, (np.flatnonzero(is_jump | is_gap) + 1).tolist()
+
+
+def list_gaps(
+    time_ns: NDArray[np.int64], ticks: NDArray[np.int64], is_gap: NDArray[np.bool_]
+) -> tuple[Gap, ...]:
+    """Return the steps between poses that are gaps; `ticks` is the number of each step."""
+    rows = np.flatnonzero(is_gap)
+    found = zip(
+        time_ns[rows].tolist(), time_ns[rows + 1].tolist(), ticks[rows].tolist(), strict=True
+    )
+    return tuple(Gap(start_ns=a, end_ns=b, missing_ticks=max(n - 1, 1)) for a, b, n in found)
 
 
 def _get_pose(motion: RecordedMotion, row: int) -> tuple[float, float, float]:
@@ -293,8 +283,8 @@ class CommandUse:
 
     taken: int
     unseen: int
-    stops: int
-    unexplained_ticks: int
+    stops: int = 0
+    unexplained_ticks: int = 0
     disturbed_ticks: int = 0
     never_arrived: int = 0
 
@@ -306,19 +296,16 @@ def place_commands(
 
     At the rows `starts`, the step from the previous pose shows no velocity.
     """
-    commands = run.commands
-    placer = _Placer(motion, commands)
+    placer = _Placer(motion, run.commands)
     velocities, unexplained = placer.place_all(motion, starts)
     is_unexplained = np.array(unexplained, dtype=bool)
-    is_disturbed = np.zeros(len(motion.time_ns), dtype=bool)
-    if (disturbed_ns := find_disturbance(run.parameters)) is not None:
-        is_disturbed = motion.time_ns >= disturbed_ns[0]
-        is_disturbed &= motion.time_ns < disturbed_ns[1]
+    from_ns, to_ns = find_disturbance(run.parameters) or (0, 0)
+    is_disturbed = (motion.time_ns >= from_ns) & (motion.time_ns < to_ns)
     events = (event.text for event in run.events if event.kind == "commands_lost")
     lost = (re.match(r"The transport lost (\d+) ", text) for text in events)
     use = CommandUse(
         taken=placer.taken,
-        unseen=len(commands) - placer.taken,
+        unseen=len(run.commands) - placer.taken,
         stops=placer.stops,
         unexplained_ticks=int(is_unexplained.sum()),
         disturbed_ticks=int((is_unexplained & is_disturbed).sum()),
@@ -366,24 +353,13 @@ class _Placer:
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
         columns = (commands.speed_m_s, commands.lateral_speed_m_s, commands.turn_rate_rad_s)
-        self._commands: list[Velocity] = [
-            *zip(*(column.tolist() for column in columns), strict=True)
-        ]
-        self._applied = [
-            *zip(
-                _round(hypot(forward, left) for forward, left, _ in self._commands),
-                _round(commands.turn_rate_rad_s),
-                strict=True,
-            )
-        ]
+        self._commands: list[Velocity] = list(zip(*(one.tolist() for one in columns), strict=True))
+        speeds = _round(hypot(forward, left) for forward, left, _ in self._commands)
+        self._applied = list(zip(speeds, _round(commands.turn_rate_rad_s), strict=True))
         self._times_ns = commands.time_ns.tolist()
         self._late_ns = 0 if motion.is_simulated else _LATE_NS
-        self._next = 0
-        self._published = 0
-        self._held = _STANDING
-        self._held_applied = (0.0, 0.0)
-        self.is_recorded = False
-        self.taken = self.stops = 0
+        self._next = self._published = self.taken = self.stops = 0
+        self._hold(_STANDING, (0.0, 0.0))
         self.shown: list[tuple[int, int]] = []
 
     def place_all(
@@ -405,8 +381,7 @@ class _Placer:
         applied = speed, turn_rate
         found = self._find(applied, body, time_ns)
         if found is not None:
-            self._next = found + 1
-            self.taken += 1
+            self._next, self.taken = found + 1, self.taken + 1
             if row and applied != self._held_applied:
                 self.shown.append((found, row))
             self._hold(self._commands[found], applied)
@@ -450,10 +425,9 @@ def _compute_body_velocities(
     forward, left = cosine * dx + sine * dy, cosine * dy - sine * dx
     shown = np.hypot(dx, dy) > _DIRECTION
     shown &= ((xy_m > 0.0) & (xy_m < WORLD_SIZE_M)).all(axis=1)
+    found = zip(forward.tolist(), left.tolist(), shown.tolist(), strict=True)
     bodies: list[_Body] = [None] * (first - rows.start)
-    for row, (along, across, is_shown) in enumerate(
-        zip(forward.tolist(), left.tolist(), shown.tolist(), strict=True), start=first
-    ):
+    for row, (along, across, is_shown) in enumerate(found, start=first):
         bodies.append((along, across) if is_shown and row not in starts else None)
     return bodies
 

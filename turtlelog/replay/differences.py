@@ -95,8 +95,7 @@ def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
     """Return the difference of a signal's rows. Unequal labels differ at any tolerance."""
     recorded, replayed = pairing.recorded, pairing.replayed
     if pairing.kind == "label":
-        apart = np.not_equal(recorded, replayed).astype(np.float64)
-        is_one_sided = np.zeros(len(apart), dtype=bool)
+        apart, is_one_sided = np.not_equal(recorded, replayed).astype(np.float64), np.False_
     else:
         missing = np.isnan(recorded), np.isnan(replayed)
         is_one_sided = missing[0] != missing[1]
@@ -121,6 +120,11 @@ def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
     )
 
 
+def compare_pairings(pairings: Iterable[Pairing], tolerance: float) -> tuple[SignalDifference, ...]:
+    """Return the differences of several signals."""
+    return tuple(compare_pairing(one, tolerance=tolerance) for one in pairings)
+
+
 def find_earliest(differences: Iterable[Difference | None]) -> Difference | None:
     """Return the earliest difference; of several at one time, the difference named first."""
     found = [difference for difference in differences if difference]
@@ -134,17 +138,11 @@ def require_tolerance(tolerance: float) -> None:
 
 
 def _read_row(pairing: Pairing, row: int) -> Difference:
+    values = (pairing.recorded[row].item(), pairing.replayed[row].item())
     # A NaN, which no other value equals, is no value.
-    recorded, replayed = (
-        value if value == value else None  # noqa: PLR0124
-        for value in (pairing.recorded[row].item(), pairing.replayed[row].item())
-    )
-    return Difference(
-        signal=pairing.signal,
-        time_ns=int(pairing.time_ns[row]),
-        recorded=recorded,
-        replayed=replayed,
-    )
+    was, now = (value if value == value else None for value in values)  # noqa: PLR0124
+    time_ns = int(pairing.time_ns[row])
+    return Difference(signal=pairing.signal, time_ns=time_ns, recorded=was, replayed=now)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,14 +199,9 @@ class PlantStretch:
     @property
     def of_rounding(self) -> float:
         """Largest difference, relative to the one that rounding explains [1]; inf for 0."""
-        error = self.max_abs_error
-        pairs = (
-            (max(error.x_m, error.y_m), self.rounding_m),
-            (error.heading_rad, self.rounding_rad),
-        )
-        return max(
-            (found / bound if bound else float("inf") for found, bound in pairs if found), default=0
-        )
+        error, bounds = self.max_abs_error, (self.rounding_m, self.rounding_rad)
+        pairs = zip((max(error.x_m, error.y_m), error.heading_rad), bounds, strict=True)
+        return max((one / most if most else float("inf") for one, most in pairs if one), default=0)
 
 
 class ReplayResult:
@@ -283,13 +276,11 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
         return
     old, new = run.commands, replayed.commands
     count = min(len(old), len(new))
-    for name, unit, recorded, again in (
-        ("command_time", "s", old.time_ns / 1e9, new.time_ns / 1e9),
-        ("command_speed", "m/s", old.speed_m_s, new.speed_m_s),
-        ("command_lateral_speed", "m/s", old.lateral_speed_m_s, new.lateral_speed_m_s),
-        ("command_turn_rate", "rad/s", old.turn_rate_rad_s, new.turn_rate_rad_s),
-    ):
-        yield Pairing(name, unit, old.time_ns[:count], recorded[:count], again[:count])
+    time_ns, again_ns = old.time_ns[:count], new.time_ns[:count]
+    yield Pairing("command_time", "s", time_ns, time_ns / 1e9, again_ns / 1e9)
+    for name, (unit, column) in _OF_COMMANDS.items():
+        was, now = (getattr(one, column)[:count] for one in (old, new))
+        yield Pairing(name, unit, time_ns, was, now)
 
 
 def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
@@ -301,8 +292,7 @@ def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
 
 
 def _pair_answers(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
-    was = Answers(run.samples, run.declaration)
-    now = Answers(replayed.samples, replayed.declaration)
+    was, now = (Answers(one.samples, one.declaration) for one in (run, replayed))
     return pair_samples(was, now, rows=rows, others=others)
 
 
@@ -320,15 +310,12 @@ def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | 
     """Return the difference of two counts; lost rows or a truncated recording explain fewer."""
     if count.recorded == count.replayed:
         return None
-    ticks = run.poses.time_ns // find_plant(run).period_ns
-    has_holes = count_missing_samples(run.samples) or (
-        has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
-    )
-    if count.recorded < count.replayed and (run.stop_reason in FROM_OUTSIDE or has_holes):
+    was, now, ticks = count.recorded, count.replayed, run.poses.time_ns // find_plant(run).period_ns
+    has_holes = count_missing_samples(run.samples) > 0
+    has_holes |= has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
+    if was < now and (run.stop_reason in FROM_OUTSIDE or has_holes):
         return None
-    return Difference(
-        signal=name, time_ns=run.end_ns, recorded=count.recorded, replayed=count.replayed
-    )
+    return Difference(signal=name, time_ns=run.end_ns, recorded=was, replayed=now)
 
 
 def _match_samples(run: Run, replayed: Run) -> tuple[Rows, Rows]:
@@ -345,16 +332,13 @@ def _pair_poses(
         (("x", "y", "heading"), "xy_m", "heading_rad"),
         (SENSED, "sensed_xy_m", "sensed_heading_rad"),
     ):
-        if getattr(recorded, xy) is None or getattr(replayed, xy) is None:
-            continue
         was, now = ((getattr(one, xy), getattr(one, heading)) for one in (recorded, replayed))
-        *places, turn = names
-        for axis, name in enumerate(places):
+        if was[0] is None or now[0] is None:
+            continue
+        for axis, name in enumerate(names[:2]):
             yield Pairing(name, "m", time_ns, was[0][rows, axis], now[0][others, axis])
-        yield Pairing(turn, "rad", time_ns, was[1][rows], now[1][others], "angle")
+        yield Pairing(names[2], "rad", time_ns, was[1][rows], now[1][others], "angle")
 
-
-_RowChoice = NDArray[np.int64] | slice
 
 _Read = Callable[[SampleColumns], NDArray[np.float64] | None]
 
@@ -386,8 +370,14 @@ _NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = {
 _ANGLES: Final = frozenset({"bearing", "reference_heading"})
 """Signals whose values differ by less than half a turn."""
 
-PUBLISHED: Final = ("command_speed", "command_lateral_speed", "command_turn_rate")
-"""Signals of the published commands."""
+_OF_COMMANDS: Final = {
+    "command_speed": ("m/s", "speed_m_s"),
+    "command_lateral_speed": ("m/s", "lateral_speed_m_s"),
+    "command_turn_rate": ("rad/s", "turn_rate_rad_s"),
+}
+"""Unit and column of each signal of the published commands."""
+
+PUBLISHED: Final = tuple(_OF_COMMANDS)
 
 COMMANDS: Final = ("speed", "turn_rate", *PUBLISHED)
 """Signals of the controller's output: commands in the samples, and published commands."""
@@ -401,7 +391,7 @@ class Answers(NamedTuple):
 
 
 def pair_samples(
-    recorded: Answers, replayed: Answers, *, rows: _RowChoice, others: _RowChoice
+    recorded: Answers, replayed: Answers, *, rows: Rows | slice, others: Rows | slice
 ) -> Iterator[Pairing]:
     """Yield the signals in both runs; `rows` of one run are paired with `others` of the other."""
     time_ns = recorded.samples.time_ns[rows]
@@ -410,20 +400,17 @@ def pair_samples(
         if name in are:
             kind: Literal["angle", "number"] = "angle" if name in _ANGLES else "number"
             yield Pairing(name, unit, time_ns, was[rows], are[name][1][others], kind)
-    was_phase, phase = (
-        np.array(one.declaration.phase_names)[one.samples.phase] for one in (recorded, replayed)
-    )
-    yield Pairing("phase", "1", time_ns, was_phase[rows], phase[others], kind="label")
+    sides = (recorded, replayed)
+    was, now = (np.array(one.declaration.phase_names)[one.samples.phase] for one in sides)
+    yield Pairing("phase", "1", time_ns, was[rows], now[others], kind="label")
 
 
 def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
     """Return unit and column of each existing signal, with states by their names."""
     samples, names = answers
     found = {name: (unit, read(samples)) for name, (unit, read) in _NUMBERS.items()}
-    found |= {
-        name: (names.state_units.get(name, "1"), _take(samples.states, row))
-        for row, name in enumerate(names.states)
-    }
+    for row, name in enumerate(names.states):
+        found[name] = (names.state_units.get(name, "1"), _take(samples.states, row))
     return {name: (unit, column) for name, (unit, column) in found.items() if column is not None}
 
 
@@ -433,16 +420,11 @@ def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
         return
     commands, numbers = run.commands, run.samples.sequence[: len(answers)]
     rows = np.flatnonzero(numbers < len(commands))
-    none = np.zeros(len(answers))  # no law moves sideways
-    sides = (
-        ("m/s", commands.speed_m_s, answers.speed_m_s),
-        ("m/s", commands.lateral_speed_m_s, none),
-        ("rad/s", commands.turn_rate_rad_s, answers.turn_rate_rad_s),
-    )
-    for name, (unit, recorded, replayed) in zip(PUBLISHED, sides, strict=True):
-        published = numbers[rows]
-        time_ns = commands.time_ns[published]
-        yield Pairing(name, unit, time_ns, recorded[published], replayed[rows])
+    published, none = numbers[rows], np.zeros(len(answers))
+    for name, (unit, column) in _OF_COMMANDS.items():
+        # No law moves sideways: answers have no such column.
+        was, now = getattr(commands, column), getattr(answers, column, none)
+        yield Pairing(name, unit, commands.time_ns[published], was[published], now[rows])
 
 
 def has_published(run: Run) -> bool:
@@ -464,7 +446,5 @@ def count_missing_samples(samples: SampleColumns) -> int:
 
 def has_all_commands(run: Run) -> bool:
     """Return whether the n-th command belongs to the n-th sample; the last may be missing."""
-    samples, commands = len(run.samples), len(run.commands)
-    return not samples or (
-        not count_missing_samples(run.samples) and samples - 1 <= commands <= samples
-    )
+    is_whole = not count_missing_samples(run.samples)
+    return not len(run.samples) or (is_whole and has_published(run))

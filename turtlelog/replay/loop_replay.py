@@ -38,9 +38,8 @@ class LawReplay(ReplayResult):
             there was one command per sample, or if rows are lost.
         stop: Difference of the ends, if the law ends the run at another sample or for another
             reason; else None.
-        declaration: Difference of the declarations, if the law declares other loops, phases or
-            states than the recording; else None. The runs do not count as different because of this
-            alone.
+        declaration: Difference of the declared loops, phases or states; else None. The runs do not
+            count as different because of this alone.
         first_difference: The earliest difference; of several in one sample, that of the first
             signal in `signals`. None if nothing differs.
         first_command_difference: The earliest difference of the commands, computed or published.
@@ -103,9 +102,8 @@ def replay_law(
     require_run(run)
     differences.require_tolerance(tolerance)
     if not len(run.samples):
-        raise ReplayError(
-            f"{run.name}: {_describe_nothing_read(run)}: {run.source}; {advise_other_mode(run)}"
-        )
+        reason = f"{_describe_nothing_read(run)}: {run.source}; {advise_other_mode(run)}"
+        raise ReplayError(f"{run.name}: {reason}")
     scenario = restore_scenario(run) if scenario is None else scenario
     is_made = not isinstance(law, type | LawPart) and hasattr(law, "step") and hasattr(law, "reset")
     if law is not None and not is_made:
@@ -123,9 +121,7 @@ def replay_law(
         held = (run.commands.time_ns[rows] - run.samples.time_ns[rows]) / find_plant(run).period_ns
         time_ns = run.samples.time_ns[rows]
         pairings.append(Pairing("pause", "tick", time_ns, held, blocks_ticks[rows]))
-    signals = tuple(
-        differences.compare_pairing(pairing, tolerance=tolerance) for pairing in pairings
-    )
+    signals = differences.compare_pairings(pairings, tolerance)
     stop = compare_last_answer(run, len(answers) - 1, stop_reason, blocks=bool(blocks_ticks[-1]))
     missing, count = differences.count_missing_samples(run.samples), len(run.samples)
     is_lossy = missing or not run.notes.keys().isdisjoint(LOSS_NOTES) or "commands" in run.absent
@@ -134,6 +130,7 @@ def replay_law(
         given, at_ns = len(run.commands), run.end_ns
         commands = Difference(signal="commands", time_ns=at_ns, recorded=given, replayed=count)
     first = [*(signal.first_difference for signal in signals), commands, stop]
+    absent = differences.list_unrecorded(recorded, found)
     return LawReplay(
         name=run.name,
         scenario=scenario,
@@ -147,10 +144,7 @@ def replay_law(
         first_command_difference=differences.find_earliest(
             signal.first_difference for signal in signals if signal.signal in differences.COMMANDS
         ),
-        absent=(
-            *differences.list_unrecorded(recorded, found),
-            *(() if has_published else differences.PUBLISHED),
-        ),
+        absent=absent if has_published else (*absent, *differences.PUBLISHED),
         answers=answers,
     )
 
@@ -159,15 +153,11 @@ def _describe_nothing_read(run: Run) -> str:
     """Return why there are no samples: the file has none, or they were not read."""
     from turtlelog.log.ros2.bag_reader import NOT_READ  # only this error needs the readers of bags
 
-    if CONTROL.name in run.notes.get(NOT_READ, ""):
-        return (
-            f"{run.notes[NOT_READ]} in a file without turtlelog's metadata record are not read as"
-            " samples of a controller"
-        )
-    return (
-        f"no samples of a controller (topic {CONTROL.name}): what the law read and commanded is not"
-        " recorded"
-    )
+    if CONTROL.name in (unread := run.notes.get(NOT_READ, "")):
+        where = "in a file without turtlelog's metadata record"
+        return f"{unread} {where} are not read as samples of a controller"
+    lack = f"no samples of a controller (topic {CONTROL.name})"
+    return f"{lack}: what the law read and commanded is not recorded"
 
 
 def _answer_poses(
@@ -178,9 +168,8 @@ def _answer_poses(
     samples = _iterate_answers(run, loop)
     if step_budget_s is not None:
         require_budget(step_budget_s)
-        built_in = law is None and is_built_in(find_law(scenario.law.kind))
-        if needs_watch(step_budget_s, is_built_in=built_in):
-            kind = scenario.law.kind
+        kind = scenario.law.kind
+        if needs_watch(step_budget_s, is_built_in=law is None and is_built_in(find_law(kind))):
             limited = LimitedLoop(samples, [loop], step_budget_s, law=kind, one_by_one=False)
             samples = limited.iterate()
     rows = SampleRows(loop.declaration, has_shaping=scenario.has_action("shape"))
@@ -232,9 +221,8 @@ class LoopReplay(ReplayResult):
         counts: Numbers of rows of `samples`, `poses` and `commands`, if recorded.
         stop: Difference of the stop reasons; None if they are equal.
         others: Differences that belong to no signal: those of `counts` and `stop`.
-        declaration: Difference of the declarations, if the law declares other loops, phases or
-            states than the recording; else None. The runs do not count as different because of this
-            alone.
+        declaration: Difference of the declared loops, phases or states; else None. The runs do not
+            count as different because of this alone.
         first_difference: The earliest difference, including counts and stop; of several at one
             time, that of the first signal in `signals`. None if nothing differs.
         absent: Signals of the replay that are not recorded.
@@ -306,24 +294,16 @@ def replay_loop(
             f" ends after {run.end_ns / 1e9:g} s. --set max_duration_s={scenario.max_duration_s:g}"
             " simulates all of it"
         )
-    replayed = replace(
-        replayed,
-        source=f"replay of {run.name}",
-        parameters={**replayed.parameters, "max_duration_s": scenario.max_duration_s},
-    )
-    pairings = (
-        differences.pair_by_tick(run, replayed)
-        if by_tick
-        else differences.pair_by_sample(run, replayed)
-    )
-    signals = tuple(
-        differences.compare_pairing(pairing, tolerance=tolerance) for pairing in pairings
-    )
+    parameters = {**replayed.parameters, "max_duration_s": scenario.max_duration_s}
+    replayed = replace(replayed, source=f"replay of {run.name}", parameters=parameters)
+    pair = differences.pair_by_tick if by_tick else differences.pair_by_sample
+    signals = differences.compare_pairings(pair(run, replayed), tolerance)
     known = {found.signal: found for found in signals}
     counts = differences.count_recorded_rows(run, replayed, by_tick=by_tick)
     stop = compare_ends(run, replayed.stop_reason)
     ends = [differences.find_count_difference(run, name, count) for name, count in counts.items()]
     others = tuple(found for found in (*ends, stop) if found is not None)
+    first = [found.first_difference for found in signals]
     is_sensed = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
     was, now = (Answers(one.samples, one.declaration) for one in (run, replayed))
     absent = (*(differences.SENSED if is_sensed else ()), *differences.list_unrecorded(was, now))
@@ -339,9 +319,7 @@ def replay_loop(
         stop=stop,
         others=others,
         declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,
-        first_difference=differences.find_earliest(
-            [*(found.first_difference for found in signals), *others]
-        ),
+        first_difference=differences.find_earliest([*first, *others]),
         absent=(*absent, *(name for name in _OF_TICKS if name not in known)),
     )
 
@@ -355,8 +333,8 @@ def compare_last_answer(
         return _build(time_ns, None, stop_reason)
     if blocks and run.stop_reason == MAX_DURATION:
         return None  # the time was up before it could stop
-    found = MAX_DURATION if stop_reason is None else stop_reason
-    return None if _agrees(run, found) else _build(time_ns, run.stop_reason, stop_reason)
+    agrees = _agrees(run, stop_reason or MAX_DURATION)
+    return None if agrees else _build(time_ns, run.stop_reason, stop_reason)
 
 
 def compare_ends(run: Run, stop_reason: str | None) -> Difference | None:
@@ -390,14 +368,11 @@ def compare_declarations(run: Run, replayed: Declaration) -> Difference | None:
 
 def _describe_declaration(declaration: Declaration) -> tuple[str, ...]:
     loops = [
-        f"{loop.name} ({loop.signal} by {loop.command} to {loop.reference},"
-        f" gain {loop.gain or 'none'}{'' if loop.is_proportional else ', not proportional'},"
-        f" limit {loop.limit_key})"
-        for loop in declaration.loops
+        f"{one.name} ({one.signal} by {one.command} to {one.reference}, gain {one.gain or 'none'}"
+        f"{'' if one.is_proportional else ', not proportional'}, limit {one.limit_key})"
+        for one in declaration.loops
     ]
-    phases = [
-        f"{name} ({', '.join(acting) or 'no loop'})" for name, acting in declaration.phases.items()
-    ]
+    phases = [f"{name} ({', '.join(of) or 'no loop'})" for name, of in declaration.phases.items()]
     return (
         f"loops {', '.join(loops) or 'none'}",
         f"phases {', '.join(phases)}",
@@ -457,8 +432,7 @@ def find_departure(first: Run, second: Run) -> Departure | None:
     found = [differences.compare_pairing(one, tolerance=0.0).first_difference for one in pairings]
     for name, count in differences.count_recorded_rows(first, second, by_tick=by_tick).items():
         apart = differences.find_count_difference(first, name, count)
-        end_ns = min(first.end_ns, second.end_ns)
-        found.append(apart and replace(apart, time_ns=end_ns))
+        found.append(apart and replace(apart, time_ns=min(first.end_ns, second.end_ns)))
     earliest = differences.find_earliest([*found, compare_ends(first, second.stop_reason)])
     if earliest is None:
         return None

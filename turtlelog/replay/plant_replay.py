@@ -23,6 +23,7 @@ from turtlelog.replay.breaks_and_commands import (
     RecordedMotion,
     Velocity,
     find_breaks,
+    list_gaps,
     place_commands,
     read_motion,
     require_driveable,
@@ -121,7 +122,6 @@ def replay_plant(run: Run) -> PlantReplay:
     jumps, gaps, starts = find_breaks(motion)
     velocities, is_recorded, use = place_commands(motion, run, frozenset(starts))
     bounds = [*map(slice, [0, *starts], [*starts, len(motion.time_ns)])]
-
     drive = partial(_replay_stretch, motion, velocities, is_recorded)
     stretches, heading_bits = tuple(drive(rows, keeps_32_bits=False) for rows in bounds), 64
     first = find_earliest(stretch.first_difference for stretch in stretches)
@@ -212,17 +212,8 @@ def _replay_lagged(run: Run) -> PlantReplay:
         first_difference=stretch.first_difference,
         stretches=(stretch,),
         jumps=(),
-        gaps=tuple(
-            Gap(
-                start_ns=int(poses.time_ns[row]),
-                end_ns=int(poses.time_ns[row + 1]),
-                missing_ticks=int(apart[row]) - 1,
-            )
-            for row in np.flatnonzero(apart > 1)
-        ),
-        commands=CommandUse(
-            taken=drive.taken, unseen=len(run.commands) - drive.taken, stops=0, unexplained_ticks=0
-        ),
+        gaps=list_gaps(poses.time_ns, apart, apart > 1),
+        commands=CommandUse(taken=drive.taken, unseen=len(run.commands) - drive.taken),
     )
 
 
@@ -238,12 +229,11 @@ def _compare_stretch(
     if (recorded == recorded.astype(np.float32)).all():  # otherwise published in double precision
         replayed = states.astype(np.float32).astype(np.float64)
     x, y, heading = zip(recorded.T, replayed.T, strict=True)
+    turn = Pairing("heading", "rad", time_ns, *heading, "angle")
     signals = (
         compare_pairing(Pairing("x", "m", time_ns, *x), tolerance=rounding_m),
         compare_pairing(Pairing("y", "m", time_ns, *y), tolerance=rounding_m),
-        compare_pairing(
-            Pairing("heading", "rad", time_ns, *heading, "angle"), tolerance=rounding_rad
-        ),
+        compare_pairing(turn, tolerance=rounding_rad),
     )
     return PlantStretch(
         start_ns=int(time_ns[0]),
@@ -300,11 +290,10 @@ def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
     """
     scenario = scenario or Scenario()
     parameters = flatten_scenario(scenario)
-    plant = read_plant(parameters)
-    commands = run.commands
+    plant, commands = read_plant(parameters), run.commands
     require_driveable(run)
-    origin_ns = int(commands.time_ns[0])
-    end_ns = int(commands.time_ns[-1]) - origin_ns
+    origin_ns, last_ns = commands.time_ns[[0, -1]].tolist()
+    end_ns = last_ns - origin_ns
     if math.isfinite(plant.watchdog_ns):
         end_ns += int(plant.watchdog_ns) + plant.period_ns
     ticks = -(-end_ns // plant.period_ns)
@@ -352,10 +341,8 @@ def sense_driven(
     Raises:
         ReplayError: If the scenario has no robot model.
     """
-    if PLANTS[scenario.plant.kind].acts_in_steps:
-        raise ReplayError(
-            f"{scenario.name}: the plant is {scenario.plant.kind}, not a robot model (lagged)"
-        )
+    if PLANTS[kind := scenario.plant.kind].acts_in_steps:
+        raise ReplayError(f"{scenario.name}: the plant is {kind}, not a robot model (lagged)")
     period_ns = scenario.plant.facts.period_ns
     origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
     sensing = replace(scenario.sensing, dropout_probability=0.0)
@@ -415,10 +402,8 @@ class _DrivenPlant:
         scene, until_ns = settings.scene, tick * settings.scene.period_ns
         since_ns = until_ns - scene.period_ns
         self._hold(tick, since_ns, until_ns)
-        at_ns = since_ns
         is_pushed = scene.is_pushed and (tick > 0 or self._acts_in_steps)
-        if is_pushed and self._acts_in_steps:
-            at_ns = until_ns
+        at_ns = until_ns if is_pushed and self._acts_in_steps else since_ns
         while is_pushed and at_ns <= until_ns:
             loop.push_at(settings, state, rows, self._parts, tick, at_ns)
             before_ns = at_ns

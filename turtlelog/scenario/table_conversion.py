@@ -221,9 +221,12 @@ def restore_scenario(run: Run, *, source: str = "", trust_law: bool = False) -> 
 
 def describe_unknown_key(key: str, known: list[str]) -> str:
     """Return the end of an error line for an unknown key, with the nearest known keys."""
-    if near := find_near(key, known):
-        return f"unknown key; did you mean {join_names(near)}?"
-    return f"unknown key; there are {join_names(known)}"
+    return f"unknown key; {_advise_key(key, known)}"
+
+
+def _advise_key(key: str, known: list[str]) -> str:
+    near = find_near(key, known)
+    return f"did you mean {join_names(near)}?" if near else f"there are {join_names(known)}"
 
 
 def _list_unknown(run: Run) -> str:
@@ -239,7 +242,9 @@ def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: st
     for key, value in table.items():
         place = f"{prefix}{name_key(key)}"
         if key not in known:
-            raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(known))}")
+            advice = _advise_key(key, list(known))
+            unknown = f"{source}: {place}: unknown key; {advice}"
+            raise ScenarioError(unknown, unknown_key=place, advice=advice)
         inner, may_be_infinite = known[key]
         if isinstance(value, Mapping) and inner is not None:
             _require_sound(value, inner, f"{place}.", source)

@@ -57,8 +57,6 @@ _LONGEST_S: Final = 3600.0  # longest single wait [s]: a queue refuses waits of 
 
 _DEBUGGERS: Final = frozenset({"bdb", "pdb", "pydevd", "_pydevd_bundle", "debugpy"})
 
-_OF_A_BUDGET: Final = " of a budget of "
-
 Step = Callable[..., Any]
 _Result = TypeVar("_Result")
 _Item = TypeVar("_Item")
@@ -85,12 +83,7 @@ def describe_excess(budget_s: float, took_s: float, *, has_returned: bool = True
     """Return a sentence on the duration of a step, or on its time so far [s]."""
     took = f"{format_number(took_s * 1e3)} ms"
     more = "" if has_returned else "more than "
-    return f"took {more}{took}{_OF_A_BUDGET}{format_number(budget_s * 1e3)} ms"
-
-
-def is_late(reason: str) -> bool:
-    """Return whether a failure is due to a step that exceeded its budget."""
-    return _OF_A_BUDGET in reason
+    return f"took {more}{took} of a budget of {format_number(budget_s * 1e3)} ms"
 
 
 def advise_budget(budget_s: float) -> str:

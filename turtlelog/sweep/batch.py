@@ -96,6 +96,7 @@ class MeasuredRows:
     statuses: Mapping[str, NDArray[np.int8]]  # indices into `STATUSES`, likewise; -1 if failed
     stop_reasons: list[str | None]  # stop reason of each row; None for rows that failed
     failed: list[str | None]  # reason of each failure; None for rows that did not fail
+    late: list[int]  # rows that failed because a step exceeded its budget
     samples: NDArray[np.int64]  # number of samples of each row, shape (n,)
     compiled: int = 0  # number of rows that the compiled loop simulated, not as single runs
     interpreted: int = 0
@@ -182,6 +183,7 @@ class _Work:
             statuses={name: np.full(count, -1, np.int8) for name in metrics},
             stop_reasons=[None] * count,
             failed=[None] * count,
+            late=[],
             samples=np.zeros(count, np.int64),
         )
 
@@ -198,6 +200,7 @@ class _Work:
             if isinstance(err, SimulationError) and err.run is not None:
                 result.samples[row] = len(err.run.samples)
             result.failed[row] = str(err)
+            result.late.extend([row] if isinstance(err, StepBudgetError) else [])
             return
         result.stop_reasons[row], result.samples[row] = run.stop_reason, len(run.samples)
         for name, metric in measure_run(run, only=self._metrics).items():

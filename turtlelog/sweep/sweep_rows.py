@@ -21,7 +21,7 @@ from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
 from turtlelog.simulate import ManyRuns, declare_scenario
-from turtlelog.simulate.step_budget import STEP_BUDGET_S, is_late
+from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 from turtlelog.sweep.batch import is_covered, measure_rows
 from turtlelog.sweep.batch_arrays import OK, STATUSES, is_batched
 from turtlelog.sweep.partial_table import (
@@ -85,6 +85,7 @@ class RowResults:
     first: int
     stop_reasons: list[str | None] = field(default_factory=list)  # of each row; None if failed
     failed: list[str | None] = field(default_factory=list)  # of each row; None if it did not fail
+    late: list[int] = field(default_factory=list)  # failed rows whose law took too long, from 0
     samples: int = 0  # total number of samples of the runs
     recorded: int = 0
     metrics: dict[str, MetricCells] = field(default_factory=dict)
@@ -93,10 +94,12 @@ class RowResults:
     def __len__(self) -> int:
         return len(self.failed)
 
-    def find_late(self) -> str | None:
-        """Return the first row whose law exceeded its time, with the reason of the failure."""
-        rows = enumerate(self.failed, start=self.first)
-        return next((f"row {row}: {one}" for row, one in rows if one and is_late(one)), None)
+    def find_late(self) -> tuple[int, str] | None:
+        """Return the first row whose law exceeded its time, and the reason of the failure."""
+        if not self.late:
+            return None
+        row = min(self.late)
+        return self.first + row, self.failed[row] or ""
 
 
 def simulate_rows(chunk: RowChunk) -> RowResults:
@@ -168,6 +171,7 @@ def _simulate_batch(
         first=chunk.first,
         stop_reasons=found.stop_reasons,
         failed=found.failed,
+        late=found.late,
         samples=int(found.samples.sum()),
         notes=[*found.notes],
     )
@@ -187,6 +191,7 @@ def _simulate_batch(
 def _enter_failure(results: RowResults, err: TurtlelogError) -> None:
     if isinstance(err, SimulationError) and err.run is not None:
         results.samples += len(err.run.samples)
+    results.late.extend([len(results)] if isinstance(err, StepBudgetError) else [])
     results.failed.append(str(err))
     results.stop_reasons.append(None)
     _enter_metrics(results, {})

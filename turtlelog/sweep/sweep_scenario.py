@@ -399,7 +399,7 @@ class _Telling:
         late = None if self._has_told else results.find_late()
         if late is not None:
             self._has_told = True
-            self._tell(late)
+            self._tell(f"row {late[0]}: {late[1]}")
 
 
 def _summarise(output: Path, sweep: Sweep) -> SweepSummary:

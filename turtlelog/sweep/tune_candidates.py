@@ -313,7 +313,7 @@ class Candidates:
                 self.evaluations += 1
             late = results.find_late()
             if late is not None and self._tell is not None:
-                self._tell(f"{self._source}: {late.partition(': ')[2]}")
+                self._tell(f"{self._source}: {late[1]}")
                 self._tell = None
             self._watch(len(self._known))
         return [self._known[point] for point in points]

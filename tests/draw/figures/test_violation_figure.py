@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 import turtlelog as tl
 from turtlelog.charts.curves import Curve
 from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
+from turtlelog.check.spec import build_spec
 from turtlelog.check.violation import find_judged_signal
-from turtlelog.cli.check import build_spec
 from turtlelog.draw.figures.time_panels import draw_violation
 
 RUN = tl.read_run(Path(__file__).parents[3] / "recordings" / "paper" / "kp10.mcap")

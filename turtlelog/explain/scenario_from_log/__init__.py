@@ -412,3 +412,13 @@ def describe_stop_rule(run: Run, recorded: RecordedScenario) -> Finding:
     if again != run.stop_reason:
         return miss(f"recorded {run.stop_reason}, simulated again {again}")
     return find_exactly(again, "as recorded; the re-simulation ends so as well")
+
+
+def list_candidates(findings: Mapping[str, Finding]) -> list[str]:
+    """Return sentences on the keys of which several values fit equally well."""
+    return [
+        f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike:"
+        f" {finding.evidence}"
+        for key, finding in findings.items()
+        if finding.certainty is Certainty.AMBIGUOUS
+    ]

@@ -29,6 +29,7 @@ from turtlelog.explain.scenario_from_log import (
     give_up,
     identify_plant,
     law_identification,
+    list_candidates,
     list_unseen,
     loop_settings,
     miss,
@@ -45,6 +46,7 @@ from turtlelog.explain.scenario_from_log.resimulation import (
     check_recorded_scenario,
     compare_samples,
     cut_where_logged,
+    describe_difference,
 )
 from turtlelog.explain.scenario_from_log.setting_search import Fits, drive_loop, search_loop
 from turtlelog.explain.scenario_from_log.trace import (
@@ -191,7 +193,7 @@ def _prefer_recorded(trace: Trace, found: Identification) -> Identification:
         scenario=recorded.scenario,
         resimulation=recorded.resimulation,
         is_recorded=True,
-        notes=(f"{recorded.reach}; {identified}", *_list_candidates(found.findings)),
+        notes=(f"{recorded.reach}; {identified}", *list_candidates(found.findings)),
     )
 
 
@@ -264,7 +266,7 @@ def _identify_samples(trace: Trace) -> Identification:
     if fits.is_fitted and not (fits.is_exact or fits.is_partial):
         findings |= _describe_dead_times_again(dead_times, fits, slack)
     if not fits.is_reproduced:
-        findings |= _withhold_law(findings, turning, driving)
+        findings |= law_identification.withhold_law(findings, turning, driving)
     if not (fits.is_reproduced or fits.is_fitted):
         reason = "no setting of the loop explains the motion"
         findings |= {key: miss(reason, findings[key].used) for key in LAW_KEYS}
@@ -279,8 +281,8 @@ def _identify_samples(trace: Trace) -> Identification:
         tried=fits.ranges,
         notes=(
             *breaks,
-            *loop_settings.describe_difference(trace, fits, resimulation),
-            *_list_candidates(findings),
+            *describe_difference(trace, fits, resimulation),
+            *list_candidates(findings),
         ),
     )
 
@@ -303,22 +305,6 @@ def _describe_dead_times_again(
             evidence = "of the settings that explain the motion"
             found[f"{DEAD_TIME}{loop}"] = fit_value(ticks[0], evidence, interval)
     return found
-
-
-def _withhold_law(
-    findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
-) -> dict[str, Finding]:
-    """Remove findings of a loop whose commands are all clipped, unless a scenario reproduces it."""
-    sides = (
-        (turning, ("law.kp_angular", "limits.turn_rate_rad_s", "law.heading_tolerance_rad")),
-        (driving, ("law.kp_linear", "limits.speed_m_s", "law.position_tolerance_m")),
-    )
-    return {
-        key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
-        for fit, keys in sides
-        if fit is not None and fit.gain is None
-        for key in keys
-    }
 
 
 def _find_other_law(run: Run) -> str | None:
@@ -373,15 +359,6 @@ def _find_obstacle(trace: Trace) -> str | None:
             " simulated again"
         )
     return None
-
-
-def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
-    return [
-        f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike:"
-        f" {finding.evidence}"
-        for key, finding in findings.items()
-        if finding.certainty is Certainty.AMBIGUOUS
-    ]
 
 
 _AROUND: Final = "a loop is identified from commands only around turtlesim"

@@ -1,7 +1,7 @@
 """Parameters of sequential-p: gains, limits, tolerances, and the rule that ended the run."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -423,3 +423,19 @@ def _round_value(rule: _Rule) -> float:
     low, high = max(rule.before - rule.slack, 1e-9), rule.now + rule.slack
     found = find_round_number(low, high)
     return found if len(f"{found:.12g}".strip("0.")) <= _ROUND_DIGITS + 1 else rule.before
+
+
+def withhold_law(
+    findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
+) -> dict[str, Finding]:
+    """Remove findings of a loop whose commands are all clipped, unless a scenario reproduces it."""
+    sides = (
+        (turning, ("law.kp_angular", "limits.turn_rate_rad_s", "law.heading_tolerance_rad")),
+        (driving, ("law.kp_linear", "limits.speed_m_s", "law.position_tolerance_m")),
+    )
+    return {
+        key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
+        for fit, keys in sides
+        if fit is not None and fit.gain is None
+        for key in keys
+    }

@@ -19,8 +19,6 @@ from turtlelog.explain.scenario_from_log import (
 )
 from turtlelog.explain.scenario_from_log.gain_fit import find_quantile
 from turtlelog.explain.scenario_from_log.resimulation import (
-    Resimulation,
-    describe_departure,
     list_lost_commands,
     read_pause,
 )
@@ -439,25 +437,3 @@ def describe_start(trace: Trace, fits: "Fits") -> dict[str, Finding]:
         hidden = f"{reason}, which noise may have added"
         known = find_exactly(precision, reason) if fits.is_exact else miss(hidden, precision)
     return {**found, "loop.pose_precision": known}
-
-
-def describe_difference(trace: Trace, fits: "Fits", resimulation: Resimulation) -> list[str]:
-    """Return how the re-simulation differs from the log, in at most one sentence."""
-    if fits.is_exact:
-        return []
-    if fits.is_close:
-        return ["the re-simulation agrees to rounding, not bit for bit"]
-    if resimulation.is_exact:
-        return ["poses and commands are reproduced, but not the times at which they were answered"]
-    way = f"reproduces all {len(trace)} samples and goes on"
-    if np.searchsorted(trace.number, fits.reproduced) < len(trace):
-        way = describe_departure(trace, fits.reproduced)
-    reach = f"the re-simulation {way}"
-    if not fits.is_fitted:
-        return [
-            f"{reach}: no setting explains the motion: an effect that does not show in a log, such"
-            " as loss, jitter or a disturbance, or commands that the log does not contain"
-        ]
-    noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
-    left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
-    return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]

@@ -6,7 +6,7 @@ A re-simulation of the recorded scenario either reproduces every sample or is re
 import sys
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from turtlelog.simulate import (
     needs_time,
     simulate_run,
 )
+
+if TYPE_CHECKING:
+    from turtlelog.explain.scenario_from_log.setting_search import Fits
 
 CLOSE: Final = 1e-6
 """Largest difference of a scenario's poses between platforms [m, rad]."""
@@ -350,3 +353,25 @@ def describe_departure(trace: Trace, equal: int) -> str:
     row = int(np.searchsorted(trace.number, equal))
     at_s = float(trace.time_ns[row] - trace.run.start_ns) / 1e9
     return f"reproduces the first {row:,} samples and departs at {at_s:.3f} s"
+
+
+def describe_difference(trace: Trace, fits: "Fits", resimulation: Resimulation) -> list[str]:
+    """Return how the re-simulation differs from the log, in at most one sentence."""
+    if fits.is_exact:
+        return []
+    if fits.is_close:
+        return ["the re-simulation agrees to rounding, not bit for bit"]
+    if resimulation.is_exact:
+        return ["poses and commands are reproduced, but not the times at which they were answered"]
+    way = f"reproduces all {len(trace)} samples and goes on"
+    if np.searchsorted(trace.number, fits.reproduced) < len(trace):
+        way = describe_departure(trace, fits.reproduced)
+    reach = f"the re-simulation {way}"
+    if not fits.is_fitted:
+        return [
+            f"{reach}: no setting explains the motion: an effect that does not show in a log, such"
+            " as loss, jitter or a disturbance, or commands that the log does not contain"
+        ]
+    noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
+    left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
+    return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]
