@@ -73,9 +73,9 @@ class TickDelays:
 LimitPlace = Literal["", "before_lag", "within_lag", "at_wheels"]
 
 Refusal = Literal[
-    "no_commands", "never_commanded", "negligible", "constant", "ramps", "implausible",
-    "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide", "repeated",
-    "at_bound", "hidden",
+    "no_commands", "never_commanded", "negligible", "constant", "ramps", "begun",
+    "implausible", "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide",
+    "repeated", "at_bound", "hidden",
 ]  # fmt: skip
 """Cause why an axis has no values; `refused_axes` has the sentence of each."""
 
