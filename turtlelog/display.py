@@ -25,6 +25,18 @@ _LISTED: Final = 4
 """Number of names in the one-line display of a catalogue."""
 
 
+def show_list(values: Sequence[Any]) -> str:
+    """Return a list as Python writes it; a long one by its length, first and last value."""
+    text = str(values)
+    if len(text) <= _LINE:
+        return text
+    ends = (
+        f"({', '.join(map(format_number, end))})" if isinstance(end, list | tuple) else str(end)
+        for end in (values[0], values[-1])
+    )
+    return f"{len(values)} values, {' to '.join(ends)}"
+
+
 def describe_count(number: int, noun: str) -> str:
     """Return a count with its noun, as in `1 row` and `2 rows`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -101,6 +101,16 @@ def fence_markdown(text: str) -> str:
     return f"{fence}\n{text}\n{fence}"
 
 
+def escape_latex(text: str) -> str:
+    """Return text in one line of LaTeX, with its special characters escaped."""
+    special = {character: f"\\{character}" for character in "&%$#_{}"}
+    special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    special |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}
+    line = " ".join(text.splitlines())
+    escaped = "".join(special.get(letter, letter) for letter in escape_controls(line))
+    return re.sub(r"\\textasciicircum{}(\d+)", r"\\textsuperscript{\1}", escaped)
+
+
 def guard_cell(cell: object) -> object:
     """Return a cell of a CSV table that no spreadsheet reads as a formula.
 

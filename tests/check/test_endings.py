@@ -30,7 +30,7 @@ from turtlelog.expressions import (
     parse_expression,
 )
 from turtlelog.log import ReadChoice, read_as_chosen
-from turtlelog.run import slice_run
+from turtlelog.run import Origin, slice_run
 
 Truth = bool | None
 Trace = dict[str, Column]
@@ -245,7 +245,8 @@ def test_a_cut_run_decides_nothing_about_what_follows() -> None:
 
 @pytest.mark.parametrize("note", ["partial", "recovered"])
 def test_a_recording_that_lost_something_decides_nothing_about_it(note: str) -> None:
-    lossy = dataclasses.replace(simulate(), notes={note: "9 bytes are lost in 1 place"})
+    notes, origin = {note: "9 bytes are lost in 1 place"}, Origin(lost="rows")
+    lossy = dataclasses.replace(simulate(), notes=notes, origin=origin)
     assert find_ending(lossy) is RunEnding.LOST
     found = tl.check.check_run(lossy, parse_expression(STRONG))
     assert (found.holds, found.is_covered) == (None, False)
@@ -263,7 +264,8 @@ def test_a_recording_of_which_the_summary_alone_is_lost_is_whole(tmp_path: Path)
         assert find_ending(run) is RunEnding.SETTLED
         assert check(run, STRONG) is True
         notes = {name: f"{text}; 3 samples are dropped" for name, text in run.notes.items()}
-        assert find_ending(dataclasses.replace(run, notes=notes)) is RunEnding.LOST
+        rows = dataclasses.replace(run, notes=notes, origin=Origin(lost="rows"))
+        assert (run.origin.lost, find_ending(rows)) == ("summary", RunEnding.LOST)
 
 
 def test_a_bag_of_another_recorder_is_judged_on_what_it_holds() -> None:

@@ -11,6 +11,7 @@ import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check.spec_templates import choose_bound, find_doubt, format_first_spec
 from turtlelog.measure import METRICS
+from turtlelog.run import Origin
 
 
 @given(st.floats(min_value=1e-4, max_value=1e6), st.booleans())
@@ -130,7 +131,7 @@ def test_a_first_spec_doubts_a_run_that_did_not_end_well() -> None:
         (cut, "(stop reason: max duration)"),
         (cut.slice(0.0, 2.0), "(stop reason: end not recorded)"),
         (
-            dataclasses.replace(good, notes={"partial": "cut"}),
+            dataclasses.replace(good, notes={"partial": "cut"}, origin=Origin(lost="rows")),
             "The recording is not complete: cut.",
         ),
     ]:

@@ -105,7 +105,9 @@ CHANGES: Mapping[str, Callable[[], tl.Run]] = {
     "wrong direction": lambda: dip(simulate(), heading_rad=0.01, along_m=0.2),
     "lost sample": lambda: lose_sample(simulate()),
     "lost pose": lambda: lose_pose(simulate(loop__period_ticks=5)),
-    "notes": lambda: replace(simulate(), notes={"dropped_duplicates": "3", "sorted_rows": "2"}),
+    "sorted": lambda: replace(
+        simulate(), origin=tl.run.Origin(dropped_duplicates=3, sorted_rows=2)
+    ),
     "climb": lambda: climb(simulate(), height_m=1.0, tilt_rad=0.2),
     "steep climb": lambda: climb(simulate(), height_m=3.0, tilt_rad=0.5),
     "pause": lambda: simulate(law__pause_ticks=60),

@@ -182,7 +182,8 @@ def test_kinds_that_never_go_together_are_an_error() -> None:
 
 @pytest.mark.parametrize("note", ["partial", "recovered"])
 def test_a_recording_that_lost_something_fails_unless_allowed(note: str) -> None:
-    run = dataclasses.replace(simulate(), notes={note: "9 bytes are lost"})
+    notes, origin = {note: "9 bytes are lost"}, tl.run.Origin(lost="rows")
+    run = dataclasses.replace(simulate(), notes=notes, origin=origin)
     spec = parse_spec({"checks": {"it": {"expect": "run.duration > 0"}}})
     (result,) = check_runs(spec, [("a.mcap", run)])
     assert (result.check, result.verdict) == ("recording", "FAIL")

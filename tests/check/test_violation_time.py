@@ -11,7 +11,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
-from turtlelog.check import check_runs, judge_formula, parse_spec, result
+from turtlelog.check import check_runs, parse_spec, result, spec
 from turtlelog.check.result import find_metric_violation
 from turtlelog.measure import list_metrics
 from turtlelog.run import slice_run, take_rows
@@ -179,7 +179,7 @@ def test_many_bounds_on_one_metric_measure_each_part_of_a_run_once(
         ends_ns.append(run.end_ns)
         return tl.measure_run(run, *words, **options)
 
-    for module in (judge_formula, result):
+    for module in (result, spec):
         monkeypatch.setattr(module, "measure_run", count)
     checks = {str(n): {"expect": f"run.path_length < {n / 10}"} for n in range(40)}
     results = [*check_runs(parse_spec({"checks": checks}), [("a.mcap", RUN)])]

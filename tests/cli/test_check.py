@@ -257,6 +257,11 @@ def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     }
 
 
+def test_the_first_line_says_why_the_only_recording_cannot_be_read(call: Call, spec: Path) -> None:
+    answer = call("check", spec, "none.mcap")
+    assert (answer.code, answer.out.splitlines()[0]) == (1, "FAIL: none.mcap: no such file")
+
+
 @pytest.mark.parametrize("partial", [[], ["--partial"]], ids=["whole", "partial"])
 def test_a_recording_that_cannot_be_read_fails_and_the_others_are_judged(
     call: Call, spec: Path, kp4: Path, tmp_path: Path, partial: list[str]

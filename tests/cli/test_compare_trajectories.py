@@ -11,7 +11,7 @@ from tests.cli.conftest import Call
 from tests.compare.trajectories import disturb, make_trajectory, write_tum
 from tests.log.ros2.bags import Said, make_vector, write_mcap
 from turtlelog.compare.trajectory_errors import build_rotations
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory
 
 TRUTH = make_trajectory()
 ESTIMATE = disturb(TRUTH)

@@ -50,6 +50,10 @@ TARGETS = [
         f"view.rrd: {FILES} .rrd",
     ),
     (
+        ["convert", "run.mcap", "-o", "run.xyz"],
+        f"run.xyz: {FILES} .xyz",
+    ),
+    (
         ["convert", "run.mcap", "-o", "run.txt"],
         f"run.txt: {FILES} .txt",
     ),

@@ -7,6 +7,7 @@ from hypothesis import given, strategies as st
 import turtlelog as tl
 from tests.compare.runs import make_run
 from tests.effects_cases import build_case
+from turtlelog.display import parse_utc
 from turtlelog.errors import CompareError
 
 KP4 = tl.simulate_run(tl.load_scenario("paper-kp4"))
@@ -188,9 +189,9 @@ def test_samples_that_numbers_leave_out_are_noted() -> None:
 )
 def test_runs_of_one_bag_have_one_clock(source: str, begin: str, lost_s: float) -> None:
     later = "2024-01-01T00:00:00.160000000Z"
-    notes = [{"original_timestamp": one} for one in (begin, later)]
-    first = dataclasses.replace(KP4, source="rosbag2: a", notes=notes[0])
-    other = dataclasses.replace(KP4, source=source, notes=notes[1])
+    origins = [tl.run.Origin(began_ns=parse_utc(one)) for one in (begin, later)]
+    first = dataclasses.replace(KP4, source="rosbag2: a", origin=origins[0])
+    other = dataclasses.replace(KP4, source=source, origin=origins[1])
     alone, found = (
         tl.compare_runs(*runs, alignment="recorded") for runs in ((KP4, KP4), (first, other))
     )

@@ -9,6 +9,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.compare import Ranking, RunSummary, judge_runs
+from turtlelog.compare.run_selection import get_parameter
 from turtlelog.errors import CompareError
 
 PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
@@ -216,3 +217,15 @@ def test_a_report_ranks_as_the_table_does() -> None:
     assert conclude_runs(runs, ["a", "b"], metrics)[0] == (
         "2 runs: limits differ, so nothing is called best."
     )
+
+
+def test_a_path_of_many_points_is_told_by_its_ends() -> None:
+    points = [[float(one), 0.5 * one] for one in range(60)]
+    first, other = (
+        change(name, path__kind="waypoints", path__points=points[:count])
+        for name, count in (("first", 60), ("other", 50))
+    )
+    (told,) = judge_runs([summarise(first), summarise(other)]).list_notes(["first", "other"])
+    long, short = "60 values, (0, 0) to (59, 29.5)", "50 values, (0, 0) to (49, 24.5)"
+    assert told == f"path.points: {long} of first, {short} of other."
+    assert get_parameter(summarise(other), "path.points") == short

@@ -17,7 +17,7 @@ from tests.compare.trajectories import disturb, make_trajectory, write_tum
 from turtlelog.compare import Delta, TrajectorySettings, compare_trajectories, parse_delta
 from turtlelog.compare.trajectory_comparison import STATISTICS, AlignIn
 from turtlelog.log import export_rosbag2, read_trajectory
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory
 
 _VERSION: Final = "evo==1.38.1"
 

@@ -25,8 +25,7 @@ from turtlelog.compare.trajectory_errors import (
     take_poses,
 )
 from turtlelog.errors import CompareError
-from turtlelog.run.angles import find_quaternions
-from turtlelog.run.columns import Trajectory, build_planar_trajectory
+from turtlelog.run.angles import Trajectory, build_planar_trajectory, find_quaternions
 
 TRUTH = make_trajectory()
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.compare.trajectory_errors import Alignment, align_trajectory
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory
 
 STEP_NS: Final = 50_000_000
 

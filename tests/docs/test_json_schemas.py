@@ -1,5 +1,7 @@
 """What commands print as JSON is what the page of schemas says."""
 
+import importlib
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -97,3 +99,46 @@ def _list_keys(value: Any) -> Any:
 
 def test_every_answer_is_tried() -> None:
     assert ANSWERS.keys() == TYPED.keys()
+
+
+COPIED = {
+    "cli.explain:FindingAnswer": ("explain.scenario_from_log:Finding", ""),
+    "cli.plot_table:SweptAxisAnswer": ("sweep.sweep_table:SweptAxis", "is_number places"),
+    "cli.plot_table:KeySensitivity": (
+        "sweep.sweep_analysis:Sensitivity",
+        "axis least_place most_place others",  # as keys and values
+    ),
+    "cli.plot_table:BorderAnswer": (
+        "sweep.sweep_analysis:Border",
+        "place is_near is_mixed verdict",
+    ),
+    "cli.plot_table:SensitivityAnswer": (
+        "sweep.sweep_analysis:Sensitivities",
+        "center metric rows",
+    ),
+    "cli.replay_answer:DifferenceAnswer": ("replay.differences:Difference", "time_ns"),
+    "cli.replay_answer:SignalAnswer": (
+        "replay.differences:SignalDifference",
+        "largest_difference limit",
+    ),
+    "cli.replay_answer:GapAnswer": ("replay.breaks_and_commands:Gap", "start_ns end_ns"),
+    "cli.replay_answer:JumpAnswer": ("replay.breaks_and_commands:Jump", "at_ns"),
+    "cli.replay_answer:PlantReplayAnswer": ("replay.plant_replay:PlantReplay", ""),
+    "cli.replay_answer:CommandReplayAnswer": ("replay.plant_replay:CommandReplay", "run"),
+    "cli.identify:IdentifyAnswer": ("identify.robot_model:RobotModel", "speed turn_rate"),
+    "cli.compare_answer:_Difference": ("compare.ranking:ConditionDifference", "is_unknown"),
+}
+"""Answers that repeat a result's fields, the result, and its fields that have another form, or that
+JSON lacks."""
+
+
+@pytest.mark.parametrize("answer", COPIED)
+def test_an_answer_has_every_field_of_its_result(answer: str) -> None:
+    shown, (source, others) = load_class(answer), COPIED[answer]
+    known = {one.name for one in fields(load_class(source))}
+    assert known - {one.name for one in fields(shown)} == {*others.split()}
+
+
+def load_class(name: str) -> Any:
+    module, _, kind = name.partition(":")
+    return getattr(importlib.import_module(f"turtlelog.{module}"), kind)

@@ -1,5 +1,6 @@
 """At which delays commands and motion correlate best: a range that holds, or a reason."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 import turtlelog as tl
 from tests.identify.robots import Log, Truth, Values, make_run
 from tests.known import known
+from turtlelog.cli.console import print_json
 from turtlelog.cli.identify import build_identify_answer, format_robot
 from turtlelog.identify import robot_identification
 from turtlelog.identify.axis_motion import AxisMotion, read_axis_motion
@@ -100,12 +102,13 @@ def test_another_robots_commands_hardly_correlate() -> None:
     assert told <= 3
 
 
-def test_the_range_stands_in_the_text_and_in_json() -> None:
+def test_the_range_stands_in_the_text_and_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     model = tl.identify_robot(make_run(NOISY, 1))
     delay_s = known(model.turn_rate.correlation_delay_s)
     told = f"correlate best at a delay of {1e3 * delay_s.low:.0f} to {1e3 * delay_s.high:.0f} ms."
     text = format_robot(model, [Path("robot")], shows_details=True)
     assert told in " ".join(text.split())
-    axis = build_identify_answer([], model).axes[1]
-    assert known(axis.correlation_delay_s).low == delay_s.low
-    assert axis.correlation_reason is None
+    print_json(build_identify_answer([], model))
+    axis = json.loads(capsys.readouterr().out)["axes"][1]
+    assert axis["correlation_delay_s"]["low"] == delay_s.low
+    assert axis["correlation_reason"] is None

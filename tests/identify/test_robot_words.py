@@ -19,6 +19,12 @@ DRIVEN = AxisModel(
 UNKNOWN = AxisModel(axis="turn_rate", status="not_identifiable", reason="it never turns")
 
 
+def test_the_cause_and_not_the_sentence_says_that_an_axis_is_idle() -> None:
+    told = replace(UNKNOWN, reason="the turn rate is never commanded", refusal="hidden")
+    assert not told.is_idle
+    assert replace(told, reason="it never turns", refusal="never_commanded").is_idle
+
+
 def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
     assert format_delay(Estimate(value=0.0804, low=0.0751, high=0.0857)) == "80 (75 to 86)"
     assert format_delay(Estimate(value=0.0804, low=0.0801, high=0.0807)) == "80.4 (80.1 to 80.7)"

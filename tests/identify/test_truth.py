@@ -202,6 +202,7 @@ def test_an_axis_that_is_never_commanded_has_no_value() -> None:
     model = tl.identify_robot(replace(run, commands=still))
     assert model.speed.status == "not_identifiable"
     assert model.speed.reason == "the speed is never commanded"
+    assert (model.speed.refusal, model.speed.is_idle) == ("never_commanded", True)
     assert model.speed.advice == "step the speed ten times for 2 s"
     assert model.turn_rate.status == "ok"
     assert all(getattr(model.speed, name) is None for name in PARAMETERS)

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run import (
+    CommandColumns,
+    Event,
+    Origin,
+    PoseColumns,
+    Run,
+    SampleColumns,
+    SourceTopic,
+)
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.scenario import get_preset, override_scenario
@@ -109,6 +117,13 @@ def make_bare_run() -> Run:
         events=(Event(time_ns=7, kind="wall_hit", text='The "wall" \t \u00fc'),),
         simulated_by={"turtlelog": "0.0.9", "platform": "Plan 9 \u00fc, 64", "": ""},
         absent=("events", "poses.speed_m_s"),
+        origin=Origin(
+            began_ns=-3,
+            poses=SourceTopic(name='/"od m" (a)', type="", frames=("m\u00e4p", "\\")),
+            table_run=(2, 3),
+            unread_topics=("", "/a"),
+            lost="summary",
+        ),
         notes={"original_timestamp": "2026-01-22T12:20:06", "": "\\"},
     )
 

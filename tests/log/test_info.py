@@ -118,7 +118,8 @@ def test_info_agrees_with_the_messages(tmp_path: Path) -> None:
             b"rosbag2_bagfile_information:\n  version: 5\n",
             "it is the metadata.yaml of a bag: name the folder that it is in",
         ),
-        (b"\x89PNG", "it begins with 0x89504e47"),
+        (b"\x89PNG", "it is a picture"),
+        (b"\x89PNH", "it begins with 0x89504e48"),
     ],
 )
 def test_what_is_no_mcap_is_told_with_what_helps(start: bytes, found: str, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.table_files import require_same_poses
 from turtlelog.measure import measure_run
 from turtlelog.measure.signals import find_no_commands
-from turtlelog.run import Clock, build_planar_trajectory
+from turtlelog.run import Clock, Origin, build_planar_trajectory
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
 
@@ -592,20 +592,20 @@ def test_other_numbers_of_rows_are_no_robots(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "offset_s", "first"),
+    ("start_ns", "offset_s", "first"),
     [
-        ("2023-11-14T22:13:20.500000001Z", None, "1700000000.500000001"),
-        ("2023-11-14T22:13:20.500000001Z", 0.003, "1700000000.497000001"),  # times are stamps
-        ("-0.100000000 s", None, "-0.100000000"),
-        ("2023-11-14T22:13:20", None, "0.000000000"),  # an unknown zone, as in the paper's logs
+        (1_700_000_000_500_000_001, None, "1700000000.500000001"),
+        (1_700_000_000_500_000_001, 0.003, "1700000000.497000001"),  # times are stamps
+        (-100_000_000, None, "-0.100000000"),
+        (None, None, "0.000000000"),  # as in the paper's logs, whose date is not of the first pose
     ],
 )
 def test_a_trajectory_has_the_times_of_its_source(
-    start: str, offset_s: float | None, first: str, tmp_path: Path
+    start_ns: int | None, offset_s: float | None, first: str, tmp_path: Path
 ) -> None:
     clock = None if offset_s is None else Clock(used="stamp", ratio=1.0, offset_s=offset_s)
-    notes = {"original_timestamp": start}
-    run = replace(simulate_short_run(), notes=notes, clock=clock)
+    origin = Origin(began_ns=1_700_000_000_000_000_000, start_ns=start_ns)
+    run = replace(simulate_short_run(), origin=origin, clock=clock)
     (path,) = export_tum(run, tmp_path / "kp4.tum")
     assert path.read_text().startswith(f"{first} ")
     require_same_poses(path, run)
@@ -620,3 +620,17 @@ def test_a_trajectory_of_more_or_fewer_poses_is_refused(rows: int, tmp_path: Pat
     path.write_text("".join(lines[:-1] if rows < 0 else [*lines, "9.5 0 0 0 0 0 0 1\n"]))
     with pytest.raises(LogError, match="other values in time_ns"):
         require_same_poses(path, run)
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ("row,failed,law.kp", "a table of turtlelog sweep, not a run: turtlelog plot shows it$"),
+        ("file,sha256,error", "results of turtlelog metrics or check, not a run: its column file"),
+        ("file,sha256,note", "no column for t, x, y and heading"),
+    ],
+)
+def test_tables_of_results_are_told_as_such(header: str, told: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"{header}\n1,2,3\n", encoding="utf-8")
+    with pytest.raises(LogError, match=told):
+        read_run(tmp_path / "a.csv")

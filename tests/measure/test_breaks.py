@@ -11,7 +11,7 @@ from tests.log.runs import find_shared, make_bare_run, simulate_preset
 from turtlelog import Run, read_run
 from turtlelog.measure.breaks import find_gaps, find_jumps
 from turtlelog.measure.pose_quality import describe_breaks
-from turtlelog.run import PoseColumns
+from turtlelog.run import Origin, PoseColumns
 from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
@@ -146,7 +146,7 @@ def test_courses_of_a_receiver_that_backs_up_are_no_jumps() -> None:
     heading_rad = np.where(np.arange(200) < 100, 0.0, -np.pi)
     run = replace(run, poses=replace(run.poses, heading_rad=heading_rad))
     assert list_rows(run) == [100]
-    receiver = replace(run, notes={"heading": "the course over 0.5 m"})
+    receiver = replace(run, origin=Origin(has_courses=True))
     assert not list_rows(receiver)
     told = describe_breaks(move(receiver, 50, 2.0))["jumps"]
     assert told == "1 jump, 2.05 m east at 2.5 s"

@@ -14,6 +14,7 @@ from turtlelog.measure.pose_quality import (
     measure_noise,
     measure_rate_noise,
 )
+from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
 
 SMOOTH = "run.spectral_arc_length"
@@ -91,7 +92,7 @@ def test_courses_that_scatter_slowly_are_noise_and_headings_may_not_be(*, is_cou
     x_m, y_m = np.diff(run.poses.xy_m[::3], axis=0).T
     course_rad = np.interp(time_s, time_s[::3][1:], np.unwrap(np.arctan2(y_m, x_m)))
     poses = replace(run.poses, heading_rad=wrap_angle(course_rad))
-    run = replace(run, poses=poses, notes={"heading": "the course"} if is_course else {})
+    run = replace(run, poses=poses, origin=Origin(has_courses=is_course))
     turning_rad = find_scatter(run).turning_rad
     assert (turning_rad is not None) is is_course
     assert turning_rad is None or turning_rad < np.abs(np.diff(course_rad)).sum() / 2.0

@@ -98,8 +98,7 @@ def test_dropped_samples_are_counted_by_their_numbers() -> None:
 
 
 def test_duplicates_and_disorder_are_what_the_importer_counted() -> None:
-    notes = {"dropped_duplicates": "2", "sorted_rows": "7"}
-    run = dataclasses.replace(KP10, notes=notes)
+    run = dataclasses.replace(KP10, origin=tl.run.Origin(dropped_duplicates=2, sorted_rows=7))
     assert (read(run, "run.duplicates"), read(run, "run.disorder")) == (2.0, 7.0)
     assert (read(KP10, "run.duplicates"), read(KP10, "run.disorder")) == (0.0, 0.0)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog import identify_robot
 from turtlelog.measure import find_travel_direction, measure_run
-from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run import CommandColumns, Origin, PoseColumns, Run, SampleColumns
 from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
@@ -161,4 +161,4 @@ def test_metrics_and_measured_rates_are_along_the_heading() -> None:
     turned = drive(*draw_commands(), mounted_deg=60.0)
     fastest = measure_run(turned)["run.measured_speed_max"].value
     assert fastest == pytest.approx(0.25, abs=0.01)
-    assert find_travel_direction(replace(turned, notes={"leaps": "two programs"})) is None
+    assert find_travel_direction(replace(turned, origin=Origin(has_leaps=True))) is None

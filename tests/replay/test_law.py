@@ -14,7 +14,7 @@ from turtlelog.log import read_recording, read_run, write_recording
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LawReplay, ReplayError, replay_law
 from turtlelog.replay.differences import count_missing_samples
-from turtlelog.run import Run, SampleColumns
+from turtlelog.run import Origin, Run, SampleColumns
 from turtlelog.scenario import (
     PAPER_RUNS,
     Scenario,
@@ -278,7 +278,7 @@ def test_commands_that_are_not_one_per_sample_are_a_difference(kp4: Run) -> None
 def test_commands_of_a_recording_that_lost_rows_are_compared_only_where_they_belong(
     kp4: Run,
 ) -> None:
-    fewer = replace(keep_commands(kp4, slice(9)), notes={"partial": "9 bytes are lost"})
+    fewer = replace(keep_commands(kp4, slice(9)), origin=Origin(lost="rows"))
     assert replay_law(fewer).first_difference is None
     assert "command_speed" in replay_law(fewer).absent
     kept = np.arange(len(kp4.samples)) != 400

@@ -19,7 +19,7 @@ from turtlelog.replay import (
     replay_law,
     replay_loop,
 )
-from turtlelog.run import Run, SampleColumns, take_rows
+from turtlelog.run import Origin, Run, SampleColumns, take_rows
 from turtlelog.scenario import Scenario, complete_scenario, get_preset, override_scenario
 from turtlelog.simulate import simulate_run
 
@@ -231,6 +231,6 @@ def test_commands_are_left_out_where_some_are_lost(kp10: Run) -> None:
     assert "command_time" in found.absent
     by_law = replay_law(run)  # answers one command per sample; nothing says that rows are lost
     assert by_law.commands == by_law.first_difference is not None
-    lossy = replay_law(replace(run, notes={"partial": "9 bytes are lost"}))
+    lossy = replay_law(replace(run, origin=Origin(lost="rows")))
     assert lossy.first_difference is None
     assert "command_speed" in lossy.absent

@@ -201,7 +201,7 @@ def test_the_line_begins_where_the_goal_was_given_as_that_of_the_metrics() -> No
         commands=tl.run.CommandColumns.build_empty(),
         samples=tl.run.SampleColumns.build_empty(),
         goal_xy_m=(4.0, 2.0),
-        notes={"goal_set_ns": "1000000000"},
+        origin=tl.run.Origin(goal_given_ns=1_000_000_000),
     )
     end = find_goal_end(run)
     assert end is not None

@@ -26,6 +26,12 @@ def test_empty_file_on_disk_is_the_textbook(tmp_path: Path) -> None:
     assert read_scenario(path) == get_preset("textbook")
 
 
+def test_empty_file_of_another_name_is_no_scenario(tmp_path: Path) -> None:
+    (tmp_path / "empty").touch()
+    with pytest.raises(ScenarioError, match=r"empty: expected a scenario, found an empty file$"):
+        load_scenario(tmp_path / "empty")
+
+
 def test_wrong_value_in_a_file_is_named_with_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
     path.write_text("seed = -1", encoding="utf-8")

@@ -69,7 +69,7 @@ class Controller:
         made, now = self.loop, self.loop.now
         before, sent = now.samples, now.published
         try:
-            loop.answer(made.settings, made.state, made.rows, made.parts, tick)
+            loop.answer_poses(made.settings, made.state, made.rows, made.parts, tick)
         except SimulationError as err:
             # Without the frame of this file, in which the law stands.
             above = err.__traceback__ and err.__traceback__.tb_next

@@ -22,10 +22,10 @@ class Queue:
         made, number = self._loop, len(self._names)
         self._names.append(name)
         made.rows.samples[number] = SampleRow(sequence=number)
-        loop.publish(made.settings, made.state, made.rows, made.parts, tick, number)
+        loop.send_command(made.settings, made.state, made.rows, made.parts, tick, number)
 
     def take(self, tick: int) -> int | None:
-        found = loop.take(self._loop.settings, self._loop.now, self._loop.rows, tick)
+        found = loop.take_command(self._loop.settings, self._loop.now, self._loop.rows, tick)
         return None if found < 0 else self._names[found]
 
     @property

@@ -67,8 +67,8 @@ def run_controller(made: PlainLoop, ticks: int) -> tuple[list[SampleRow], list[S
         before, sent = now.samples, now.published
         row = rows.ticks[tick] = TickRow(float(tick))
         now.ticks += 1
-        loop.receive(made.settings, made.state, rows, made.parts, row, tick)
-        loop.answer(made.settings, made.state, rows, made.parts, tick)
+        loop.send_pose(made.settings, made.state, rows, made.parts, row, tick)
+        loop.answer_poses(made.settings, made.state, rows, made.parts, tick)
         times = [rows.samples[number].time_ns for number in range(before, now.samples)]
         times += [rows.samples[number].published_ns for number in range(sent, now.published)]
         assert all(tick == time_ns // TICK_NS for time_ns in times)

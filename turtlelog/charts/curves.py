@@ -10,7 +10,6 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.errors import ShowError
 from turtlelog.measure import find_first_stretch, find_signal, list_signals, read_reference
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
@@ -27,9 +26,6 @@ REFERENCE: Final = REFERENCE_WORDS["recorded"]
 BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
 
-_FARTHEST_M: Final = 1e150
-"""Largest distance from the origin whose square is still a finite number [m]."""
-
 _NO_LIMIT: Final = 1e9
 """Speed [m/s], rate [rad/s] or tolerance that no robot reaches, so that it counts as infinite.
 
@@ -43,17 +39,6 @@ A page 181 mm wide has 4,275 columns at 600 dpi."""
 Command = Literal["speed", "turn_rate"]
 
 SENSED_SIGNALS: Final = ("x", "y", "heading")  # signals that may have been sensed
-
-
-def require_near(runs: Sequence[Run]) -> None:
-    """Raise ShowError, with run and distance, for a pose too far away to be drawn."""
-    for run in runs:
-        far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
-        if far_m > _FARTHEST_M:
-            raise ShowError(
-                f"{run.name}: a pose lies {far_m:g} m from the origin, and pictures show"
-                f" {_FARTHEST_M:g} m at most. Its unit or its type may be wrong"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -148,10 +133,12 @@ def read_sensed(run: Run, signal: str) -> Curve | None:
 
 def find_disturbed_time(run: Run) -> tuple[float, float] | None:
     """Return start and end of the plant's disturbance within the run [s]; None without one."""
+    if not len(run.poses):
+        return None
     from_ns, to_ns = find_disturbance(run.parameters) or (0, 0)
     first_ns, last_ns = max(from_ns, int(run.poses.time_ns[0])), min(to_ns, run.end_ns)
-    zero_ns = run.start_ns
-    return ((first_ns - zero_ns) / 1e9, (last_ns - zero_ns) / 1e9) if first_ns < last_ns else None
+    first_s, last_s = ((one - run.start_ns) / 1e9 for one in (first_ns, last_ns))
+    return (first_s, last_s) if first_s < last_s else None
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:
@@ -224,10 +211,8 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
 
 def read_distance_to_reference(run: Run) -> Curve | None:
     """Return the distance to a recorded reference at each sample [m], the signal of such a loop."""
-    samples, xy_m = run.samples, run.samples.reference_xy_m
-    if xy_m is None or not any(
-        loop.moves and loop.signal == "distance" for loop in run.declaration.loops
-    ):
+    samples, xy_m, loops = run.samples, run.samples.reference_xy_m, run.declaration.loops
+    if xy_m is None or not any(loop.moves and loop.signal == "distance" for loop in loops):
         return None
     away_m = xy_m - run.poses.xy_m[samples.pose_sequence]
     return Curve(start_ns=run.start_ns, time_ns=samples.time_ns, values=np.hypot(*away_m.T))
@@ -262,16 +247,13 @@ def choose_rows(
         return None
     is_nan = np.isnan(columns)
     gaps = np.flatnonzero(is_nan.any(axis=0))
-    stretches = max(1, most // (2 * columns.shape[1] + len(gaps) + 1))
-    length = -(-len(columns) // stretches)
+    length = -(-len(columns) // max(1, most // (2 * columns.shape[1] + len(gaps) + 1)))
     stays = np.zeros(len(columns), dtype=bool)
-    stays[::length] = True
-    stays[-1] = True
+    stays[::length], stays[-1] = True, True
     stays[[] if always is None else always] = True
     for number, column in enumerate(columns.T):
-        has_gaps = number in gaps
         for fill, find in ((np.inf, np.argmin), (-np.inf, np.argmax)):
-            known = np.where(is_nan[:, number], fill, column) if has_gaps else column
+            known = np.where(is_nan[:, number], fill, column) if number in gaps else column
             stays[_find_in_stretches(known, length, find)] = True
     for gap in is_nan.T[gaps]:
         stays[_find_in_stretches(gap, length, np.argmax)] = True
@@ -293,9 +275,11 @@ def _read_recorded(run: Run, signal: str) -> Curve | None:
         values = project_on_line(xy_m, run.goal_line, along=signal == "along_track")
     else:
         return None
-    return Curve(
-        start_ns=run.start_ns, time_ns=samples.time_ns, values=values, holds=True, label=REFERENCE
-    )
+    return _hold_reference(run, samples.time_ns, values)
+
+
+def _hold_reference(run: Run, time_ns: NDArray[np.int64], values: Values) -> Curve:
+    return Curve(start_ns=run.start_ns, time_ns=time_ns, values=values, holds=True, label=REFERENCE)
 
 
 def _read_arcs(run: Run) -> Curve | None:
@@ -303,8 +287,7 @@ def _read_arcs(run: Run) -> Curve | None:
     values = read_reference(run, loops[0]) if loops else None
     if not isinstance(values, np.ndarray):
         return None
-    time_ns = run.poses.time_ns
-    return Curve(start_ns=run.start_ns, time_ns=time_ns, values=values, holds=True, label=REFERENCE)
+    return _hold_reference(run, run.poses.time_ns, values)
 
 
 def _read_bearings(run: Run) -> Curve | None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Curve, Values
-from turtlelog.errors import ReplayError
+from turtlelog.errors import ReplayError, ShowError
 from turtlelog.measure import find_outliers
 from turtlelog.measure.breaks import find_gap_rows
 from turtlelog.measure.references import hold_reference
@@ -270,3 +270,18 @@ def is_turtlesim(run: Run) -> bool:
     """
     publishes = run.poses.speed_m_s is not None or len(run.samples) > 0
     return publishes and find_plant(run).name != LAGGED
+
+
+_FARTHEST_M: Final = 1e150
+"""Largest distance from the origin whose square is still a finite number [m]."""
+
+
+def require_near(runs: Sequence[Run]) -> None:
+    """Raise ShowError, with run and distance, for a pose too far away to be drawn."""
+    for run in runs:
+        far_m = float(np.abs(run.poses.xy_m).max(initial=0.0))
+        if far_m > _FARTHEST_M:
+            raise ShowError(
+                f"{run.name}: a pose lies {far_m:g} m from the origin, and pictures show"
+                f" {_FARTHEST_M:g} m at most. Its unit or its type may be wrong"
+            )

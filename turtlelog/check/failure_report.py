@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import zip_longest
 from pathlib import Path
-from textwrap import shorten
 from time import perf_counter
 from typing import TYPE_CHECKING, Final
 
@@ -196,8 +195,7 @@ class ArtifactWriter:
         self._folder = make_path(folder)
         self._viewer = ExitStack()
         self._camera: Camera | None = None
-        self._has_seen = False
-        self._lack = ""
+        self._has_seen, self._lack = False, ""
 
     def __enter__(self) -> "ArtifactWriter":
         return self
@@ -274,7 +272,7 @@ def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> Non
     lines = [*describe_results(run, result), escape_controls(f"  recording       {result.file}")]
     if found.signal is None:
         lines += textwrap.wrap(f"no band is drawn: {found.reason}", _WIDTH)
-    title = shorten(result.check, _LONGEST, placeholder="...")
+    title = textwrap.shorten(result.check, _LONGEST, placeholder="...")
     message = "\n".join(lines)
     write_violation_rrd(run, rrd, at_s=at_s, title=title, message=message, violated=found.signal)
 
@@ -292,8 +290,7 @@ LIMIT_S: Final = 10.0
 """Longest time that a failed check waits for the reason of its failure [s]."""
 
 _LONGEST_S: Final = 600.0
-"""Longest run that is simulated again for this reason [s]; longer simulations take more than a
-second each."""
+"""Longest run that is simulated again for this reason [s]; longer ones take over a second each."""
 
 _SAME: Final = (1e-9, 1e-6)
 """Difference of a metric between two platforms, absolute and relative, which counts as 0."""
@@ -361,6 +358,7 @@ def _explain(
     length_s = max(one.end_ns - int(one.poses.time_ns[0]) for one in (reference, run)) / 1e9
     if length_s > _LONGEST_S:
         return (f"Not explained here: a run of {length_s:.0f} s takes longer.",)
+    depth = explain.Depth(most_exact=6, identifies=False, shows_effects=False, shows_starts=False)
     began_s = perf_counter()
 
     def require_time(done: int, total: int) -> None:
@@ -373,9 +371,7 @@ def _explain(
             replace(run, name="this run"),
             metric=metric,
             trust_law=trust_law,
-            depth=explain.Depth(
-                most_exact=6, identifies=False, shows_effects=False, shows_starts=False
-            ),
+            depth=depth,
             work=explain.Work(report=require_time),
         )
     except errors.TurtlelogError as err:
@@ -426,9 +422,8 @@ def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
             " (trust_law=True in pytest)"
         )
     if scenario.max_duration_s > _LONGEST_S:
-        raise errors.ScenarioError(
-            f"a scenario of up to {scenario.max_duration_s:g} s takes too long here"
-        )
+        lasts = f"a scenario of up to {scenario.max_duration_s:g} s"
+        raise errors.ScenarioError(f"{lasts} takes too long here")
     return simulate_run(scenario)
 
 

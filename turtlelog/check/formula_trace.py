@@ -14,7 +14,7 @@ import enum
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,13 @@ from turtlelog.expressions import (
     Expression,
     Name,
     Node,
+    Temporal,
+    Until,
     describe_unknown_name,
     fail_at,
     iterate_nodes,
 )
-from turtlelog.log.recording.head import LOSS_NOTES, NO_LOSS
+from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.measure import COMMANDED, find_signal, list_signals, measure_run
 from turtlelog.run import Run
 from turtlelog.run.loops import PAUSE
@@ -54,8 +56,7 @@ class RunEnding(enum.Enum):
 
 def find_ending(run: Run) -> RunEnding:
     """Return the knowledge of the time after a run's last row."""
-    notes = [run.notes[name] for name in LOSS_NOTES if name in run.notes]
-    if not all(note.startswith(NO_LOSS) and ";" not in note for note in notes):
+    if run.origin.lost == "rows":
         return RunEnding.LOST
     if run.is_complete:
         return RunEnding.SETTLED
@@ -66,10 +67,10 @@ def find_ending(run: Run) -> RunEnding:
 
 def find_loss(run: Run) -> str | None:
     """Return the data that a recording has lost; None if the recording is complete."""
-    for name in LOSS_NOTES:
-        if name in run.notes:
-            return f"the recording is not complete: {run.notes[name]}"
-    return None
+    if run.origin.lost == "nothing":
+        return None
+    told = [run.notes[name] for name in LOSS_NOTES if name in run.notes]
+    return ": ".join(["the recording is not complete", *told[:1]])
 
 
 def find_window(run: Run, phase: str) -> tuple[int, int] | None:
@@ -419,3 +420,26 @@ def _fold(values: Values, blocks: int, size: int, *, fill: float) -> Values:
     padded = np.full(blocks * size, fill)
     padded[: len(values)] = values
     return np.ascontiguousarray(padded.reshape(blocks, size).T)
+
+
+_LONGEST_S: Final = 1e18
+"""Time after the end of all traces [s]."""
+
+
+def convert_window(node: Temporal | Until) -> tuple[int, int | None]:
+    """Return the ends of a node's window [ns]; None if the window has no end."""
+    last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
+    return _convert(node.start_s), last_ns
+
+
+def _convert(time_s: float) -> int:
+    return round(min(time_s, _LONGEST_S) * 1e9)
+
+
+def measure_reach(node: Node, *, is_cut: bool) -> float:
+    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
+    children = node.list_children()
+    below = max((measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
+    if not isinstance(node, Temporal | Until):
+        return below
+    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)

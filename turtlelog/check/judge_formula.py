@@ -2,7 +2,7 @@
 
 import math
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ from turtlelog.check.formula_trace import (
     find_span,
     find_window,
     list_names,
+    measure_reach,
     read_signals,
 )
 from turtlelog.check.result import CheckResult, Grown, Verdict, find_metric_violation
@@ -35,10 +36,8 @@ from turtlelog.measure import (
     SIGNALS,
     Metric,
     explain_no_signal,
-    find_metric_kind,
     list_metrics,
     list_signals,
-    measure_run,
 )
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
@@ -156,7 +155,7 @@ def _judge_trace(
         failed_ns = find_violation(walk_formula(expression, trace, exact=True, unknown=math.inf))
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
     is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
-    reach_s = _measure_reach(expression.root, is_cut=is_cut)
+    reach_s = measure_reach(expression.root, is_cut=is_cut)
     unknown = FormulaResult(
         formula=expression.text,
         holds=None,
@@ -283,15 +282,6 @@ def _explain_violation(
     return _UNTIL if is_relieved(expression, trace, failed_ns) else ""
 
 
-def _measure_reach(node: expressions.Node, *, is_cut: bool) -> float:
-    """Return how far ahead a formula looks [s]; unless cut, an open window counts to its start."""
-    children = node.list_children()
-    below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
-    if not isinstance(node, expressions.Temporal | expressions.Until):
-        return below
-    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)
-
-
 def _read_sides(
     expression: expressions.Expression,
     node: expressions.Node,
@@ -301,7 +291,7 @@ def _read_sides(
     """Return value, limit and unit of a comparison of numbers; nothing for any other node."""
     if not isinstance(node, expressions.Comparison):
         return {}
-    found = {name: find_formula_unit(name, declaration) for name in list_names(node)}
+    found = {name: spec.find_formula_unit(name, declaration) for name in list_names(node)}
     units = {name: unit for name, unit in found.items() if unit is not None}
     measured, limit = node.operands
     if units.keys().isdisjoint(list_names(measured)) and units:  # the limit names all of them
@@ -310,26 +300,7 @@ def _read_sides(
     if any(side.kind is not expressions.Kind.NUMBER for side in sides):
         return {}
     value, limit_value = (float(side.data) for side in sides)
-    return {"value": value, "limit": limit_value, "unit": _find_unit(measured, units)}
-
-
-def find_formula_unit(name: str, declaration: Declaration) -> str | None:
-    """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
-    own = list_signals(declaration).get(name) or list_metrics(declaration).get(name)
-    if own is not None or name in spec.OTHER_UNITS:
-        return spec.OTHER_UNITS[name] if own is None else own.unit
-    kind = find_metric_kind(name)
-    return None if kind is None else "" if " or " in kind.unit else kind.unit
-
-
-def _find_unit(node: expressions.Node, units: Mapping[str, str]) -> str:
-    """Return the unit of the measured value; empty if the unit is not simple."""
-    if isinstance(node, expressions.Call) and node.function in {"abs", "min", "max"}:
-        found = {_find_unit(argument, units) for argument in node.arguments}
-        return found.pop() if len(found) == 1 else ""
-    if isinstance(node, expressions.Call) and node.function == "deg":
-        return "deg"
-    return units.get(node.name, "") if isinstance(node, expressions.Name) else ""
+    return {"value": value, "limit": limit_value, "unit": spec.find_common_unit(measured, units)}
 
 
 def judge_check(
@@ -345,24 +316,8 @@ def judge_check(
     `metrics` are those that the check names, if already measured. Values of metrics at poses of
     this run are added to `grown`.
     """
-    metrics = measure_named([check], run) if metrics is None else metrics
+    metrics = spec.measure_named([check], run) if metrics is None else metrics
     return _Judge(check, run, file, metrics, {} if grown is None else grown)()
-
-
-def measure_named(
-    checks: Sequence[spec.Check],
-    run: Run,
-    *,
-    trajectories: spec.TrajectoryJudge | None = None,
-    file: str = "",
-) -> Mapping[str, Metric]:
-    """Return the metrics of a run that checks name; `trajectories` measures errors of positions."""
-    names = spec.list_formula_names(checks)
-    ids = sorted(name for name in names if spec.find_kind(run, name) is not None)
-    of_robot = spec.measure_robot(run, sorted(names & spec.ROBOT_VALUES.keys()))
-    errors = sorted(names & spec.TRAJECTORY_VALUES.keys())
-    beside = trajectories.measure(run, errors, file) if trajectories and errors else {}
-    return {**(measure_run(run, only=ids) if ids else {}), **of_robot, **beside}
 
 
 class _Judge:
@@ -374,13 +329,10 @@ class _Judge:
 
     def __call__(self) -> CheckResult:
         check, formula = self._check, self._check.formula
-        if check.when is not None:
-            skipped = self._judge_condition(check.when)
-            if skipped is not None:
-                return skipped
+        if check.when is not None and (skipped := self._judge_condition(check.when)) is not None:
+            return skipped
         spec.require_known_names(formula, over_time=check.kind == "holds", run=self._run)
-        lacking = self._find_lacking(formula)
-        if lacking:
+        if lacking := self._find_lacking(formula):
             return self._leave_open(lacking)
         if check.kind == "holds":
             return self._judge_over_time()
@@ -398,8 +350,7 @@ class _Judge:
     def _judge_condition(self, condition: expressions.Expression) -> CheckResult | None:
         """Return the reason why a check is skipped or undecided; None if it applies."""
         spec.require_known_names(condition, over_time=False, run=self._run)
-        lacking = self._find_lacking(condition)
-        if lacking:
+        if lacking := self._find_lacking(condition):
             return self._leave_open(f"when: {lacking}")
         found = self._check_values(condition)
         if found.holds is None:
@@ -407,12 +358,10 @@ class _Judge:
         if found.holds:
             return None
         values = ", ".join(f"{name} = {value}" for name, value in found.values.items())
-        reason = f"only when {condition.text}; here {values}"
-        return self._build(Verdict.SKIPPED, reason=reason)
+        return self._build(Verdict.SKIPPED, reason=f"only when {condition.text}; here {values}")
 
     def _judge_over_time(self) -> CheckResult:
-        check, run = self._check, self._run
-        names = check.formula.names
+        check, run, names = self._check, self._run, self._check.formula.names
         window_ns = find_window(run, check.phase) if check.phase else find_span(run, names)
         if window_ns is None:
             return self._leave_open(spec.describe_missing_phase(run, check.phase or ""))

@@ -9,21 +9,21 @@ from itertools import pairwise
 from pathlib import Path
 from sys import intern
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from turtlelog import sweep
 from turtlelog.check.formula_trace import find_loss
-from turtlelog.check.judge_formula import judge_check, measure_named
+from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.reference import MetricsFile, match_run, read_metrics_file
-from turtlelog.check.result import (
-    CheckResult,
-    Grown,
-    Verdict,
-    describe_result,
-    fail_recording,
+from turtlelog.check.result import CheckResult, Grown, Verdict, describe_result, fail_recording
+from turtlelog.check.spec import (
+    TRAJECTORY_VALUES,
+    Spec,
+    TrajectoryJudge,
+    list_formula_names,
+    measure_named,
 )
-from turtlelog.check.spec import TRAJECTORY_VALUES, Spec, TrajectoryJudge, list_formula_names
-from turtlelog.check.spec_file import count_parts, require_reference
+from turtlelog.check.spec_file import require_few_parts, require_reference
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LibraryError, LogError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import ReadChoice, read_as_chosen, read_trajectory, split_topic
@@ -35,18 +35,6 @@ from turtlelog.measure import SIGNALS, Metric, find_metric_kind, measure_run
 from turtlelog.run import Run
 from turtlelog.sweep.partial_table import ERROR, FILE, Cell, Key, Row
 from turtlelog.sweep.result_table import open_result_table
-
-if TYPE_CHECKING:
-    from turtlelog.sweep import RecordingTable
-
-_MOST_PART_ROWS: Final = 150_000_000
-"""Largest product of formula parts and samples. A window takes about 10 ns for each of its four
-parts and each sample. All four parts together take 2 s, on a busy machine 5 s."""
-_EXPECT: Final = 6
-"""Number of additional parts that a bound on a metric counts as, because its violation is searched
-by bisection of the run."""
-_ANY_PARTS: Final = 400
-"""Number of names, numbers and operators that are always allowed, however long the recording is."""
 
 
 def check_runs(
@@ -85,11 +73,10 @@ def judge_run(
     trajectories: TrajectoryJudge | None = None,
 ) -> Iterator[CheckResult]:
     """Yield the results of every check on one run; for an incomplete run, only one for the loss."""
-    lost = None if allow_partial else find_loss(run)
-    if lost is not None:
+    if not allow_partial and (lost := find_loss(run)) is not None:
         yield fail_recording(file, lost)
         return
-    _require_few_parts(spec, run, file)
+    require_few_parts(spec, run, file)
     metrics = measure_named(spec.checks, run, trajectories=trajectories, file=file)
     grown: Grown = {}
     for check in spec.checks:
@@ -111,19 +98,6 @@ def judge_run(
         checks = [f"signals.{name}" for name in limits.signals]
         for name in (*checks, *(f"metrics.{name}" for name in limits.metrics)):
             yield replace(fail_recording(file, str(err)), check=name)
-
-
-def _require_few_parts(spec: Spec, run: Run, file: str) -> None:
-    rows = max(len(run.poses), len(run.commands), len(run.samples), 1)
-    most = max(_ANY_PARTS, _MOST_PART_ROWS // rows)
-    bounds = sum(check.kind == "expect" for check in spec.checks)
-    parts = sum(map(count_parts, spec.checks)) + _EXPECT * bounds
-    if parts > most:
-        raise CheckError(
-            f"{file}: the checks of {spec.source} take as long as {parts:,} names, numbers and"
-            f" operators; {most:,} are the most for a recording of {rows:,} samples. Split the"
-            " specification into several files, or the recording into parts"
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,8 +211,7 @@ class FileJudge:
 
 
 _MOST_EXPLAINED: Final = 3
-"""Largest number of explained recordings per command, because a series usually fails for one
-reason."""
+"""Largest number of explained recordings per command: a series usually fails for one reason."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -256,7 +229,7 @@ class FailureExplainer:
             return file
         from turtlelog.check.failure_report import explain_failures
 
-        # Failed files that another process has judged are read once more here.
+        # Files that another process has judged are read once more here.
         closer = self.judge.look_closer(path, file) if file.run is None else file
         reference = self.judge.read_reference()
         if closer.run is None or reference is None:
@@ -287,8 +260,8 @@ def format_junit(files: Sequence[CheckedFile]) -> str:
     """Return results as JUnit XML, with the times of the files."""
     from xml.etree import ElementTree as Xml  # few checks need it
 
-    took_s = sum(found.took_s for found in files)
     counts = _count([result for found in files for result in found.results])
+    took_s = sum(found.took_s for found in files)
     root = Xml.Element("testsuites", {**counts, "time": f"{took_s:.3f}"})
     root.set("name", "turtlelog check")
     for found in files:
@@ -343,10 +316,8 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | Me
         return None
     if (metrics := read_metrics_file(spec.reference)) is not None:
         for name in spec.tolerances.signals:
-            raise CheckError(
-                f"{spec.source}: [signals.{name}] needs a recording as its reference, and"
-                f" {metrics.file} has metrics alone"
-            )
+            needs = f"[signals.{name}] needs a recording as its reference"
+            raise CheckError(f"{spec.source}: {needs}, and {metrics.file} has metrics alone")
         for name in spec.tolerances.metrics:
             if name not in metrics.metrics:
                 raise CheckError(f"{spec.source}: [metrics]: {metrics.file} has no metric {name}")
@@ -367,10 +338,9 @@ def read_reference_trajectory(
     if not names:
         return None
     if spec.reference is None:
-        raise CheckError(
-            f"{spec.source}: {names[0]} needs a trajectory that is true: reference = FILE in the"
-            " file, or --reference FILE"
-        )
+        needs = f"{names[0]} needs a trajectory that is true"
+        fix = "reference = FILE in the file, or --reference FILE"
+        raise CheckError(f"{spec.source}: {needs}: {fix}")
     choice = spec.read.override(topics or ReadChoice())
     if split_topic(spec.reference)[0].exists():
         return TrajectoryJudge(
@@ -397,10 +367,9 @@ def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
         for key in ("pose_topic", "command_topic", "path_topic")
         if (name := getattr(choice, key)) is not None
     }
-    has_frames = TRANSFORMS in {kind for _, kind in held}
-    changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
-    if JOINTS not in {kind for _, kind in held}:
-        changes |= {"wheel_joints": None, "wheels": None}
+    kinds = {kind for _, kind in held}
+    changes |= {} if TRANSFORMS in kinds else {"pose_frame": None, "world_frame": None}
+    changes |= {} if JOINTS in kinds else {"wheel_joints": None, "wheels": None}
     # A turtlelog recording contains its own goal.
     changes |= {"goal": None} if is_own else {}
     return replace(choice, allow_partial=False, **changes)
@@ -421,9 +390,6 @@ _DECIDED: Final = Key("decided", "whole")
 _AT_ONCE: Final = 4096
 """Number of rows of a table that are converted to Python values at once."""
 
-_RECORDING: Final = "recording"
-"""Name of the check that fails if a recording cannot be read, or is incomplete."""
-
 Judge = Callable[[str], Sequence[CheckResult]]
 
 
@@ -437,13 +403,16 @@ def _judge_file(path: str, *, judge: Judge) -> list[Row]:
 def _build_row(result: CheckResult) -> Row:
     row: dict[Key, Cell] = {key: getattr(result, key.name, None) for key in _KEYS}
     row |= {key: str(cell) or None for key, cell in row.items() if key.type == "text"}
-    is_lost = result.check == _RECORDING and not result.is_decided
-    return {**row, _DECIDED: int(result.is_decided), ERROR: result.reason if is_lost else None}
+    return {
+        **row,
+        _DECIDED: int(result.is_decided),
+        ERROR: result.reason if result.is_lost else None,
+    }
 
 
 def plan_verdict_table(
     spec: Spec, judge: Judge, choice: ReadChoice, *, is_partial: bool
-) -> "RecordingTable":
+) -> "sweep.RecordingTable":
     """Return the plan of `tabulate_recordings` for a table with one row per file and check.
 
     The judge of files must be picklable. `is_partial`: whether an incomplete recording may pass.
@@ -470,9 +439,8 @@ def read_verdicts(path: Path, files: Mapping[str, str]) -> Iterator[CheckResult]
         columns = table.read(names, group)
         for first in range(0, count, _AT_ONCE):
             part = {one.name: list_cells(one.cells[first : first + _AT_ONCE]) for one in columns}
-            rows: Iterator[Any] = zip(*(part[name] for name in names), strict=True)
-            for row in rows:
-                cells = dict(zip(names, row, strict=True))
+            for row in zip(*(part[name] for name in names), strict=True):
+                cells: dict[str, Any] = dict(zip(names, row, strict=True))
                 if cells["verdict"] is None:
                     continue
                 # Texts repeat from file to file, and are stored once in memory.

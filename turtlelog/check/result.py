@@ -45,6 +45,9 @@ class Verdict(enum.StrEnum):
         raise CheckError(f'verdict {self.value}: expected a comparison with one, such as == "PASS"')
 
 
+_RECORDING = "recording"  # the check that fails if a recording cannot be read, or is incomplete
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedSignal:
     """A signal compared with a reference."""
@@ -118,10 +121,14 @@ class CheckResult:
             raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
         return self.verdict is Verdict.PASS
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the recording cannot be read, so that no check was judged."""
+        return self.check == _RECORDING and not self.is_decided
+
     def __repr__(self) -> str:
-        return escape_controls(
-            f"<{self.verdict} {self.check} of {self.file}: {describe_result(self)}>"
-        )
+        told = describe_result(self)
+        return escape_controls(f"<{self.verdict} {self.check} of {self.file}: {told}>")
 
     def _repr_html_(self) -> str:
         return _tabulate_html([self], title="")
@@ -155,8 +162,7 @@ class CheckOutcome:
     @property
     def margin(self) -> float | None:
         """Smallest margin; None if no result has a margin."""
-        margins = [result.margin for result in self.results if result.margin is not None]
-        return min(margins, default=None)
+        return min((one.margin for one in self.results if one.margin is not None), default=None)
 
     def __repr__(self) -> str:
         if not self.failures:
@@ -169,8 +175,7 @@ class CheckOutcome:
 
     def _describe_first(self) -> str:
         more = len(self.failures) - 1
-        others = f" (and {more} more)" if more else ""
-        return f"{describe_result(self.failures[0])}{others}"
+        return describe_result(self.failures[0]) + (f" (and {more} more)" if more else "")
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
@@ -187,34 +192,30 @@ def decide_verdict(found: Container[Verdict]) -> Verdict:
 def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
     """Return for each unit the result with the smallest margin; failures have priority."""
 
-    def passes(result: CheckResult) -> bool:
-        return result.verdict is not Verdict.FAIL
-
     def rank(result: CheckResult) -> tuple[bool, float]:
         # With a margin of 0, a failed strict bound is worse than a passed bound.
-        return passes(result), result.margin or 0.0
+        return result.verdict is not Verdict.FAIL, result.margin or 0.0
 
     worst: dict[str, CheckResult] = {}
     for result in results:
         before = worst.get(result.unit, result)
         if result.margin is not None and (before is result or rank(result) < rank(before)):
             worst[result.unit] = result
-    return sorted(worst.values(), key=passes)
+    return sorted(worst.values(), key=lambda result: rank(result)[0])
 
 
 def describe_result(result: CheckResult) -> str:
     """Return a result in one line: value, limit, margin, first violation, reason."""
-    parts = []
-    if result.value is not None:
-        parts.append(f"{format_number(result.value, result.unit)}")
-    parts += [result.expected] if result.expected else []
-    parts += [f"decided by {result.decided_by}"] if result.decided_by else []
-    if result.margin is not None:
-        parts.append(f"margin {format_number(result.margin, result.unit)}")
-    if result.first_violation_s is not None:
-        parts.append(f"first violated at {result.first_violation_s:.3f} s")
-    parts += [result.reason] if result.reason else []
-    return "; ".join(parts)
+    at_s, unit = result.first_violation_s, result.unit
+    parts = (
+        "" if result.value is None else format_number(result.value, unit),
+        result.expected,
+        result.decided_by and f"decided by {result.decided_by}",
+        "" if result.margin is None else f"margin {format_number(result.margin, unit)}",
+        "" if at_s is None else f"first violated at {at_s:.3f} s",
+        result.reason,
+    )
+    return "; ".join(filter(None, parts))
 
 
 def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
@@ -229,7 +230,7 @@ def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
 def fail_recording(file: str, reason: str) -> CheckResult:
     """Return the result for a recording on which no check could be judged."""
     return CheckResult(
-        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+        file=file, check=_RECORDING, verdict=Verdict.FAIL, reason=reason, is_decided=False
     )
 
 
@@ -372,8 +373,7 @@ class RecordedMetric:
 
         The other operand is a number, a metric of the same unit, or `pytest.approx` of a number.
         """
-        value = metric.value
-        if value is None:
+        if (value := metric.value) is None:
             self._miss(metric, f"{operator} {_show(other)}")
         if isinstance(other, Approximate):
             limit = self._read_limit(metric, operator, other.expected)
@@ -440,8 +440,8 @@ class RecordedMetric:
                 is_decided=False,
             )
         )
-        found = f"found no value: {metric.lack}"
-        raise MissingValueError(f"{self.file}: {self.label}: expected {wanted}, {found}")
+        lack = f"expected {wanted}, found no value: {metric.lack}"
+        raise MissingValueError(f"{self.file}: {self.label}: {lack}")
 
 
 def _show(other: object, unit: str = "") -> str:

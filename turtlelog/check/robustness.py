@@ -23,6 +23,7 @@ from turtlelog.check.formula_trace import (
     align_steps,
     combine_steps,
     compute_until,
+    convert_window,
     list_names,
     negate_steps,
     slide_maximum,
@@ -47,9 +48,6 @@ from turtlelog.expressions import (
     require_kind,
 )
 from turtlelog.measure.reductions import Values
-
-_LONGEST_S: Final = 1e18
-"""Time after the end of all traces [s]."""
 
 
 def compute_robustness(
@@ -169,7 +167,7 @@ class PartReader:
         self, node: Temporal | Until, look: Callable[..., Steps], sides: list[Steps], sign: int
     ) -> Steps:
         """Return the result of a window over margins at every time."""
-        trace, (first_ns, last_ns) = self.trace, _convert_window(node)
+        trace, (first_ns, last_ns) = self.trace, convert_window(node)
         if trace.ending is not RunEnding.UNDECLARED or last_ns is not None:
             return look(*sides, first_ns, last_ns)
         recorded = [side.cut(trace.start_ns, trace.end_ns) for side in sides]
@@ -178,14 +176,14 @@ class PartReader:
 
     def clip_window(self, node: Temporal | Until, time_ns: int) -> tuple[int, int]:
         """Return the window of a node at a time [ns], limited to the trace's end."""
-        first_ns, last_ns = _convert_window(node)
+        first_ns, last_ns = convert_window(node)
         end_ns = self.trace.end_ns
         last_ns = end_ns if last_ns is None else time_ns + last_ns
         return min(end_ns, time_ns + first_ns), min(end_ns, last_ns)
 
     def begins_beyond(self, node: Temporal | Until) -> bool:
         """Whether the window of a node begins after the trace's end."""
-        return self.trace.start_ns + _convert_window(node)[0] > self.trace.end_ns
+        return self.trace.start_ns + convert_window(node)[0] > self.trace.end_ns
 
     def measure_leaf(self, node: Node, sign: int) -> Steps:
         """Return the margins of a comparison, or of a truth value."""
@@ -352,7 +350,7 @@ def is_relieved(expression: Expression, trace: FormulaTrace, failed_ns: int) -> 
     This violates the formula, because the sides must hold together at one time.
     """
     root = expression.root
-    if not isinstance(root, Until) or failed_ns < trace.start_ns + _convert_window(root)[0]:
+    if not isinstance(root, Until) or failed_ns < trace.start_ns + convert_window(root)[0]:
         return False
     reader = PartReader(expression, trace, exact=True, unknown=-math.inf)
     left, right = (reader.visit(side, 1) for side in (root.left, root.right))
@@ -380,11 +378,73 @@ def _find_failure(part: Part, start_ns: int, end_ns: int) -> int | None:
     return int(cut.time_ns[failed.argmax()]) if failed.any() else None
 
 
-def _convert_window(node: Temporal | Until) -> tuple[int, int | None]:
-    """Return the ends of a node's window [ns]; None if the window has no end."""
-    last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
-    return _convert(node.start_s), last_ns
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """The operators above a part of a formula.
+
+    Attributes:
+        is_denied: Whether the formula requires the part to be false.
+        start_s: Earliest time at which the part is required, from the beginning [s].
+        end_s: Latest time at which the part is required [s].
+        body: Part below the innermost window; None if the part is not below `always` alone.
+        is_body_denied: Whether the formula requires the body to be false.
+        windows: Number of windows above the part.
+        beside: Comparisons that are required together with this part.
+    """
+
+    is_denied: bool = False
+    start_s: float = 0.0
+    end_s: float = 0.0
+    body: Node | None = None
+    is_body_denied: bool = False
+    windows: int = 0
+    beside: tuple[Comparison, ...] = ()
+
+    def enter(self, node: Temporal) -> "Place":
+        """Return the place of the operand of a window operator at this place."""
+        is_always = (node.operator == "always") is not self.is_denied
+        is_first = is_always and not self.windows
+        return Place(
+            is_denied=self.is_denied,
+            start_s=self.start_s + node.start_s,
+            end_s=self.end_s + node.end_s,
+            body=node.operand if is_first else None,
+            is_body_denied=self.is_denied,
+            windows=self.windows + 1,
+        )
+
+    def deny(self) -> "Place":
+        """Return the place of the operand of `not` at this place."""
+        return replace(self, is_denied=not self.is_denied, beside=())
 
 
-def _convert(time_s: float) -> int:
-    return round(min(time_s, _LONGEST_S) * 1e9)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """A comparison in a formula, and the operators above it."""
+
+    node: Comparison
+    place: Place
+
+
+def list_compared(node: Node, place: Place = Place()) -> Iterator[Compared]:
+    """Yield the comparisons of a formula, with the operators above each."""
+    match node:
+        case Comparison():
+            beside = tuple(one for one in place.beside if one is not node)
+            yield Compared(node=node, place=replace(place, beside=beside))
+        case Temporal(operand=operand):
+            yield from list_compared(operand, place.enter(node))
+        case Until():
+            for side in node.list_children():
+                window = Temporal(operator="eventually", end_s=node.end_s, operand=side)
+                yield from list_compared(side, place.enter(window))
+        case Logic(operands=operands):
+            both = "or" if place.is_denied else "and"
+            together = [one for one in operands if isinstance(one, Comparison)]
+            beside = tuple(together) if node.operator == both else ()
+            for number, operand in enumerate(operands):
+                is_condition = node.operator == "implies" and number == 0
+                inner = replace(place.deny() if is_condition else place, beside=beside)
+                yield from list_compared(operand, inner)
+        case Prefix(operator="not", operand=operand):
+            yield from list_compared(operand, place.deny())

@@ -28,6 +28,7 @@ from turtlelog.measure import (
     list_ids_like,
     list_metrics,
     list_signals,
+    measure_run,
 )
 from turtlelog.measure.metric import NO_POSES, Missing, Status
 from turtlelog.run import Run, Trajectory, build_planar_trajectory
@@ -406,3 +407,38 @@ def _build(name: str, value: float | None, lack: Missing) -> Metric:
     """Return a value as a metric, or why it is missing."""
     status, reason = (lack.status, lack.reason) if value is None else (Status.OK, "")
     return Metric(id=name, value=value, unit=OTHER_UNITS[name], status=status, reason=reason)
+
+
+def find_formula_unit(name: str, declaration: Declaration) -> str | None:
+    """Return the unit of a signal or metric, empty if it depends on the loop; None for others."""
+    own = list_signals(declaration).get(name) or list_metrics(declaration).get(name)
+    if own is not None or name in OTHER_UNITS:
+        return OTHER_UNITS[name] if own is None else own.unit
+    kind = find_metric_kind(name)
+    return None if kind is None else "" if " or " in kind.unit else kind.unit
+
+
+def find_common_unit(node: expressions.Node, units: Mapping[str, str]) -> str:
+    """Return the unit of the measured value; empty if the unit is not simple."""
+    if isinstance(node, expressions.Call) and node.function in {"abs", "min", "max"}:
+        found = {find_common_unit(argument, units) for argument in node.arguments}
+        return found.pop() if len(found) == 1 else ""
+    if isinstance(node, expressions.Call) and node.function == "deg":
+        return "deg"
+    return units.get(node.name, "") if isinstance(node, expressions.Name) else ""
+
+
+def measure_named(
+    checks: Sequence[Check],
+    run: Run,
+    *,
+    trajectories: TrajectoryJudge | None = None,
+    file: str = "",
+) -> Mapping[str, Metric]:
+    """Return the metrics of a run that checks name; `trajectories` measures errors of positions."""
+    names = list_formula_names(checks)
+    ids = sorted(name for name in names if find_kind(run, name) is not None)
+    of_robot = measure_robot(run, sorted(names & ROBOT_VALUES.keys()))
+    errors = sorted(names & TRAJECTORY_VALUES.keys())
+    beside = trajectories.measure(run, errors, file) if trajectories and errors else {}
+    return {**(measure_run(run, only=ids) if ids else {}), **of_robot, **beside}

@@ -38,6 +38,7 @@ from turtlelog.files.text_files import (
 from turtlelog.files.urls import is_url, make_path
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal_option, parse_wheelbase, parse_wheels
+from turtlelog.run import Run
 from turtlelog.scenario import describe_unknown_key
 
 _KINDS: Final = ("signals", "metrics")
@@ -204,6 +205,30 @@ def count_parts(check: Check) -> int:
         for node in iterate_nodes(formula.root)
     ]
     return len(nodes) + _UNTIL * sum(isinstance(node, Until) for node in nodes)
+
+
+_MOST_PART_ROWS: Final = 150_000_000
+"""Largest product of formula parts and samples. A window takes about 10 ns for each of its four
+parts and each sample. All four parts together take 2 s, on a busy machine 5 s."""
+_EXPECT: Final = 6
+"""Number of additional parts that a bound on a metric counts as, because its violation is searched
+by bisection of the run."""
+_ANY_PARTS: Final = 400
+"""Number of names, numbers and operators that are always allowed, however long the recording is."""
+
+
+def require_few_parts(spec: Spec, run: Run, file: str) -> None:
+    """Refuse checks that would take too long for the rows of a recording."""
+    rows = max(len(run.poses), len(run.commands), len(run.samples), 1)
+    most = max(_ANY_PARTS, _MOST_PART_ROWS // rows)
+    bounds = sum(check.kind == "expect" for check in spec.checks)
+    parts = sum(map(count_parts, spec.checks)) + _EXPECT * bounds
+    if parts > most:
+        raise CheckError(
+            f"{file}: the checks of {spec.source} take as long as {parts:,} names, numbers and"
+            f" operators; {most:,} are the most for a recording of {rows:,} samples. Split the"
+            " specification into several files, or the recording into parts"
+        )
 
 
 def _parse_check(name: str, entry: Any, source: str) -> Check:

@@ -1,7 +1,7 @@
 """The signal that violated a check, and the band in which the check requires it to stay."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -18,10 +18,16 @@ from turtlelog.check.formula_trace import (
     list_names,
     read_signals,
 )
-from turtlelog.check.judge_formula import check_run, find_formula_unit
+from turtlelog.check.judge_formula import check_run
 from turtlelog.check.result import CheckResult, JudgedMetric, JudgedSignal, Verdict
-from turtlelog.check.robustness import split_comparison, walk_formula
-from turtlelog.check.spec import Check
+from turtlelog.check.robustness import (
+    Compared,
+    Place,
+    list_compared,
+    split_comparison,
+    walk_formula,
+)
+from turtlelog.check.spec import Check, find_formula_unit
 from turtlelog.compare.common_clock import merge_times
 from turtlelog.compare.difference import trace_tube
 from turtlelog.expressions import (
@@ -29,12 +35,8 @@ from turtlelog.expressions import (
     Comparison,
     Expression,
     Kind,
-    Logic,
     Name,
     Node,
-    Prefix,
-    Temporal,
-    Until,
     evaluate_node,
     format_expression,
 )
@@ -203,7 +205,7 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
     found = check_run(run, formula, window_ns=window_ns)
     leaves = (
         leaf
-        for leaf in _list_leaves(formula.root)
+        for leaf in list_compared(formula.root)
         for link in split_comparison(leaf.node)
         if format_expression(link) == found.decided_by
     )
@@ -217,7 +219,7 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
     band = _BandReader(run, formula, leaf, signals).read(found.decided_by)
     if band is None:
         return SignalSearch(reason=f"{found.decided_by}: {_NO_BAND}")
-    outside = leaf.find_failing(formula, trace, band.curve.time_ns) & band.is_beyond
+    outside = _find_failing(leaf.place, formula, trace, band.curve.time_ns) & band.is_beyond
     first_s = 0.0 if result.first_violation_s is None else result.first_violation_s
     rows = _Rows(curve=band.curve, outside=outside)
     worst = rows.find(first_s if result.value_s is None else result.value_s)
@@ -271,88 +273,19 @@ _TURNED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": 
 """Required operator, by the operator of a comparison that must be false."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Place:
-    """The operators above a part of a formula.
-
-    Attributes:
-        is_denied: Whether the formula requires the part to be false.
-        start_s: Earliest time at which the part is required, from the beginning [s].
-        end_s: Latest time at which the part is required [s].
-        body: Part below the innermost window; None if the part is not below `always` alone.
-        is_body_denied: Whether the formula requires the body to be false.
-        windows: Number of windows above the part.
-        beside: Comparisons that are required together with this part.
-    """
-
-    is_denied: bool = False
-    start_s: float = 0.0
-    end_s: float = 0.0
-    body: Node | None = None
-    is_body_denied: bool = False
-    windows: int = 0
-    beside: tuple[Comparison, ...] = ()
-
-    def enter(self, node: Temporal) -> "_Place":
-        is_always = (node.operator == "always") is not self.is_denied
-        is_first = is_always and not self.windows
-        return _Place(
-            is_denied=self.is_denied,
-            start_s=self.start_s + node.start_s,
-            end_s=self.end_s + node.end_s,
-            body=node.operand if is_first else None,
-            is_body_denied=self.is_denied,
-            windows=self.windows + 1,
-        )
-
-    def deny(self) -> "_Place":
-        return replace(self, is_denied=not self.is_denied, beside=())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Leaf:
-    """A comparison in a formula, and the operators above it."""
-
-    node: Comparison
-    place: _Place
-
-    def find_failing(
-        self, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
-    ) -> NDArray[np.bool_]:
-        """Return the times at which the comparison is required and the formula fails."""
-        first_ns = trace.start_ns + self.place.start_s * 1e9
-        last_ns = min(trace.start_ns + self.place.end_s * 1e9, trace.end_ns)
-        asked = (time_ns >= first_ns) & (time_ns <= last_ns)
-        if self.place.body is None:
-            return np.asarray(asked)
-        margins = walk_formula(replace(formula, root=self.place.body), trace, exact=True).margins
-        pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
-        values = margins.values[np.maximum(pieces, 0)]
-        return np.asarray(asked & ((values > 0.0) if self.place.is_body_denied else (values < 0.0)))
-
-
-def _list_leaves(node: Node, place: _Place = _Place()) -> Iterator[_Leaf]:
-    """Yield the comparisons of a formula, with the operators above each."""
-    match node:
-        case Comparison():
-            beside = tuple(one for one in place.beside if one is not node)
-            yield _Leaf(node=node, place=replace(place, beside=beside))
-        case Temporal(operand=operand):
-            yield from _list_leaves(operand, place.enter(node))
-        case Until():
-            for side in node.list_children():
-                window = Temporal(operator="eventually", end_s=node.end_s, operand=side)
-                yield from _list_leaves(side, place.enter(window))
-        case Logic(operands=operands):
-            both = "or" if place.is_denied else "and"
-            together = [one for one in operands if isinstance(one, Comparison)]
-            beside = tuple(together) if node.operator == both else ()
-            for number, operand in enumerate(operands):
-                is_condition = node.operator == "implies" and number == 0
-                inner = replace(place.deny() if is_condition else place, beside=beside)
-                yield from _list_leaves(operand, inner)
-        case Prefix(operator="not", operand=operand):
-            yield from _list_leaves(operand, place.deny())
+def _find_failing(
+    place: Place, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return the times at which the comparison is required and the formula fails."""
+    first_ns = trace.start_ns + place.start_s * 1e9
+    last_ns = min(trace.start_ns + place.end_s * 1e9, trace.end_ns)
+    asked = (time_ns >= first_ns) & (time_ns <= last_ns)
+    if place.body is None:
+        return np.asarray(asked)
+    margins = walk_formula(replace(formula, root=place.body), trace, exact=True).margins
+    pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
+    values = margins.values[np.maximum(pieces, 0)]
+    return np.asarray(asked & ((values > 0.0) if place.is_body_denied else (values < 0.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -390,7 +323,7 @@ class _Ends:
 class _BandReader:
     """Reader of a comparison's measured value and its limits, at the rows of the signals."""
 
-    def __init__(self, run: Run, formula: Expression, leaf: _Leaf, signals: Signals) -> None:
+    def __init__(self, run: Run, formula: Expression, leaf: Compared, signals: Signals) -> None:
         self._run, self._formula, self._leaf = run, formula, leaf
         named = {name: signals.get(name) for name in list_names(leaf.node)}
         columns = {name: found for name, found in named.items() if isinstance(found, tuple)}

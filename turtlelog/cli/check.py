@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -367,9 +367,8 @@ def _write_report(
 
     if path is None:
         return
-    bare = [file for file, run in runs.items() if not len(run.poses)]
-    posed = {file: run for file, run in runs.items() if file not in bare}
-    for file in bare:
+    posed = {file: run for file, run in runs.items() if len(run.poses)}
+    for file in (file for file in runs if file not in posed):
         console.print_note(f"{path}: {file} has commands alone, and a report needs poses")
     if not posed:
         console.print_note(f"{path}: no report: none of the recordings could be read")
@@ -403,17 +402,14 @@ def _print_results(
     reading: Sequence[str],
     *,
     files: int,
-    kind: str = "txt",
-    shows_all: bool = False,
+    kind: str,
+    shows_all: bool,
 ) -> "tl.check.Verdict":
-    """Print the verdict and what fails, and return the verdict.
-
-    Results of many files are counted one by one. CSV contains only rows.
-    """
+    """Print the verdict and what fails, and return the verdict. Of many files, count results."""
+    told: Any = {"files": files, "spec": spec, "shows_all": shows_all, "reading": reading}
     if kind == "txt" and files > _MOST_FILES:
         counted = CountedResults(results)
-        text = format_many(counted, files=files, spec=spec, shows_all=shows_all, reading=reading)
-        console.print_verdicts(text)
+        console.print_verdicts(format_many(counted, **told))
         return counted.verdict
     results = [*results]
     verdict = tl.check.join_verdicts(results)
@@ -422,8 +418,7 @@ def _print_results(
     elif kind == "csv":
         console.print_tables([tabulate_values(spec, results)], kind)
     elif kind == "txt":
-        text = format_results(results, files=files, spec=spec, shows_all=shows_all, reading=reading)
-        console.print_verdicts(text)
+        console.print_verdicts(format_results(results, **told))
     else:
         tables = [*tabulate_files(results), *tabulate_matrix(results)]
         notes = (
@@ -443,11 +438,9 @@ def _print_marks(results: "Iterable[tl.check.CheckResult]") -> "tl.check.Verdict
     for file, of_file in groupby(results, key=lambda result: result.file):
         found = CountedResults(of_file)
         counted.append(found.verdict)
-        passed = found.verdicts[tl.check.Verdict.PASS]
-        total = found.verdicts.total()
-        console.print_verdicts(
-            f"{found.verdict}  {file}: {passed} of {describe_count(total, 'check')} passed"
-        )
+        passed, total = found.verdicts[tl.check.Verdict.PASS], found.verdicts.total()
+        count = f"{passed} of {describe_count(total, 'check')}"
+        console.print_verdicts(f"{found.verdict}  {file}: {count} passed")
     return decide_verdict(Counter(counted))
 
 

@@ -180,7 +180,7 @@ def conclude(counted: CountedResults, files: int) -> str:
     rest = f", {skips}" if skipped else ""
     if failed and total == 1:
         (one,) = counted.failures
-        text = f"{one.check} fails, {_tell_value(one)}"
+        text = one.reason if one.is_lost else f"{one.check} fails, {_tell_value(one)}"
     elif failed:
         verb = "fails" if failed == 1 else "fail"
         lacking = f", {counted.valueless} of them without a value" if counted.valueless else ""
@@ -250,7 +250,7 @@ def _tell_value(result: "CheckResult", *, with_limit: bool = True) -> str:
         at_s = result.first_violation_s
         return "its value is no number" if at_s is None else f"first violated at {at_s:.3f} s"
     if result.value is None:
-        return "it has no value"
+        return result.reason if result.is_lost else "it has no value"
     value = f"value {format_short(result.value, result.unit)}"
     if result.limit is None or not with_limit:
         return value

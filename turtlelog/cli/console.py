@@ -19,7 +19,6 @@ from typing import IO, Any, Final, TextIO, TypeVar
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.display import NULL_IF_EMPTY
 from turtlelog.errors import TurtlelogError, UsageError, format_line
 from turtlelog.escapes import escape_controls, guard_cell, hide_secrets
 
@@ -308,13 +307,7 @@ _MOST_HELD: Final = 100
 
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
     """Print notes on the reading of third-party files, and on losses, after the answer."""
-    # Notes on other files are in recordings that were converted from them.
-    told = _OF_SOURCE if "chosen" in notes else ()
-    for name in ("preset", *told, "unused", "recovered", "partial"):
-        if name in notes:
-            is_plain = name in {"preset", "chosen", "plane", "unused"}
-            label = "" if is_plain else f"{name.replace('_', ' ')}: "
-            _HELD.append(f"{path}: {label}{notes[name]}")
+    _HELD.extend(f"{path}: {text}" for text in tl.log.list_notes_after(notes))
     if len(_HELD) > _MOST_HELD:
         print_held_notes()
 
@@ -324,23 +317,6 @@ def print_held_notes() -> None:
     for text in _HELD:
         print_note(text)
     _HELD.clear()
-
-
-_OF_SOURCE: Final = (
-    *(
-        "chosen",
-        "clock",
-        "clock_set",
-        "silence",
-        "plane",
-        "quaternion_order",
-        "dropped_nan",
-        "held_transforms",
-    ),
-    *("dropped_before_transforms", "crowded", "heading", "wheels", "reported_rates", "leaps"),
-    *("path_by_speed", "still"),
-    *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate", "repeated_headers"),
-)
 
 
 def print_error(text: str) -> None:
@@ -419,6 +395,8 @@ def list_json_keys(kind: Any) -> Mapping[str, tuple[str, bool]]:
 
     The key is the field's metadata `json`, or its name. JSON lacks a field that the repr lacks.
     """
+    from turtlelog.display import NULL_IF_EMPTY  # help does without
+
     return {
         one.name: (
             one.metadata.get("json", one.name),

@@ -11,15 +11,10 @@ import turtlelog as tl
 from turtlelog.cli import console, options
 from turtlelog.cli.work import show_progress
 from turtlelog.display import describe_count, join_words
-from turtlelog.errors import LogError, UsageError, find_near
+from turtlelog.errors import LogError, UsageError
 
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
 _TRAJECTORIES: Final = (".tum", ".txt")
-_NO_FOLDERS: Final = (
-    *(".arrow", ".bag", ".db3", ".feather", ".gz", ".h5", ".hdf5", ".json", ".png", ".rrd"),
-    *(".toml", ".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
-)
-"""Suffixes that folders never have. A user who types such a suffix means another file."""
 
 _TableName = Literal["poses", "commands", "samples", "events"]
 
@@ -148,7 +143,7 @@ def _list_notes(run: "tl.Run", kinds: Mapping[Path, str], tables: TableOptions) 
     for name, text in run.notes.items():
         # A count of 0 changes nothing.
         if name not in {tl.log.CHOSEN, tl.log.UNUSED} and text != "0":
-            yield f"{name.replace('_', ' ')}: {text}"
+            yield f"{tl.log.label_note(name)}: {text}"
     for path, kind in kinds.items():
         if kind in {"csv", "parquet"} and _is_file(path, tables) and tables.table is None:
             yield f"{path} holds the poses alone: --table chooses another table, a folder holds all"
@@ -201,8 +196,8 @@ def _require_targets(
 
 
 def _require_folder(path: Path) -> None:
-    # A misspelled ending would make a folder of that name.
-    if path.suffix.lower() in _NO_FOLDERS or find_near(path.suffix.lower(), _FILES):
+    # Who types an ending with letters means a file; dates and versions end in digits.
+    if any(map(str.isalpha, path.suffix)):
         raise UsageError(
             f"{path}: convert writes {join_words([*_FILES])} files, or a folder, not {path.suffix}"
         )

@@ -126,22 +126,7 @@ def explain(
                 work=tl.explain.Work(jobs=chosen.jobs, report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
-    again = found.resimulation
-    error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
-    answer = copy_fields(
-        ExplainAnswer,
-        found,
-        file=str(file),
-        metric=tl.measure_run(run, only=[metric])[metric].to_dict(),
-        identified=tuple(
-            copy_fields(FindingAnswer, one, key=key, certainty=one.certainty.value)
-            for key, one in found.findings.items()
-        ),
-        resimulation=None if again is None else asdict(again) | error,
-        attribution=attribution,
-        in_words={} if attribution is None else dict(describe_causes(found, attribution)),
-        motion=None if motion is None else build_motion(file, run, motion),
-    )
+    answer = _build_answer(file, run, metric, found, attribution, motion)
     if json:
         print_json(answer)
     elif motion is not None:
@@ -153,6 +138,31 @@ def explain(
         print_text(f"\n{format_explain_details(answer, found)}" if chosen.details else _DETAILS)
     if chosen.rrd is not None:
         _draw(run, found, attribution, chosen.rrd, chosen.jobs)
+
+
+def _build_answer(
+    file: Path,
+    run: "tl.Run",
+    metric: str,
+    found: "tl.explain.Identification",
+    attribution: "tl.explain.Attribution | None",
+    motion: "tl.explain.MotionFacts | None",
+) -> "ExplainAnswer":
+    again = found.resimulation
+    error = {} if again is None else {"max_abs_error": build_pose_error(again.max_abs_error)}
+    return copy_fields(
+        ExplainAnswer,
+        found,
+        file=str(file),
+        metric=tl.measure_run(run, only=[metric])[metric].to_dict(),
+        identified=tuple(
+            copy_fields(FindingAnswer, one, key=key) for key, one in found.findings.items()
+        ),
+        resimulation=None if again is None else asdict(again) | error,
+        attribution=attribution,
+        in_words={} if attribution is None else dict(describe_causes(found, attribution)),
+        motion=None if motion is None else build_motion(file, run, motion),
+    )
 
 
 def _draw(

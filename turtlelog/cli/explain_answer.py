@@ -273,8 +273,8 @@ _SILENCE: Final = 1.5
 
 def format_motion(file: Path, run: "tl.Run", found: "MotionFacts") -> str:
     """Return that no cause is known, and the facts as sentences."""
-    topics = [run.notes.get(f"{kind}_topic", "") for kind in ("pose", "command")]
-    where = join_words([escape_controls(topic) for topic in topics if topic])
+    topics = [topic for topic in (run.origin.poses, run.origin.commands) if topic is not None]
+    where = join_words([escape_controls(topic.describe()) for topic in topics])
     kind = "Turtlesim" if found.kind == "turtlesim" else "A robot, not turtlesim"
     if found.kind == "robot" and run.poses.speed_m_s is not None and not run.parameters:
         kind = "A robot that publishes poses as turtlesim does, not turtlesim"

@@ -12,7 +12,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.run.stop_reasons import find_goal_end
+from turtlelog.run.stop_reasons import GoalEnd, find_goal_end
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,16 +43,6 @@ time."""
 
 _STEADY: Final = 3.0
 """Ratio of slow to quick steps (10 % quantiles) above which no rate is given."""
-
-_TOLD: Final = (
-    *("goal", "path", "unused", "crowded", "clock", "clock_set", "silence", "plane", "dropped_nan"),
-    *("held_transforms", "dropped_before_transforms", "robots", "heading", "origin", "wheels"),
-    "reported_rates",
-    *("leaps", "path_by_speed", "still", "other_pose_topics", "other_frames"),
-    *("restarts", "unlikely_units", "heading_and_travel", "turning_by_rate"),
-    "other_command_topics",
-)
-"""Notes of a run on the bag from which it was read."""
 
 NOTHING_LEFT: Final = "truncated: no message can be recovered"
 """Description of an incomplete file without messages."""
@@ -108,7 +98,7 @@ class Summary:
 
     Attributes:
         text: One sentence without a full stop.
-        ending: How the run ended at its goal, as text; None if unknown.
+        end: How the run ended at its goal; None if unknown.
         run: Summary of the run in the file; None if the run was not read.
         missing: Missing data, each with its use.
         clock: Clock that times the poses; None if there is only one clock, or poses were not read.
@@ -116,7 +106,7 @@ class Summary:
     """
 
     text: str
-    ending: str | None = None
+    end: GoalEnd | None = None
     run: ReadRun | None = None
     missing: tuple[str, ...] = ()
     clock: "tl.run.Clock | None" = None
@@ -130,7 +120,7 @@ def summarise(
     is_lost = holds_nothing(info)
     if info.format_version is not None:
         text = f"a recording of turtlelog's, {NOTHING_LEFT}" if is_lost else _summarise_own(info)
-        return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
+        return Summary(text=text, end=_find_end(path, info, is_asked=is_asked))
     if not info.complete and (is_lost or not choice.allow_partial):
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
@@ -175,7 +165,7 @@ def _summarise_own(info: "tl.log.RecordingInfo") -> str:
     return f"a recording of turtlelog's{state}{origin}: {', '.join(filter(None, parts)) or 'empty'}"
 
 
-def _find_ending(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) -> str | None:
+def _find_end(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) -> GoalEnd | None:
     """Return how a turtlelog recording's run ended at its goal, unless the file is large."""
     if not info.complete or (not is_asked and _find_large(path, info)):
         return None
@@ -183,12 +173,7 @@ def _find_ending(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) ->
         run = tl.log.read_run(path)
     except TurtlelogError:
         return None  # the readable part is described, and `metrics` reports the rest
-    return _describe_ending(run)
-
-
-def _describe_ending(run: "tl.Run") -> str | None:
-    end = find_goal_end(run)
-    return None if end is None else end.describe()
+    return find_goal_end(run)
 
 
 def _find_large(path: Path, info: "tl.log.RecordingInfo") -> str:
@@ -298,7 +283,8 @@ def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
 
 
 def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
-    notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
+    shown = (name for name, kind in tl.log.NOTES.items() if kind.in_info and name in run.notes)
+    notes = {name: run.notes[name] for name in shown}
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run) | tl.measure.describe_travel(run)
     if sideways := tl.measure.describe_sideways(run):
@@ -306,13 +292,13 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     read = ReadRun(
         kind=_describe_kind(run),
         duration_s=run.duration_s,
-        poses=_describe_rows(run, "pose_topic", run.poses.time_ns),
-        commands=_describe_rows(run, "command_topic", run.commands.time_ns),
+        poses=_describe_rows(run.origin.poses, run.poses.time_ns),
+        commands=_describe_rows(run.origin.commands, run.commands.time_ns),
         samples=len(run.samples),
     )
     return Summary(
         text=_describe_run(run, read),
-        ending=_describe_ending(run),
+        end=find_goal_end(run),
         run=read,
         missing=tuple(_list_missing(run, info)),
         clock=run.clock,
@@ -320,10 +306,10 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     )
 
 
-def _describe_rows(run: "tl.Run", note: str, time_ns: "NDArray[Any]") -> str:
+def _describe_rows(source: "tl.run.SourceTopic | None", time_ns: "NDArray[Any]") -> str:
     if not len(time_ns):
         return ""
-    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(run, note)
+    rate, topic = _describe_rate(time_ns).removeprefix("at "), _name_topic(source)
     noun = "message" if topic else "row"
     return ", ".join(filter(None, (topic, rate, describe_count(len(time_ns), noun))))
 
@@ -332,15 +318,17 @@ def _describe_kind(run: "tl.Run") -> str:
     """Return the source of poses, or the kind of a file without topics."""
     if not len(run.poses):
         return _NO_POSES
-    pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
-    if not _name_topic(run, "pose_topic"):
+    source = run.origin.poses
+    if source is None:
         return _CONTROLLER if len(run.samples) else _TABLE
-    if not pose_type.startswith("turtlesim"):
-        is_named = _IMU.search(_name_topic(run, "pose_topic")) is not None
+    if not source.type.startswith("turtlesim"):
+        is_named = _IMU.search(_name_topic(source)) is not None
         has_moved = bool(len(run.commands)) or (run.poses.xy_m != run.poses.xy_m[0]).any()
         return _IMU_ALONE if is_named and not has_moved else _ROBOT
     return (
-        _TURTLESIM if tl.replay.moves_as_turtlesim(run) else f"{_ROBOT} that publishes {pose_type}"
+        _TURTLESIM
+        if tl.replay.moves_as_turtlesim(run)
+        else f"{_ROBOT} that publishes {source.type}"
     )
 
 
@@ -350,7 +338,7 @@ _IMU: Final = re.compile(r"(?i)(?:^|[/_ ])imu(?=$|[/_\d)])")
 def _describe_run(run: "tl.Run", read: ReadRun) -> str:
     if not len(run.poses):
         return f"no poses, {_describe_commands(run)}"
-    pose_topic = _name_topic(run, "pose_topic")
+    pose_topic = _name_topic(run.origin.poses)
     rate = _describe_rate(run.poses.time_ns)
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
     amount += f" {rate}" if rate and not pose_topic else ""
@@ -369,17 +357,17 @@ def _on(topic: str) -> str:
 
 
 def _describe_commands(run: "tl.Run") -> str:
-    topic, rate = _name_topic(run, "command_topic"), _describe_rate(run.commands.time_ns)
+    topic, rate = _name_topic(run.origin.commands), _describe_rate(run.commands.time_ns)
     if rate:
         return f"commands{_on(topic)} {rate}"
     return f"{describe_count(len(run.commands), 'command')}{_on(topic)}"
 
 
-def _name_topic(run: "tl.Run", note: str) -> str:
+def _name_topic(source: "tl.run.SourceTopic | None") -> str:
     """Return a topic, with the frames of transforms; empty if unknown."""
-    name, _, rest = run.notes.get(note, "").partition(" (")
-    frames = rest.partition("): ")[2]
-    return f"{name} ({frames})" if frames else name
+    if source is None or source.frames is None:
+        return "" if source is None else source.name
+    return f"{source.name} ({' -> '.join(source.frames)})"
 
 
 def _describe_rate(time_ns: "NDArray[Any]") -> str:

@@ -195,19 +195,7 @@ def metrics(
         )
         summaries = watch_summaries(summarised, len(files), errors)
         if kind == "json":
-            console.print_json_list(
-                MeasuredFile(
-                    file=one.file,
-                    name=one.name,
-                    ending=None if one.goal_end is None else one.goal_end.describe(),
-                    jumps=one.notes.get("jumps"),
-                    scatter=next(list_scatter(one, "", one.metrics), None),
-                    gaps=next(list_motion(one, "", ["gaps"]), None),
-                    rest=next(list_motion(one, "", ["crept"]), None),
-                    metrics=[metric.to_dict() for metric in one.metrics.values()],
-                )
-                for one in summaries
-            )
+            console.print_json_list(map(_build_measured, summaries))
         elif kind == "csv":
             rows = _CsvRows(summaries)
             _refuse_patterns(None if rows.units else patterns, rows.declarations)
@@ -222,6 +210,19 @@ def metrics(
             else:
                 _print_chosen(held, kind)
     return console.print_errors(errors)
+
+
+def _build_measured(one: "tl.compare.RunSummary") -> MeasuredFile:
+    return MeasuredFile(
+        file=one.file,
+        name=one.name,
+        ending=None if one.goal_end is None else one.goal_end.describe(),
+        jumps=one.notes.get("jumps"),
+        scatter=next(list_scatter(one, "", one.metrics), None),
+        gaps=next(list_motion(one, "", ["gaps"]), None),
+        rest=next(list_motion(one, "", ["crept"]), None),
+        metrics=[metric.to_dict() for metric in one.metrics.values()],
+    )
 
 
 def _print_essential(

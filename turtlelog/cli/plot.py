@@ -14,7 +14,8 @@ from turtlelog.cli import options
 from turtlelog.cli.console import fill_lines, list_written, print_json, print_note, print_text
 from turtlelog.cli.list_names import complete_figures, complete_metrics
 from turtlelog.cli.plot_table import ViewOptions, draw_table, find_sweep_table
-from turtlelog.cli.view import MovieOptions, film_runs, require_movie
+from turtlelog.cli.scenario import collect_runs
+from turtlelog.cli.view import MovieOptions, film_runs, require_movie, require_scenes
 from turtlelog.cli.work import Jobs, show_progress
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import ShowError, UsageError
@@ -73,7 +74,7 @@ class PageOptions:
         for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
             if bound_s is not None and not math.isfinite(bound_s):
                 raise UsageError(f"{option} {bound_s:g}: must be a finite time [s]")
-            if bound_s is not None and names and _are_timeless(names):
+            if bound_s is not None and names and not _list_cut(names):
                 found = ", ".join(names)
                 raise UsageError(f"{option}: needs a figure over time, not {found}")
         if self.dpi is not None and "png" not in formats:
@@ -86,11 +87,6 @@ class PageOptions:
             to_s=self.to_s,
             has_marks=self.marks,
         )
-
-
-def _are_timeless(names: Iterable[str]) -> bool:
-    kinds = tl.draw.FIGURES
-    return all(name in kinds and kinds[name].is_timeless for name in names)
 
 
 _DRAWABLE: Final = (
@@ -244,29 +240,26 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     if movie.movie is None and timeline != "sim_time":
         raise UsageError("--timeline: needs --movie NAME.mp4")
     if output is None:
-        runs = _collect_runs(_require_scenes(files, movie), topics)
+        require_scenes(files, movie)
+        runs = collect_runs(files, topics)
         film_runs(runs, movie, timeline=timeline)
         _tell(_build_answer(files, runs, {}, [], (), movie), runs, json=json)
         return
     names = options.split_names(only, "--only")
     is_file = output.suffix.lower() in options.PICTURES
     _require_output(output, names, formats, files)
-    kinds = (
-        [output.suffix[1:].lower()]
-        if is_file
-        else options.split_names(formats, "--format") or ["pdf"]
-    )
+    kinds = options.split_names(formats, "--format") or ["pdf"]
+    kinds = [output.suffix[1:].lower()] if is_file else kinds
     page = where.build_page(kinds, names)
     asked.require_figures(names or [])
-    runs = _collect_runs(files, topics)
+    runs = collect_runs(files, topics)
     kinds_of = None if names is None else asked.bind(names, runs)
     settings = {"formats": kinds, "page": page, "jobs": jobs}
+    tables, left_out = list[Path](), tuple[str, ...]()
     if is_file:
         name = names[0] if names else _choose_overview(runs)
         _draw_one(output, runs, only=kinds_of or [name], **settings)
         figures = {output: name}
-        tables: list[Path] = []
-        left_out: Sequence[str] = ()
     else:
         drawn, tables = _draw_all(output, runs, only=kinds_of, **settings)
         figures = {path: path.stem for path in drawn}
@@ -277,25 +270,20 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)
     film_runs(runs, movie, timeline=timeline)
-    answer = _build_answer(files, runs, figures, tables, left_out, movie)
-    _tell(answer, runs, json=json)
+    _tell(_build_answer(files, runs, figures, tables, left_out, movie), runs, json=json)
 
 
-def _tell_whole(names: Iterable[str], page: "tl.draw.Page") -> None:
+def _tell_whole(names: Collection[str], page: "tl.draw.Page") -> None:
     """Print the names of figures that the page's time window does not cut."""
-    whole = [name for name in names if tl.draw.FIGURES[name].is_timeless]
+    whole = dict.fromkeys(name for name in names if name not in _list_cut(names))
     if whole and (page.from_s is not None or page.to_s is not None):
-        print_note(f"plot: not cut in time: {', '.join(dict.fromkeys(whole))}")
+        print_note(f"plot: not cut in time: {', '.join(whole)}")
 
 
-def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
-    if movie.movie is None:
-        raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
-    if not files:
-        raise UsageError(
-            "--movie: no recordings to film; name them: turtlelog plot FILE... --movie NAME.mp4"
-        )
-    return files
+def _list_cut(names: Iterable[str]) -> list[str]:
+    """Return the figures that a time window cuts."""
+    kinds = tl.draw.FIGURES
+    return [name for name in names if name not in kinds or not kinds[name].is_timeless]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -337,19 +325,20 @@ def _build_answer(
     left_out: Sequence[str],
     movie: MovieOptions,
 ) -> PlotAnswer:
+    kinds = tl.draw.FIGURES
     return PlotAnswer(
-        files=[str(path) for path in files],
+        files=[*map(str, files)],
         ending=tl.compare.describe_runs(runs) if runs else None,
         figures=[
             FigureAnswer(
                 file=str(path),
                 figure=name,
-                title=tl.draw.FIGURES[name].title,
-                paper=tl.draw.FIGURES[name].paper or None,
+                title=kinds[name].title,
+                paper=kinds[name].paper or None,
             )
             for path, name in figures.items()
         ],
-        tables=[str(path) for path in tables],
+        tables=[*map(str, tables)],
         left_out=list(left_out),
         movie=None if movie.movie is None else str(movie.movie),
     )
@@ -359,8 +348,8 @@ def _tell(answer: PlotAnswer, runs: "Sequence[tl.Run]", *, json: bool) -> None:
     if json:
         print_json(answer)
         return
-    written = [*(figure.file for figure in answer.figures), *answer.tables]
-    written += [] if answer.movie is None else [answer.movie]
+    written = [figure.file for figure in answer.figures] + answer.tables
+    written += filter(None, [answer.movie])
     said = [*filter(None, [answer.ending]), _describe_shown(answer, runs)]
     print_text("\n".join([fill_lines(said), *list_written(written)]))
 
@@ -381,28 +370,6 @@ def _describe_shown(answer: PlotAnswer, runs: "Sequence[tl.Run]") -> str:
 
 _MOST_NAMED: Final = 4
 """Largest number of runs in the first line."""
-
-
-def _collect_runs(words: Sequence[Path], topics: options.ReadingOptions) -> "list[tl.Run]":
-    """Return recordings, and runs of scenarios and presets, in their order."""
-    scenarios = {
-        word
-        for word in words
-        if str(word) in tl.PRESETS or (word.suffix.lower() == ".toml" and word.is_file())
-    }
-    runs = []
-    if words and not scenarios:
-        runs = options.read_runs(words, topics, allow_no_poses=True)
-    for word in words if scenarios else ():
-        if word in scenarios:
-            with show_progress("simulating"):
-                runs.append(tl.simulate_run(tl.load_scenario(str(word))))
-        else:
-            runs += options.read_runs([word], topics, allow_no_poses=True)
-    bare = [run.name for run in runs if not len(run.poses)]
-    if 0 < len(bare) < len(runs):  # there is no common axis
-        raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
-    return runs
 
 
 _OTHER_PICTURES: Final = frozenset(
@@ -439,8 +406,8 @@ def _require_output(
 
 
 def _choose_overview(runs: "Sequence[tl.Run]") -> str:
-    found = [name for name in _OVERVIEWS if not tl.draw.FIGURES[name].find_lack(runs)]
-    name = [*found, _OVERVIEWS[0]][0]
+    kinds = tl.draw.FIGURES
+    name = next((one for one in _OVERVIEWS if not kinds[one].find_lack(runs)), _OVERVIEWS[0])
     print_note(f"plot: the figure {name}; --only chooses another (turtlelog list figures)")
     return name
 

@@ -21,7 +21,15 @@ from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog.cli.plot import PageOptions
-    from turtlelog.sweep import Border, LoopLimits, Sensitivity, SweptAxis, SweptMetric, SweptView
+    from turtlelog.sweep import (
+        BestRow,
+        Border,
+        LoopLimits,
+        Sensitivity,
+        SweptAxis,
+        SweptMetric,
+        SweptView,
+    )
 
 
 Kind = Literal["map", "curves", "tornado"]
@@ -148,27 +156,6 @@ class SweptAxisAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BestRow:
-    """The best row of a metric: number, value and keys; `as_good` counts equally good rows.
-
-    With means over seeds, it is the first row of the best mean. `within_chance` counts worse means
-    whose difference from the best may be chance, of `others`.
-    """
-
-    row: int
-    value: float
-    as_good: int
-    within_chance: int | None
-    others: int | None
-    keys: Mapping[str, Any]
-
-    @property
-    def is_open(self) -> bool:
-        """Whether no other mean over seeds is worse by more than chance."""
-        return tl.sweep.Rivals(self.within_chance or 0, self.others or 0).is_open
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class BorderAnswer:
     """Border of stability along a gain, with theory's limit."""
 
@@ -215,7 +202,7 @@ class MetricOfTable:
     least: float | None
     most: float | None
     no_value: Mapping[str, int]
-    best: BestRow | None
+    best: "tl.sweep.BestRow | None"
     borders: list[BorderAnswer] | None
     sensitivities: SensitivityAnswer
 
@@ -283,7 +270,7 @@ def build_map_answer(
         failed=results.failed,
         shown=len(view.rows),
         axes=[console.copy_fields(SweptAxisAnswer, axis) for axis in view.axes],
-        held=_name_values(view.held),
+        held=tl.sweep.name_values(view.held),
         seeds=view.seeds,
         metrics=[_describe_metric(view, metric, limits) for metric in results.metrics],
         theory=[
@@ -326,7 +313,7 @@ def _describe_metric(
         least=float(known.min()) if len(known) else None,
         most=float(known.max()) if len(known) else None,
         no_value=Counter(str(metric.reasons[row]) for row in valueless.tolist()),
-        best=_describe_best(view, metric),
+        best=tl.sweep.find_best_row(view, metric),
         borders=_describe_borders(view, metric, limits),
         sensitivities=SensitivityAnswer(
             held=found.held or None,
@@ -351,14 +338,6 @@ def _describe_metric(
 
 def _find_values(axis: "SweptAxis | None", place: int | None) -> tuple[Any, ...] | None:
     return None if axis is None or place is None else axis.values[place]
-
-
-def _name_values(places: "Mapping[SweptAxis, int]") -> dict[str, Any]:
-    return {
-        key: value
-        for axis, place in places.items()
-        for key, value in zip(axis.keys, axis.values[place], strict=True)
-    }
 
 
 def list_sensitivity_lines(view: "SweptView") -> list[str]:
@@ -390,24 +369,6 @@ def _tell_sensitivity(metric: "SweptMetric", one: "Sensitivity") -> str:
         low, high = (format_number(value, unit) for value in one.others)
         text += f"; over all values of the other keys by {low} to {high}"
     return text
-
-
-def _describe_best(view: "SweptView", metric: "SweptMetric") -> BestRow | None:
-    """Return the best shown row; of several equally good rows, the first."""
-    found = tl.sweep.find_best_rows(view, metric)
-    if not found:
-        return None
-    row = found[0]
-    rows, values = tl.sweep.list_shown_values(view, metric)
-    rivals = tl.sweep.count_rivals(view, metric)
-    return BestRow(
-        row=view.results.row_numbers[row],
-        value=float(values[rows == row][0]),
-        as_good=len(found),
-        within_chance=None if rivals is None else rivals.within_chance,
-        others=None if rivals is None else rivals.others,
-        keys=_name_values({axis: axis.places[row] for axis in view.results.axes}),
-    )
 
 
 def _describe_borders(
@@ -473,7 +434,7 @@ def _tell_metric(view: "SweptView", one: MetricOfTable, borders: "Sequence[Borde
     return text + ("" if one.best is None else _tell_best(view, one.best)) + tail
 
 
-def _tell_best(view: "SweptView", best: BestRow) -> str:
+def _tell_best(view: "SweptView", best: "BestRow") -> str:
     more = f" and {best.as_good - 1} more" if best.as_good > 1 else ""
     place = view.results.row_numbers.index(best.row)
     if best.others is None:

@@ -1,6 +1,6 @@
 """Answers of replays as data, and the text of replays through the plant."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import degrees
@@ -224,21 +224,14 @@ def build_pose_error(error: "tl.replay.PoseError") -> PoseAnswer:
 def answer_law_replay(file: Path, run: "tl.Run", found: "tl.replay.LawReplay") -> LawReplayAnswer:
     """Return the answer of a replay through a law."""
     return LawReplayAnswer(
-        file=str(file),
-        name=found.name,
+        **_list_shared(file, run, found),
         mode="law",
-        samples=found.samples,
         max_abs_error=PoseAnswer(),  # the law was given the poses
-        first_difference=build_difference(run, found.first_difference),
         law=found.scenario.law.kind,
         first_command_difference=build_difference(run, found.first_command_difference),
-        signals=_build_signals(run, found.signals),
         commands=build_difference(run, found.commands),
         stop=build_difference(run, found.stop),
-        declaration=build_difference(run, found.declaration),
         missing_samples=found.missing_samples,
-        not_compared=tuple(found.absent),
-        software=_compare_software(run, found),
     )
 
 
@@ -247,23 +240,32 @@ def build_loop(
 ) -> LoopReplayAnswer:
     """Return the answer of a replay in closed loop."""
     return LoopReplayAnswer(
-        file=str(file),
-        name=found.name,
+        **_list_shared(file, run, found),
         mode="loop",
-        samples=found.samples,
         max_abs_error=build_pose_error(found.max_abs_error),
-        first_difference=build_difference(run, found.first_difference),
         replay=found.run.name,
         by="tick" if found.by_tick else "sample",
-        signals=_build_signals(run, found.signals),
         counts={name: copy_fields(CountAnswer, count) for name, count in found.counts.items()},
         stop_reason=CountAnswer(recorded=run.stop_reason, replayed=found.run.stop_reason),
-        declaration=build_difference(run, found.declaration),
-        not_compared=tuple(found.absent),
         output=None if output is None else str(output),
-        metrics=_build_changes(run, found.run),
-        software=_compare_software(run, found),
+        metrics=[*_build_changes(run, found.run)],
     )
+
+
+def _list_shared(
+    file: Path, run: "tl.Run", found: "tl.replay.LawReplay | tl.replay.LoopReplay"
+) -> dict[str, Any]:
+    """Return the fields that replays through a law and in closed loop share."""
+    return {
+        "file": str(file),
+        "name": found.name,
+        "samples": found.samples,
+        "first_difference": build_difference(run, found.first_difference),
+        "signals": _build_signals(run, found.signals),
+        "declaration": build_difference(run, found.declaration),
+        "not_compared": tuple(found.absent),
+        "software": _compare_software(run, found),
+    }
 
 
 def _compare_software(
@@ -285,28 +287,24 @@ _RANKS: Final = {"final": 0, "run": 2}
 """Order of metrics: the end, then each loop, then the whole run."""
 
 
-def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> list[MetricChange]:
-    """Return the essential metrics of both runs. Missing metrics have a status."""
+def _build_changes(recorded: "tl.Run", replayed: "tl.Run") -> Iterator[MetricChange]:
+    """Yield the essential metrics of both runs. Missing metrics have a status."""
     essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
-    names = [name for name in essential if name in _OF_RUN]
-    names += [name for name in essential if name.rpartition(".")[2] in _OF_LOOP]
+    names = [one for one in essential if one in _OF_RUN or one.rpartition(".")[2] in _OF_LOOP]
     was, now = (tl.measure_run(run, only=names) for run in (recorded, replayed))
-    changes = []
     for name in sorted({**was, **now}, key=lambda name: _RANKS.get(name.partition(".")[0], 1)):
         first, second = was[name], now[name]
-        change = MetricChange(
+        was_value, is_value = first.value, second.value
+        changed = None if was_value is None or is_value is None else is_value - was_value
+        yield MetricChange(
             id=name,
             unit=first.unit,
             recorded=first.value,
             recorded_status=first.status,
             replayed=second.value,
             replayed_status=second.status,
-            difference=None
-            if first.value is None or second.value is None
-            else second.value - first.value,
+            difference=changed,
         )
-        changes.append(change)
-    return changes
 
 
 def _build_signals(
@@ -331,31 +329,6 @@ def tell_time(run: "tl.Run", time_ns: int) -> float:
 def build_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> PlantReplayAnswer:
     """Return the answer of a replay through the plant."""
     at_s = partial(tell_time, run)
-    stretches = [
-        copy_fields(
-            SegmentAnswer,
-            segment,
-            start_s=at_s(segment.start_ns),
-            end_s=at_s(segment.end_ns),
-            max_abs_error=build_pose_error(segment.max_abs_error),
-            rounding=RoundingAnswer(position=segment.rounding_m, heading=segment.rounding_rad),
-        )
-        for segment in found.stretches
-    ]
-    jumps = [
-        copy_fields(
-            JumpAnswer,
-            jump,
-            at_s=at_s(jump.at_ns),
-            from_pose=_build_pose(jump.from_pose),
-            to_pose=_build_pose(jump.to_pose),
-        )
-        for jump in found.jumps
-    ]
-    gaps = [
-        copy_fields(GapAnswer, gap, start_s=at_s(gap.start_ns), end_s=at_s(gap.end_ns))
-        for gap in found.gaps
-    ]
     return PlantReplayAnswer(
         file=str(file),
         name=found.name,
@@ -365,9 +338,30 @@ def build_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> Pl
         first_difference=build_difference(run, found.first_difference),
         within_rounding=found.within_rounding,
         heading_bits=found.heading_bits,
-        stretches=tuple(stretches),
-        jumps=tuple(jumps),
-        gaps=tuple(gaps),
+        stretches=tuple(
+            copy_fields(
+                SegmentAnswer,
+                one,
+                start_s=at_s(one.start_ns),
+                end_s=at_s(one.end_ns),
+                max_abs_error=build_pose_error(one.max_abs_error),
+                rounding=RoundingAnswer(position=one.rounding_m, heading=one.rounding_rad),
+            )
+            for one in found.stretches
+        ),
+        jumps=tuple(
+            JumpAnswer(
+                at_s=at_s(one.at_ns),
+                kind=one.kind,
+                from_pose=_build_pose(one.from_pose),
+                to_pose=_build_pose(one.to_pose),
+            )
+            for one in found.jumps
+        ),
+        gaps=tuple(
+            copy_fields(GapAnswer, one, start_s=at_s(one.start_ns), end_s=at_s(one.end_ns))
+            for one in found.gaps
+        ),
         commands=asdict(found.commands),
     )
 
@@ -383,8 +377,9 @@ def format_plant(file: Path, run: "tl.Run", found: "tl.replay.PlantReplay") -> s
     rounding = "one step of the 32 bits of a pose, for other platforms"
     if tl.plants.find_plant(run).name != tl.plants.LAGGED:
         unsigned = ", and of velocities used as recorded, without a sign,"
-        velocities = unsigned if use.unexplained_ticks else ""
-        first_pose = f"the 32 bits of a segment's first pose{velocities}"
+        first_pose = "the 32 bits of a segment's first pose" + unsigned * (
+            use.unexplained_ticks > 0
+        )
         rounding = f"the largest error that {first_pose} can cause"
     first, *judged = judge_rounding(found)
     sentences = [
@@ -418,11 +413,11 @@ def _tabulate_segments(run: "tl.Run", found: "tl.replay.PlantReplay") -> "tl.com
     rows = []
     for segment in found.stretches:
         times_s = tell_time(run, segment.start_ns), tell_time(run, segment.end_ns)
-        error, rounding_deg = segment.max_abs_error, degrees(segment.rounding_rad)
+        error, rounding = segment.max_abs_error, (segment.rounding_m, degrees(segment.rounding_rad))
         errors = error.x_m, error.y_m, degrees(error.heading_rad)
-        rows.append((*times_s, segment.ticks, *errors, segment.rounding_m, rounding_deg))
-    title = f"Largest differences between the plant and {run.name}"
-    return build_table(title, (start, end, "ticks", *ways), rows)
+        rows.append((*times_s, segment.ticks, *errors, *rounding))
+    heads = (start, end, "ticks", *ways)
+    return build_table(f"Largest differences between the plant and {run.name}", heads, rows)
 
 
 def judge_rounding(found: "tl.replay.PlantReplay") -> list[str]:

@@ -207,7 +207,7 @@ def _answer(
     if code:
         console.print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
-        console.print_note(f"{name.replace('_', ' ')}: {note}")
+        console.print_note(f"{tl.log.label_note(name)}: {note}")
     _write(result, record, is_recorded=is_recorded)
     if json:
         end = find_goal_end(result)

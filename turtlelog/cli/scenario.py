@@ -1,8 +1,10 @@
 """`turtlelog scenario`: printing of a scenario; choice and change of scenarios by options."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -14,11 +16,14 @@ from turtlelog.cli.list_names import complete_keys, complete_law, complete_prese
 from turtlelog.cli.options import (
     MaxDownload,
     Place,
+    ReadingOptions,
     TopicOptions,
     read_chosen_run,
+    read_runs,
     refuse_given,
 )
 from turtlelog.cli.usage import Whole
+from turtlelog.cli.work import show_progress
 from turtlelog.errors import ScenarioError, UsageError
 from turtlelog.files.urls import make_path
 
@@ -239,6 +244,25 @@ def _find_base(run: "tl.Run", name_or_path: str | None) -> "tl.Scenario":
     if kept:
         print_note(f"known from the log itself (in {name_or_path}): {', '.join(kept)}")
     return completed
+
+
+def collect_runs(words: Sequence[Path], topics: ReadingOptions) -> "list[tl.Run]":
+    """Return recordings, and runs of scenarios and presets, in their order."""
+    runs: list[tl.Run] = []
+    for is_scenario, group in groupby(words, _is_scenario):
+        if is_scenario:
+            with show_progress("simulating"):
+                runs += [tl.simulate_run(tl.load_scenario(str(word))) for word in group]
+        else:
+            runs += read_runs([*group], topics, allow_no_poses=True)
+    bare = [run.name for run in runs if not len(run.poses)]
+    if 0 < len(bare) < len(runs):  # there is no common axis
+        raise UsageError(f"{bare[0]} has commands alone, and other files have poses: plot it alone")
+    return runs
+
+
+def _is_scenario(word: Path) -> bool:
+    return str(word) in tl.PRESETS or (word.suffix.lower() == ".toml" and word.is_file())
 
 
 def list_given_keys(options: ScenarioOptions) -> list[str]:

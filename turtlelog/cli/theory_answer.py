@@ -42,7 +42,6 @@ _MOST_COLUMNS: Final = 3
 
 _IDEAL: Final = "without command limits"
 """Condition of recommended gains."""
-
 _LIMITED: Final = "with all limits of speed and acceleration"
 
 _UNLIMITED: Final = "Theory leaves out command limits, which change overshoot and settling time."
@@ -192,8 +191,7 @@ def format_terms(
         tabulate_gains(answers),
     ]
     for first in range(0, len(answers), _MOST_COLUMNS) if shows_all else ():
-        part = answers[first : first + _MOST_COLUMNS]
-        tables.append(tabulate_answers("Loop by loop", part))
+        tables.append(tabulate_answers("Loop by loop", answers[first : first + _MOST_COLUMNS]))
     more = [] if shows_all else ["Poles, published rules, and why rules give no gains: --details"]
     return _join(head, tables, [_UNLIMITED, *more])
 
@@ -225,10 +223,7 @@ def format_file(
         for one in groups
         for loop, given in zip(one.loops, one.given, strict=True)
     ]
-    rest = [
-        *list_sources(answers, shows_all=shows_all),
-        *_list_run(word, answers, advice),
-    ]
+    rest = [*list_sources(answers, shows_all=shows_all), *_list_run(word, answers, advice)]
     rest += (
         [] if shows_all else ["Poles and margins, published rules, sources of values: --details"]
     )

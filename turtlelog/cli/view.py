@@ -228,7 +228,7 @@ def _prepare_rrds(
         return ready, []
     runs = options.read_runs(files, topics)
     seen = None  # the surroundings of a bag's robot
-    if not picture.no_scans and len(runs) == 1 and "pose_topic" in runs[0].notes:
+    if not picture.no_scans and len(runs) == 1 and runs[0].origin.poses is not None:
         seen = tl.log.read_surroundings(files[0], runs[0])
     for note in () if seen is None else seen.notes:
         print_note(f"{files[0]}: {note}")
@@ -276,6 +276,16 @@ def require_movie(movie: MovieOptions, files: Sequence[Path]) -> None:
     from turtlelog.draw.movie import require_encoder
 
     require_encoder(suffix)
+
+
+def require_scenes(files: Sequence[Path], movie: MovieOptions) -> None:
+    """Refuse a command that would write nothing, and a movie of nothing."""
+    if movie.movie is None:
+        raise UsageError("plot needs a file or a folder to write: -o NAME.png or -o FOLDER")
+    if not files:
+        raise UsageError(
+            "--movie: no recordings to film; name them: turtlelog plot FILE... --movie NAME.mp4"
+        )
 
 
 def film_runs(runs: "Sequence[tl.Run]", movie: MovieOptions, *, timeline: str) -> None:

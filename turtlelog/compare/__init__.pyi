@@ -53,7 +53,6 @@ from .run_summary import (
     summarise_run as summarise_run,
 )
 from .run_table import (
-    list_reasons as list_reasons,
     order_parameters as order_parameters,
     tabulate_measured as tabulate_measured,
     tabulate_metrics as tabulate_metrics,
@@ -67,6 +66,7 @@ from .table import (
     Mark as Mark,
     Table as Table,
     format_cell as format_cell,
+    list_reasons as list_reasons,
     narrow_table as narrow_table,
     order_ids as order_ids,
 )

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import parse_utc
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
 from turtlelog.measure.reductions import Values
@@ -142,10 +141,10 @@ def find_zero_ns(run: Run, alignment: str, reference: Run | None = None) -> int:
     if alignment == "recorded":
         if reference is None or reference.source != run.source:
             return 0
-        begins = [parse_utc(one.notes.get("original_timestamp", "")) for one in (reference, run)]
-        if begins[0] is None or begins[1] is None:
+        began_ns, other_ns = reference.origin.began_ns, run.origin.began_ns
+        if began_ns is None or other_ns is None:
             return 0
-        zero_ns = begins[0] - begins[1]
+        zero_ns = began_ns - other_ns
         return zero_ns if abs(zero_ns) < max(reference.end_ns, run.end_ns) else 0  # other bags
     if alignment in {"first_sample", "sample"}:
         return run.start_ns

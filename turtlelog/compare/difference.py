@@ -145,11 +145,9 @@ def tabulate_differences(
             shown = None if known is None else show_angle(known.largest, known.unit)[0]
             cells += [shown, known.at_s] if known else [None, None]
         rows.append((name, show_angle(0.0, units[name])[1], *cells))
-    alignments = dict.fromkeys(
-        _ALIGNMENT_WORDS.get(found.alignment)
-        or f"from the start of {found.alignment.removeprefix('phase:')} on"
-        for found in comparisons
-    )
+    used = dict.fromkeys(one.alignment for one in comparisons)
+    starts = {one: f"from the start of {one.removeprefix('phase:')} on" for one in used}
+    alignments = [_ALIGNMENT_WORDS.get(one, start) for one, start in starts.items()]
     return Table(
         title=f"Largest differences from {reference}, {', '.join(alignments)}",
         columns=tuple(columns),
@@ -172,16 +170,12 @@ def _list_notes(
         yield "Along-track and cross-track are not compared: the laws do not track one path."
     counts = [len(found.samples) for found in (reference, run)]
     if not clock.tells_time and counts[0] != counts[1]:
-        yield (
-            f"{clock.span[1] + 1} samples are compared by number: {reference.name} has"
-            f" {counts[0]}, {run.name} {counts[1]}."
-        )
+        has = f"{reference.name} has {counts[0]}, {run.name} {counts[1]}"
+        yield f"{clock.span[1] + 1} samples are compared by number: {has}."
     apart = [pair for pair in pairs if pair.differs_in_unit]
     for loop in dict.fromkeys(pair.metric.id.rpartition(".")[0] for pair in apart):
-        yield (
-            f"The loop {loop} controls another signal in the reference: metrics of other units"
-            " are not compared."
-        )
+        other = f"The loop {loop} controls another signal in the reference"
+        yield f"{other}: metrics of other units are not compared."
 
 
 def _list_overlaps(comparisons: Sequence[RunComparison], names: Sequence[str]) -> tuple[str, ...]:
@@ -317,9 +311,8 @@ def trace_tube(
     turns = np.zeros(len(nearest))
     if theirs.kind.compared_as == "angle":
         turns = 2.0 * np.pi * np.round((values - nearest) / (2.0 * np.pi))
-    half_width = _find_half_width(tolerance, clock)
     low, high = nearest, nearest
-    if half_width:
+    if half_width := _find_half_width(tolerance, clock):
         low, high = common_clock.find_window_range(theirs, grid, half_width)
     to_run_ns = common_clock.find_zero_ns(run, alignment, reference)
     return SignalTube(
@@ -405,10 +398,8 @@ def _share_track(reference: Run, run: Run) -> bool:
 
     Both laws track the same path, at any speed, or no path: then each run has its own line.
     """
-    paths = [
-        None if who.path is None else replace(who.path, speed_m_s=None) for who in (reference, run)
-    ]
-    return paths[0] == paths[1]
+    ours, theirs = (one.path and replace(one.path, speed_m_s=None) for one in (run, reference))
+    return ours == theirs
 
 
 def _measure_rows(
@@ -421,21 +412,16 @@ def _measure_rows(
     """Return the deviation of a run's rows from the reference's signal, both on one clock."""
     reference = placed[0]
     values, nearest, off, limit = _compare_rows(*placed, grid, tolerance, clock)
-    outside = off > limit
-    least = int((off - limit).argmax())
+    outside, least = off > limit, int((off - limit).argmax())
     if not outside[least] and outside.any():
         least = int(outside.argmax())
 
     def read_row(row: int) -> Difference:
         is_label = reference.kind.compared_as == "label"
         numbers = float(nearest[row]), float(values[row])
-        sides = [phases[int(number)] if is_label else number for number in numbers]
-        return Difference(
-            signal=reference.name,
-            time_ns=clock.read_ns(int(grid.at[row])),
-            recorded=sides[0],
-            replayed=sides[1],
-        )
+        was, now = (phases[int(one)] if is_label else one for one in numbers)
+        at_ns = clock.read_ns(int(grid.at[row]))
+        return Difference(signal=reference.name, time_ns=at_ns, recorded=was, replayed=now)
 
     return SignalDifference(
         signal=reference.name,

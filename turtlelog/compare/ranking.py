@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.compare.table import Mark
-from turtlelog.display import describe_count, format_number, format_range, join_words
+from turtlelog.display import (
+    describe_count,
+    format_number,
+    format_range,
+    join_words,
+    show_list,
+)
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import Metric, find_metric_kind
 from turtlelog.measure.step_response import SETTLING_BAND
@@ -47,8 +53,7 @@ class Conditions:
     """Conditions of a run; None: unknown.
 
     Attributes:
-        goal: x, y [m] and heading [rad] of the goal. The heading is None if the goal has none; ()
-            if the law uses no goal.
+        goal: x, y [m] and heading [rad] of the goal, None without a heading; () without a goal.
         start: x, y [m] and heading [rad] of the first pose that was read.
         plant: `turtlesim`, `lagged` or `robot`; None: unknown.
         tables: Keys of path, plant and limits, each None if unknown.
@@ -129,13 +134,9 @@ class Ranking:
             names: Names of the runs, in order.
         """
         notes = [_describe_values(found, names) for found in self.differences]
-        runs = {
-            condition: name_few([names[row] for row in rows])
-            for condition, rows in self.unknown.items()
-        }
         by_runs: dict[str, list[str]] = {}
-        for condition, who in runs.items():
-            by_runs.setdefault(who, []).append(condition)
+        for condition, rows in self.unknown.items():
+            by_runs.setdefault(name_few([names[row] for row in rows]), []).append(condition)
         notes += [
             f"Not known of {who}: {join_words(found)}. The ranking takes"
             f" {_choose_verb(found, 'it', 'them')} for equal."
@@ -179,7 +180,7 @@ def _take_table(run: Run, parameters: Mapping[str, Any], condition: str) -> Keys
     """Return the keys of a condition; None if the condition is unknown."""
     closed = closes_by_itself(str(parameters.get("path.kind")))  # as is meant without the key
     found = tuple(
-        (key, value if isinstance(value, str | int | float) else str(value))
+        (key, value if isinstance(value, str | int | float | list) else str(value))
         for key, value in sorted(parameters.items())
         if key.startswith(_TABLES[condition]) and not (key == "path.closed" and value is closed)
     )
@@ -203,7 +204,7 @@ def _find_plant(run: Run, parameters: Mapping[str, Any], *, is_simulated: bool) 
         return None
     if run.poses.speed_m_s is not None:
         return "turtlesim"
-    return "robot" if "pose_topic" in run.notes else None
+    return None if run.origin.poses is None else "robot"
 
 
 def judge_runs(
@@ -246,10 +247,8 @@ def judge_runs(
     # What is known of some runs alone may differ; what is known of none is the same lack of all.
     for condition in [one for one in unknown if len(unknown[one]) < len(known)]:
         lacking = unknown.pop(condition)
-        values = [
-            None if row in lacking else _write_condition(condition, one)
-            for row, one in enumerate(known)
-        ]
+        told = [_write_condition(condition, one) for one in known]
+        values = [None if row in lacking else text for row, text in enumerate(told)]
         found.append(_differ(condition, values, is_unknown=True))
     return Ranking(varied=differing, differences=tuple(found), unknown=unknown)
 
@@ -325,12 +324,9 @@ def _judge(condition: str, known: Sequence[Conditions]) -> list[ConditionDiffere
     return _judge_table(condition, known)
 
 
-def _differ(
-    condition: str, values: Iterable[Any], *, is_unknown: bool = False
-) -> ConditionDifference:
-    return ConditionDifference(
-        condition=condition, key=condition, values=tuple(values), is_unknown=is_unknown
-    )
+def _differ(name: str, values: Iterable[Any], *, is_unknown: bool = False) -> ConditionDifference:
+    held = tuple(values)
+    return ConditionDifference(condition=name, key=name, values=held, is_unknown=is_unknown)
 
 
 def _are_near(
@@ -369,10 +365,12 @@ def _judge_table(condition: str, known: Sequence[Conditions]) -> list[ConditionD
 
 def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
     """Return the value of each run as text; runs with equal values are grouped."""
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, tuple[str, list[str]]] = {}
     for name, value in zip(names, found.values, strict=True):
-        groups.setdefault(_show(found, value), []).append(name)
-    parts = [f"{value} of {name_few(who)}" for value, who in groups.items()]
+        shown = _show(found, value)
+        key = str(value) if isinstance(value, list) else shown
+        groups.setdefault(key, (shown, []))[1].append(name)
+    parts = [f"{value} of {name_few(who)}" for value, who in groups.values()]
     more = len(parts) - _MOST_NAMED
     if more > 0:
         parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
@@ -398,6 +396,8 @@ def _show(found: ConditionDifference, value: Any) -> str:
         x_m, y_m, heading_rad = value
         turned = "" if heading_rad is None else f" at {math.degrees(heading_rad):.4g} deg"
         return f"({x_m:.5g}, {y_m:.5g}) m{turned}"
+    if isinstance(value, list):
+        return show_list(value)
     return format_number(value) if isinstance(value, float) else str(value)
 
 
@@ -447,16 +447,13 @@ def mark_metric(
 
 def name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
     """Return which run is the best in all compared metrics; empty if no run is marked."""
-    best = {
-        name: {row for row, mark in found.items() if mark == "best"}
-        for name, found in marks.items()
-        if found
-    }
-    if not best:
+    marked = {name: found for name, found in marks.items() if found}
+    if not marked:
         return ""
-    common = set.intersection(*best.values())
+    best = [{row for row, mark in found.items() if mark == "best"} for found in marked.values()]
+    common = set.intersection(*best)
     if not common:
         return "no run is best at everything"
-    what = next(iter(best)) if len(best) == 1 else "everything"
+    what = next(iter(marked)) if len(best) == 1 else "everything"
     who = join_words([names[row] for row in sorted(common)])
     return f"{who} {'is' if len(common) == 1 else 'are'} best at {what}"

@@ -12,7 +12,6 @@ from turtlelog.display import describe_count, fit_line, format_html, format_note
 from turtlelog.identify import AxisTraces
 from turtlelog.measure.reductions import Rows, Values
 from turtlelog.run import Clock, PoseColumns
-from turtlelog.run.angles import subtract_headings
 
 SEEDS: Final = 39
 """Number of simulations of one motion. Another motion of the same kind lies between the smallest
@@ -449,27 +448,3 @@ def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
     """Return the pieces without jumps, and the number of pieces with jumps."""
     inside = np.diff(np.searchsorted(jumps, cut, side="right"), axis=0)[0]
     return cut[:, inside == 0], int(np.count_nonzero(inside))
-
-
-def measure_errors(actual: Values, predicted: Values) -> Values:
-    """Return the errors in distance [m] and turn [rad] at the end of each piece, shape (2, n).
-
-    Both states have the shape (2, n, 3), for beginnings and ends of pieces. The predictions are
-    moved so that they begin at the actual state.
-    """
-    turn_rad = actual[0, :, 2] - predicted[0, :, 2]
-    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
-    ahead_m, aside_m = (predicted[1, :, :2] - predicted[0, :, :2]).T
-    moved_m = actual[1, :, :2] - actual[0, :, :2]
-    off_m = np.hypot(
-        moved_m[:, 0] - (cosine * ahead_m - sine * aside_m),
-        moved_m[:, 1] - (sine * ahead_m + cosine * aside_m),
-    )
-    turned_rad = subtract_headings(actual[1, :, 2], actual[0, :, 2])
-    expected_rad = subtract_headings(predicted[1, :, 2], predicted[0, :, 2])
-    return np.array([off_m, np.abs(subtract_headings(turned_rad, expected_rad))])
-
-
-def stack_states(poses: PoseColumns) -> Values:
-    """Return x, y [m] and heading [rad] of poses, shape (n, 3)."""
-    return np.column_stack([poses.xy_m, poses.heading_rad])

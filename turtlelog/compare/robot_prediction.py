@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compare import robot_comparison
+from turtlelog.compare import robot_comparison, trajectory_errors
 from turtlelog.compare.robot_comparison import (
     ErrorBand,
     ErrorGrowth,
@@ -169,12 +169,12 @@ class _Stack:
         self, recorded: PoseColumns, predicted: Values, rows: Rows, worlds: Values
     ) -> None:
         self._time_ns, self._rows, self._worlds = recorded.time_ns, rows, worlds
-        self._recorded = robot_comparison.stack_states(recorded)
+        self._recorded = trajectory_errors.stack_states(recorded)
         self._predicted = predicted
 
     def _measure(self, cut: Rows) -> tuple[Values, Values | None]:
         """Return the recorded errors, shape (2, n), and those of each seed, shape (seeds, 2, n)."""
-        predicted, measure = self._predicted[cut], robot_comparison.measure_errors
+        predicted, measure = self._predicted[cut], trajectory_errors.measure_piece_errors
         recorded = measure(self._recorded[cut], predicted)
         if not len(self._worlds):
             return recorded, None
@@ -247,14 +247,11 @@ class _Stack:
 
 def _require_sense(run: Run, scenario: Scenario, horizons_s: Sequence[float]) -> None:
     if scenario.plant.kind != "lagged":
-        raise CompareError(
-            f'{scenario.name}: expected a scenario of a robot, with plant.kind = "lagged", found'
-            f" {scenario.plant.kind}"
-        )
+        expected = 'expected a scenario of a robot, with plant.kind = "lagged"'
+        raise CompareError(f"{scenario.name}: {expected}, found {scenario.plant.kind}")
     if not horizons_s or not all(math.isfinite(one) and one > 0.0 for one in horizons_s):
-        raise CompareError(
-            f"horizons_s: expected times above 0 s, found {[*map(float, horizons_s)]}"
-        )
+        found = [*map(float, horizons_s)]
+        raise CompareError(f"horizons_s: expected times above 0 s, found {found}")
     if not len(run.poses):
         raise CompareError(f"{run.name}: the recording holds no poses, which are compared")
     if not len(run.commands):
@@ -272,11 +269,8 @@ def _take_part(run: Run, scenario: Scenario) -> tuple[Run, list[str]]:
     if poses.time_ns[-1] > until_ns:
         whole_s = (poses.time_ns[-1] - poses.time_ns[0]) / 1e9
         notes = [f"The first {longest_s:g} s of {whole_s:.0f} s are compared."]
-    sensed = PoseColumns(
-        time_ns=poses.time_ns[kept],
-        xy_m=poses.read_xy_m[kept],
-        heading_rad=poses.read_heading_rad[kept],
-    )
+    xy_m, heading_rad = poses.read_xy_m[kept], poses.read_heading_rad[kept]
+    sensed = PoseColumns(time_ns=poses.time_ns[kept], xy_m=xy_m, heading_rad=heading_rad)
     none = take_rows(run.samples, slice(0, 0))
     return replace(run, poses=sensed, samples=none), notes
 
@@ -442,8 +436,8 @@ def _find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario)
     if len(poses) < 2:
         return np.zeros(0, dtype=np.int64)
     steps = np.array([np.arange(len(poses) - 1), np.arange(1, len(poses))])
-    states = (robot_comparison.stack_states(one) for one in (poses, simulated))
-    errors = robot_comparison.measure_errors(*(one[steps] for one in states))
+    states = (trajectory_errors.stack_states(one) for one in (poses, simulated))
+    errors = trajectory_errors.measure_piece_errors(*(one[steps] for one in states))
     apart_s = np.diff(poses.time_ns) / 1e9
     apart_s = np.maximum(apart_s, np.median(apart_s))
     gains = scenario.plant.speed_gain, scenario.plant.turn_gain

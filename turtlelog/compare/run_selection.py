@@ -13,7 +13,13 @@ from typing import Any, Final, TypeVar
 from turtlelog import expressions
 from turtlelog.compare.run_summary import TEXTS, RunSummary, complete_parameters, describe_run_end
 from turtlelog.compare.table import Cell, Column, order_ids
-from turtlelog.display import cut_name, describe_count, describe_range, split_numbers
+from turtlelog.display import (
+    cut_name,
+    describe_count,
+    describe_range,
+    show_list,
+    split_numbers,
+)
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.log import split_topic
 from turtlelog.measure import (
@@ -300,7 +306,9 @@ def get_gain(summary: RunSummary, title: str) -> Cell:
 def get_parameter(summary: RunSummary, name: str) -> Cell:
     """Return a parameter as a cell of a table."""
     value = summary.parameters.get(name)
-    return str(value).lower() if isinstance(value, bool | list) else value
+    if isinstance(value, list):
+        return show_list(value)
+    return str(value).lower() if isinstance(value, bool) else value
 
 
 _COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"})

@@ -12,11 +12,11 @@ from turtlelog import measure
 from turtlelog.compare.ranking import Conditions, find_conditions
 from turtlelog.display import fit_line, format_short, join_words
 from turtlelog.errors import CompareError, TurtlelogError, release_frames
-from turtlelog.log import ReadChoice, read_as_chosen
+from turtlelog.log import NOTES, ReadChoice, read_as_chosen
 from turtlelog.measure import MeasureSettings, Metric, Metrics
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
-from turtlelog.run import Parameter, Run, require_run
+from turtlelog.run import Origin, Parameter, Run, require_run
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import GoalEnd, describe_wall, find_goal_end
 
@@ -59,6 +59,7 @@ class RunSummary:
         parameters: Parameters by dotted key (`law.kp_linear`).
         metrics: Metrics by id.
         file: File from which the run was read; empty if unknown.
+        origin: Origin, as in `Run`.
         notes: Notes, as in `Run`, and one on jumps that the path length contains.
         declaration: Declaration of the law, as in `Run`.
         lacks: Elements of `HOLDINGS` that the run lacks.
@@ -73,6 +74,7 @@ class RunSummary:
     parameters: Mapping[str, Parameter]
     metrics: Mapping[str, Metric]
     file: str = ""
+    origin: Origin = field(default_factory=Origin)
     notes: Mapping[str, str] = field(default_factory=dict)
     declaration: Declaration = field(default_factory=Declaration)
     lacks: tuple[str, ...] = ()
@@ -170,7 +172,7 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
     # What thousands of runs have in common is in memory once, though each was pickled alone.
     named: dict[str, Any] = {
         "parameters": {
-            sys.intern(key): _share_text(one) if isinstance(one, str) else one
+            sys.intern(key): _share(one) if isinstance(one, str) else one
             for key, one in values["parameters"].items()
         },
         "metrics": {
@@ -179,24 +181,17 @@ def _rebuild(values: dict[str, Any]) -> RunSummary:
                 value=value,
                 unit=sys.intern(unit),
                 status=Status(status),
-                reason=_share_text(reason),
+                reason=_share(reason),
                 at_s=at_s,
             )
             for key, name, value, unit, status, reason, at_s in values["metrics"]
         },
-        "declaration": _share_declaration(values["declaration"]),
-        "conditions": _share_conditions(values["conditions"]),
+        **{name: _share(values[name]) for name in ("declaration", "conditions", "origin")},
     }
     return RunSummary(**values | named)
 
 
-@lru_cache(maxsize=1024)
-def _share_text(text: str) -> str:
-    return text
-
-
-_share_conditions: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
-_share_declaration: Callable[[Any], Any] = lru_cache(maxsize=64)(lambda value: value)
+_share: Callable[[Any], Any] = lru_cache(maxsize=1024)(lambda value: value)
 
 
 def summarise_run(
@@ -221,6 +216,7 @@ def summarise_measured(
         parameters=known if with_parameters else {key: known[key] for key in gains if key in known},
         metrics=metrics,
         file=file,
+        origin=run.origin,
         notes={
             **run.notes,
             **_describe_poses(run, metrics),
@@ -391,18 +387,11 @@ UNLOCKS: Final = MappingProxyType(
 """Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
 
 
-_DOUBTS: Final = {
-    "crowded": ", but the times of most poses are wrong",
-    "unlikely_units": ", in units that are unlikely",
-}
-"""Notes on a file that put its numbers in doubt, each with a clause."""
-
-
 def describe_end(summary: RunSummary) -> str:
     """Return place and time of a run's end; without a goal, the length of its path."""
-    doubts = [clause for name, clause in _DOUBTS.items() if name in summary.notes]
-    if "restarts" in summary.notes:  # `run 1 of 2 in the table is read ...`
-        doubts.append(f", in {summary.notes['restarts'].partition(' is read')[0]}")
+    doubts = [kind.doubt for name, kind in NOTES.items() if name in summary.notes]
+    if summary.origin.table_run is not None:
+        doubts.append(", in run {} of {} in the table".format(*summary.origin.table_run))
     return f"{_describe_end(summary)}{''.join(doubts)}"
 
 
@@ -426,17 +415,13 @@ def _describe_end(summary: RunSummary) -> str:
         return f"cross-track error {sizes}, in {duration}"
     if length is None:
         return f"lasts {duration}"
-    beside = [
-        f", {summary.notes[name]} {words},"
-        for name, words in (
-            ("jumped_share", "of it jumps"),
-            ("path_without_scatter", "through the median of each second"),
-        )
-        if name in summary.notes
-    ]
-    gaps = summary.notes.get("large_gaps")
+    jumps, median, gaps = map(
+        summary.notes.get, ("jumped_share", "path_without_scatter", "large_gaps")
+    )
+    beside = f", {median} through the median of each second," if median else ""
+    beside = f", {jumps} of it jumps," if jumps else beside
     without = f", {gaps} of it without poses" if gaps else ""
-    return f"the path is {length} long{next(iter(beside), '')} and takes {duration}{without}"
+    return f"the path is {length} long{beside} and takes {duration}{without}"
 
 
 _LENGTH, _FURTHEST, _DURATION = "run.path_length", "run.cross_track_max", "run.duration"

@@ -17,10 +17,10 @@ from turtlelog.compare.ranking import (
     name_best,
 )
 from turtlelog.compare.run_summary import RunSummary, drop_absent, list_unlocks
-from turtlelog.compare.table import Cell, Column, Table, group_ids, group_loops
+from turtlelog.compare.table import Cell, Column, Table, group_ids, group_loops, list_reasons
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError
-from turtlelog.measure import MeasureSettings, Metric, Status, list_metrics, measure_run
+from turtlelog.measure import MeasureSettings, Metric, list_metrics, measure_run
 from turtlelog.run import Parameter, Run
 from turtlelog.run.loops import ControlLoop, Declaration
 from turtlelog.theory import compute_settling_time, compute_time_constant
@@ -29,8 +29,7 @@ _MOST_DIFFERING: Final = 2
 """Largest number of columns for parameters that differ between runs."""
 
 _MOST_NAMED: Final = 3
-"""Largest number of other differing keys that the first line names, and of metrics named beside the
-reason for their missing values."""
+"""Largest number of other differing keys that the first line names."""
 
 _MOST_HIDDEN: Final = 8
 """Largest number of further differing keys that are named below a table."""
@@ -308,31 +307,6 @@ def tabulate_measured(
     )
 
 
-def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return the reasons for missing values without duplicates.
-
-    If a status has several reasons, a cell does not show which one applies; then the reasons name
-    the metrics.
-    """
-    named: dict[Status, dict[str, dict[str, None]]] = {}
-    for metrics in measured:
-        for name, metric in metrics.items():
-            if metric.reason:
-                reasons = named.setdefault(metric.status, {})
-                reasons.setdefault(metric.reason, {})[name] = None
-    return tuple(
-        f"{status.words}{_name_some([*names]) if len(reasons) > 1 else ''}: {reason}."
-        for status, reasons in named.items()
-        for reason, names in reasons.items()
-    )
-
-
-def _name_some(names: Sequence[str]) -> str:
-    rest = len(names) - _MOST_NAMED
-    shown = names if rest < 2 else [*names[:_MOST_NAMED], f"{rest} more"]
-    return f" ({join_words(shown)})"
-
-
 PAPER_ERRORS: Final[Mapping[float, tuple[float, float]]] = MappingProxyType(
     {
         1.0: (0.0253, 0.081545),
@@ -455,11 +429,7 @@ def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
 
 
 def _list_theory_loops(run: Run) -> list[ControlLoop]:
-    """Return the loops with a gain and a theory: position by speed, heading by turn rate.
-
-    Other loops do not have this theory: a cross-track error, a heading controlled by speed, and a
-    loop with an integral or derivative respond differently. A moving reference is not a step.
-    """
+    """Return the loops with a gain and a theory; a moving reference is not a step."""
     loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
     return [loop for loop in loops if loop.has_theory]
 

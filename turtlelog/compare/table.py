@@ -11,8 +11,15 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-from turtlelog.display import describe_count, fit_line, format_html, format_notebook, format_number
-from turtlelog.measure import Status
+from turtlelog.display import (
+    describe_count,
+    fit_line,
+    format_html,
+    format_notebook,
+    format_number,
+    join_words,
+)
+from turtlelog.measure import Metric, Status
 from turtlelog.run.loops import RESERVED, ControlLoop, Declaration
 from turtlelog.run.tables import Tabular
 
@@ -148,6 +155,21 @@ _GAP: Final = 2
 _Kind = tuple[str, str, bool]
 
 
+def put_ends_first(table: Table) -> Table:
+    """Return a table with final errors next to the gains: pictures leave room for half of it."""
+    titles = [column.title for column in table.columns]
+    ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
+    first = next((place for place, title in enumerate(titles) if "." in title), len(titles))
+    rest = [place for place in range(first, len(titles)) if place not in ends]
+    order = [*range(first), *reversed(ends), *rest]
+    return replace(
+        table,
+        columns=tuple(table.columns[place] for place in order),
+        rows=tuple(tuple(row[place] for place in order) for row in table.rows),
+        marks={(row, order.index(place)): mark for (row, place), mark in table.marks.items()},
+    )
+
+
 def order_ids(ids: Iterable[str], declarations: Iterable[Declaration] = ()) -> tuple[str, ...]:
     """Return the ids of several laws without duplicates: loop by loop, then end and run.
 
@@ -202,3 +224,32 @@ def _take_turns(columns: Sequence[Sequence[str]]) -> tuple[str, ...]:
     for name in (name for column in columns for name in column):
         by_metric.setdefault(name.rpartition(".")[2], []).append(name)
     return tuple(name for names in by_metric.values() for name in names)
+
+
+_MOST_NAMED: Final = 3
+"""Largest number of metrics named beside the reason for their missing values."""
+
+
+def list_reasons(measured: Iterable[Mapping[str, Metric]]) -> tuple[str, ...]:
+    """Return the reasons for missing values without duplicates.
+
+    If a status has several reasons, a cell does not show which one applies; then the reasons name
+    the metrics.
+    """
+    named: dict[Status, dict[str, dict[str, None]]] = {}
+    for metrics in measured:
+        for name, metric in metrics.items():
+            if metric.reason:
+                reasons = named.setdefault(metric.status, {})
+                reasons.setdefault(metric.reason, {})[name] = None
+    return tuple(
+        f"{status.words}{_name_some([*names]) if len(reasons) > 1 else ''}: {reason}."
+        for status, reasons in named.items()
+        for reason, names in reasons.items()
+    )
+
+
+def _name_some(names: Sequence[str]) -> str:
+    rest = len(names) - _MOST_NAMED
+    shown = names if rest < 2 else [*names[:_MOST_NAMED], f"{rest} more"]
+    return f" ({join_words(shown)})"

@@ -15,7 +15,7 @@ from turtlelog.compare.trajectory_errors import Alignment, DeltaUnit, ErrorStati
 from turtlelog.display import describe_count, fit_line, format_short, join_words
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure.breaks import find_gap_rows
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory
 
 AlignIn = Literal["none", "origin", "se2", "se3", "sim2", "sim3"]
 ALIGN_IN: Final[tuple[AlignIn, ...]] = get_args(AlignIn)

@@ -18,8 +18,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from turtlelog.measure.reductions import Rows, Values
-from turtlelog.run.angles import find_quaternions
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory, find_quaternions, subtract_headings
+from turtlelog.run.columns import PoseColumns
 
 DeltaUnit = Literal["frames", "m", "deg", "s"]
 
@@ -380,3 +380,27 @@ def _measure_angles(quat_wxyz: Values) -> Values:
     return np.asarray(
         2.0 * np.arctan2(np.linalg.norm(quat_wxyz[:, 1:], axis=1), np.abs(quat_wxyz[:, 0]))
     )
+
+
+def measure_piece_errors(actual: Values, predicted: Values) -> Values:
+    """Return the errors in distance [m] and turn [rad] at the end of each piece, shape (2, n).
+
+    Both states have the shape (2, n, 3), for beginnings and ends of pieces. The predictions are
+    moved so that they begin at the actual state.
+    """
+    turn_rad = actual[0, :, 2] - predicted[0, :, 2]
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    ahead_m, aside_m = (predicted[1, :, :2] - predicted[0, :, :2]).T
+    moved_m = actual[1, :, :2] - actual[0, :, :2]
+    off_m = np.hypot(
+        moved_m[:, 0] - (cosine * ahead_m - sine * aside_m),
+        moved_m[:, 1] - (sine * ahead_m + cosine * aside_m),
+    )
+    turned_rad = subtract_headings(actual[1, :, 2], actual[0, :, 2])
+    expected_rad = subtract_headings(predicted[1, :, 2], predicted[0, :, 2])
+    return np.array([off_m, np.abs(subtract_headings(turned_rad, expected_rad))])
+
+
+def stack_states(poses: PoseColumns) -> Values:
+    """Return x, y [m] and heading [rad] of poses, shape (n, 3)."""
+    return np.column_stack([poses.xy_m, poses.heading_rad])

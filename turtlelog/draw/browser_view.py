@@ -49,9 +49,30 @@ def show_run(run: Run, *, width: int = 960, height: int = 640) -> "Viewer | Figu
         from turtlelog.draw.figures import draw_figure  # not needed for the widget
 
         return draw_figure("panel", run)
-    from turtlelog.draw.rerun.live_viewer import build_run_widget
+    return _build_widget(run, (width, height))
 
-    return build_run_widget(run, (width, height))
+
+def _build_widget(run: Run, size: tuple[int, int]) -> "Viewer":
+    """Return a notebook widget of this width and height [pixels] with the recording of a run.
+
+    The page gets the recording in one message. Rerun itself would send one message per part; a
+    browser without a graphics card often shows nothing after hundreds of messages.
+    """
+    from tempfile import TemporaryDirectory
+
+    from turtlelog.draw.rerun.live_viewer import build_viewer
+    from turtlelog.draw.rerun.run_scene import write_run_rrd
+
+    with TemporaryDirectory(prefix="turtlelog-") as folder:
+        file = Path(folder, "run.rrd")
+        try:
+            write_run_rrd(run, file, size=size)
+        except ShowError as err:
+            raise ShowError(str(err).replace(str(file), run.name)) from err
+        data = file.read_bytes()
+    viewer = build_viewer(size)
+    viewer._viewer.send_rrd(data)
+    return viewer
 
 
 _KINDS: Final[Mapping[str, str]] = {

@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 
 from turtlelog import compare
-from turtlelog.charts.curves import require_near
 from turtlelog.charts.many_runs import choose_colors_by_value
 from turtlelog.charts.palette import GHOST, choose_cause_colors
-from turtlelog.charts.plane_scene import move_near
+from turtlelog.charts.plane_scene import move_near, require_near
 from turtlelog.charts.plotted_curves import CurveKind
 from turtlelog.display import describe_count, show_angle
 from turtlelog.draw import report_sections as sections
@@ -174,9 +173,8 @@ def _write_stage(plots: Plots, count: int, origin: str) -> str:
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
     series = "".join(place for name, place in places.items() if name.startswith("plot-"))
     marks = '<label><input type="checkbox" checked id="marks">marks</label>'
-    told = [word for kind, word in _KINDS.items() if kind in plots.kinds]
-    if count > 1:
-        told = [word for word in told if not word.startswith("green")]
+    kinds = plots.kinds if count == 1 else {*plots.kinds} - {"applied", "measured"}
+    told = [word for kind, word in _KINDS.items() if kind in kinds]
     words = "; ".join([*told, *([f"coordinates are counted: {origin}"] if origin else [])])
     note = f'<p class="note">{words[0].upper()}{words[1:]}.</p>' if words else ""
     note += _MARKS_NOTE if plots.config["marks"] else ""

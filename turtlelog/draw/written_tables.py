@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Final
 
 from turtlelog import compare, measure
 from turtlelog.compare import Cell, Column, Mark, Table, format_cell
+from turtlelog.compare.table import put_ends_first
 from turtlelog.display import describe_count
 from turtlelog.errors import ShowError
-from turtlelog.escapes import escape_controls, escape_markdown, guard_cell
+from turtlelog.escapes import escape_controls, escape_latex, escape_markdown, guard_cell
 from turtlelog.run.loops import PAUSE
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def format_latex(table: Table) -> str:
     lines = [
         rf"\begin{{table{star}}}",
         rf"  \centering{size}\setlength{{\tabcolsep}}{{4pt}}",
-        rf"  \caption{{{_escape_latex(title)}}}",
+        rf"  \caption{{{escape_latex(title)}}}",
         *([rf"  \label{{{table.label}}}"] if table.label else []),
         rf"  \begin{{tabular}}{{{alignment}}}",
         r"    \toprule",
@@ -168,7 +169,7 @@ def _format_rows(table: Table, kind: str) -> list[list[str]]:
 def _format(cell: Cell, column: Column, kind: str) -> str:
     text = format_cell(cell, column)
     if not isinstance(cell, float | int):
-        return escape_markdown(text) if kind == "md" else _escape_latex(text)
+        return escape_markdown(text) if kind == "md" else escape_latex(text)
     mantissa, _, power = text.partition("e")
     if kind == "tex" and power:
         return rf"${mantissa} \times 10^{{{int(power)}}}$"
@@ -182,7 +183,7 @@ def _mark(table: Table, row: int, index: int, text: str, kind: str) -> str:
 
 def _list_notes(table: Table, kind: str) -> list[str]:
     legend = [_LEGENDS[kind]] if table.marks else []
-    escape = partial(escape_markdown, starts_line=True) if kind == "md" else _escape_latex
+    escape = partial(escape_markdown, starts_line=True) if kind == "md" else escape_latex
     return [*legend, *map(escape, table.notes)]
 
 
@@ -204,10 +205,10 @@ def _is_wide(table: Table) -> bool:
 
 def _list_heads(table: Table) -> list[list[str]]:
     """Return the title lines of a table: long titles are broken, and units are below."""
-    titles = [list(map(_escape_latex, column.lines or (column.title,))) for column in table.columns]
+    titles = [list(map(escape_latex, column.lines or (column.title,))) for column in table.columns]
     height = max(map(len, titles))
     heads = [[*[""] * (height - len(title)), *title] for title in titles]
-    units = [f"[{_escape_latex(column.unit)}]" if column.unit else "" for column in table.columns]
+    units = [f"[{escape_latex(column.unit)}]" if column.unit else "" for column in table.columns]
     return [*map(list, zip(*heads, strict=True)), *([units] if any(units) else [])]
 
 
@@ -218,15 +219,6 @@ def _join_latex(cells: list[str]) -> str:
     # After a rule or the end of a row LaTeX would read `[` or `*` as an argument.
     guard = "{}" if cells[0][:1] in {"[", "*"} else ""
     return f"    {guard}{' & '.join(cells)} \\\\"
-
-
-def _escape_latex(text: str) -> str:
-    special = {character: f"\\{character}" for character in "&%$#_{}"}
-    special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    special |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}
-    line = " ".join(text.splitlines())
-    escaped = "".join(special.get(letter, letter) for letter in escape_controls(line))
-    return re.sub(r"\\textasciicircum{}(\d+)", r"\\textsuperscript{\1}", escaped)
 
 
 def _build_column(table: Table, index: int) -> _Column:
@@ -354,31 +346,21 @@ _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run
 
 
 def document_run(run: "Run", *, metrics: Mapping[str, "Metric"] | None = None) -> Mapping[str, str]:
-    """Return the documents of one run by title: metrics, and the known part of the scenario.
-
-    Args:
-        run: Run to describe.
-        metrics: Metrics of the run, if already measured.
-    """
+    """Return the documents of one run by title: metrics, and the known part of the scenario."""
     metrics = measure.measure_run(run) if metrics is None else metrics
     texts = {"Metrics": _list_metrics(run, metrics), "Scenario": _list_scenario(run)}
     return {title: "\n".join(lines) + "\n" for title, lines in texts.items()}
 
 
 def document_runs(
-    runs: Sequence["Run"],
-    *,
-    metrics: Sequence[Mapping[str, "Metric"]] | None = None,
+    runs: Sequence["Run"], *, metrics: Sequence[Mapping[str, "Metric"]] | None = None
 ) -> Mapping[str, str]:
-    """Return the documents of a comparison by title: table of runs, metrics, Table 1.
-
-    The arguments are as in `document_run`, for several runs.
-    """
+    """Return the documents of a comparison by title: table of runs, metrics, Table 1."""
     metrics = [measure.measure_run(run) for run in runs] if metrics is None else metrics
     pairs = zip(runs, metrics, strict=True)
     summaries = [compare.summarise_run(run, metrics=measured) for run, measured in pairs]
     tables = {
-        "Side by side": (_put_ends_first(compare.tabulate_runs(summaries)),),
+        "Side by side": (put_ends_first(compare.tabulate_runs(summaries)),),
         "Metrics": (
             compare.tabulate_measured(
                 compare.name_runs(runs),
@@ -389,21 +371,6 @@ def document_runs(
         "Table 1": (compare.tabulate_whole_runs(runs), compare.tabulate_table1(runs)),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
-
-
-def _put_ends_first(table: Table) -> Table:
-    """Return a table with final errors next to the gains: pictures leave room for half of it."""
-    titles = [column.title for column in table.columns]
-    ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
-    first = next((place for place, title in enumerate(titles) if "." in title), len(titles))
-    rest = [place for place in range(first, len(titles)) if place not in ends]
-    order = [*range(first), *reversed(ends), *rest]
-    return replace(
-        table,
-        columns=tuple(table.columns[place] for place in order),
-        rows=tuple(tuple(row[place] for place in order) for row in table.rows),
-        marks={(row, order.index(place)): mark for (row, place), mark in table.marks.items()},
-    )
 
 
 def choose_essentials(

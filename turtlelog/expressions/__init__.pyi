@@ -5,6 +5,7 @@ from .evaluation import (
     check_comparison as check_comparison,
     compare_operands as compare_operands,
     describe_unknown_name as describe_unknown_name,
+    draw_caret as draw_caret,
     evaluate_expression as evaluate_expression,
     evaluate_node as evaluate_node,
     fail_at as fail_at,
@@ -25,7 +26,6 @@ from .parser import (
     Text as Text,
     Truth as Truth,
     Until as Until,
-    draw_caret as draw_caret,
     iterate_nodes as iterate_nodes,
     parse_expression as parse_expression,
 )

@@ -368,3 +368,23 @@ def _find_binding(node: parser.Node) -> int:
         case parser.Until():
             return parser.PRECEDENCE["until"]
     return _TIGHTEST
+
+
+_WIDTH: Final = 78  # characters of a line that is shown
+
+
+def draw_caret(text: str, column: int) -> str:
+    """Return the line of a text that contains a column, with a caret below the column.
+
+    Long lines are cut around the column. Control characters are shown as spaces.
+
+    Args:
+        text: Text of an expression.
+        column: Column, counted from 1 over the whole text, as in `ExpressionError.column`.
+    """
+    head = text[: column - 1].rpartition("\n")[2]
+    line = head + text[column - 1 :].partition("\n")[0]
+    start = max(0, min(len(head) - _WIDTH // 2, len(line) - _WIDTH))
+    shown = line[start : start + _WIDTH]
+    printable = "".join(character if character.isprintable() else " " for character in shown)
+    return f"{printable}\n{' ' * (len(head) - start)}^"

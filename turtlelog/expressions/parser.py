@@ -40,27 +40,20 @@ PRECEDENCE: Final = {
     "until": 4,
     "not": 5,
     **dict.fromkeys(("<", "<=", ">", ">=", "==", "!="), 6),
-    "+": 7,
-    "-": 7,
-    "*": 8,
-    "/": 8,
+    **dict.fromkeys("+-", 7),
+    **dict.fromkeys("*/", 8),
     "unary -": 9,
     "**": 10,
 }
 """Precedence of operators; a higher number binds tighter. `unary -` is the minus of -x."""
 
 _INFIX: Final = frozenset(PRECEDENCE) - {"not", "unary -"}
-
 _TEMPORAL: Final = ("always", "eventually")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Node:
-    """Part of an expression.
-
-    Attributes:
-        column: Column of the node or its operator, counted from 1; excluded from comparisons.
-    """
+    """Part of an expression, with its column or that of its operator, counted from 1."""
 
     column: int = field(default=1, compare=False)
 
@@ -131,13 +124,7 @@ class Arithmetic(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison(Node):
-    """A chain as in mathematics: `a < b <= c` is `a < b and b <= c`.
-
-    Attributes:
-        operators: Operators, at least one.
-        operands: Operands, one more than operators.
-        columns: Columns of the operators; excluded from comparisons.
-    """
+    """A chain as in mathematics: `a < b <= c` is `a < b and b <= c`; `columns` of its operators."""
 
     operators: tuple[Literal["<", "<=", ">", ">=", "==", "!="], ...]
     operands: tuple[Node, ...]
@@ -154,14 +141,7 @@ class Logic(Node):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Temporal(Node):
-    """A truth value at all times, or at some time, of a window after each instant.
-
-    Attributes:
-        operator: `always` or `eventually`.
-        start_s: Start of the window after the instant [s], finite, not negative.
-        end_s: End of the window after the instant [s]; may be inf.
-        operand: Formula to evaluate.
-    """
+    """A truth value at all times, or at some time, of a window after each instant [s]."""
 
     operator: Literal["always", "eventually"]
     start_s: float = 0.0
@@ -231,7 +211,6 @@ def parse_expression(text: str, *, source: str = "expression") -> Expression:
     return Expression(text=text, source=source, root=_Parser(text, source).parse())
 
 
-_WIDTH: Final = 78  # characters of a line that is shown
 _LONGEST_QUOTE: Final = 40  # characters of a token in a message
 
 _TOKEN: Final = re.compile(
@@ -258,9 +237,8 @@ class Token:
     column: int
 
     def __str__(self) -> str:
-        is_long = len(self.text) > _LONGEST_QUOTE
-        shown = f"{self.text[:_LONGEST_QUOTE]}..." if is_long else self.text
-        return "the end" if self.kind == "end" else repr(shown)
+        cut = f"{self.text[:_LONGEST_QUOTE]}{'...' if len(self.text) > _LONGEST_QUOTE else ''}"
+        return "the end" if self.kind == "end" else repr(cut)
 
 
 def split_tokens(text: str, *, source: str) -> list[Token]:
@@ -277,8 +255,8 @@ def split_tokens(text: str, *, source: str) -> list[Token]:
         if found == "->" or found in KEYWORDS:
             kind, found = "operator", found.replace("->", "implies")
         if match.lastgroup != "space":
-            word = found[1:-1] if kind == "text" else found
-            tokens.append(Token(kind=kind, text=word, column=position + 1))
+            found = found[1:-1] if kind == "text" else found
+            tokens.append(Token(kind=kind, text=found, column=position + 1))
         position = match.end()
     return [*tokens, Token(kind="end", text="", column=len(text.rstrip(" \t\r\n")) + 1)]
 
@@ -288,9 +266,10 @@ def _describe_character(character: str) -> str:
         return f"expected a closing {character}, found the end of the line"
     hints = {"=": "; equality is ==", "^": "; powers are **"}
     hints |= {"!": "; write not", "&": "; write and", "|": "; write or"}
-    hint = hints.get(character, "")
     code = "" if character.isascii() else f" (U+{ord(character):04X})"
-    return f"expected a number, name or operator, found {character!r}{code}{hint}"
+    return (
+        f"expected a number, name or operator, found {character!r}{code}{hints.get(character, '')}"
+    )
 
 
 def build_error(source: str, text: str, column: int, problem: str) -> ExpressionError:
@@ -300,23 +279,6 @@ def build_error(source: str, text: str, column: int, problem: str) -> Expression
         line, last = before.count("\n") + 1, before.rpartition("\n")[2]
         place = f"line {line}, column {len(last) + 1}"
     return ExpressionError(f"{source}: {place}: {problem}", column=column)
-
-
-def draw_caret(text: str, column: int) -> str:
-    """Return the line of a text that contains a column, with a caret below the column.
-
-    Long lines are cut around the column. Control characters are shown as spaces.
-
-    Args:
-        text: Text of an expression.
-        column: Column, counted from 1 over the whole text, as in `ExpressionError.column`.
-    """
-    head = text[: column - 1].rpartition("\n")[2]
-    line = head + text[column - 1 :].partition("\n")[0]
-    start = max(0, min(len(head) - _WIDTH // 2, len(line) - _WIDTH))
-    shown = line[start : start + _WIDTH]
-    printable = "".join(character if character.isprintable() else " " for character in shown)
-    return f"{printable}\n{' ' * (len(head) - start)}^"
 
 
 class _Parser:
@@ -376,12 +338,11 @@ class _Parser:
         # `implies` and `until` are right-associative; an exponent may be negative: 10**-3.
         loosest = {"**": PRECEDENCE["unary -"], "implies": binding, "until": binding}
         right = self._parse_level(loosest.get(operator, binding + 1))
-        column = token.column
         if operator == "until":
-            return Until(left=left, right=right, column=column, **window)
+            return Until(left=left, right=right, column=token.column, **window)
         if operator == "implies":
-            return Logic(operator=operator, operands=(left, right), column=column)
-        return Arithmetic(operator=operator, left=left, right=right, column=column)
+            return Logic(operator=operator, operands=(left, right), column=token.column)
+        return Arithmetic(operator=operator, left=left, right=right, column=token.column)
 
     def _parse_chain(self, left: Node, first: Token, binding: int) -> Node:
         """Parse comparisons, or truth values that one operator joins, into one node."""
@@ -393,8 +354,7 @@ class _Parser:
         parts: dict[str, Any] = {"operands": tuple(operands), "column": first.column}
         if first.text in {"and", "or"}:
             return Logic(operator=operators[0], **parts)
-        columns = tuple(token.column for token in tokens)
-        return Comparison(operators=operators, columns=columns, **parts)
+        return Comparison(operators=operators, columns=tuple(one.column for one in tokens), **parts)
 
     def _parse_prefix(self) -> Node:
         token = self._take()

@@ -42,9 +42,12 @@ from .planar_poses import (
 from .read_choice import (
     CHOSEN as CHOSEN,
     CLOCK_SET as CLOCK_SET,
+    NOTES as NOTES,
     UNUSED as UNUSED,
     ReadChoice as ReadChoice,
     ReadOptions as ReadOptions,
+    label_note as label_note,
+    list_notes_after as list_notes_after,
     split_topic as split_topic,
 )
 from .recording.reader import RecordingTail as RecordingTail, read_recording as read_recording

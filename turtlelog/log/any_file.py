@@ -21,7 +21,6 @@ from turtlelog.log.file_info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
     RESTARTS,
-    ROBOT,
     UNUSED,
     FileKind,
     ReadChoice,
@@ -56,10 +55,7 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
     (path, topic), choice = split_topic(path), ReadChoice(**options)
     if topic is None:
         return _read(path, choice)
-    choice = replace(choice, pose_topic=topic)
-    run = _read(path, choice, names_topic=True)
-    # A topic in the name distinguishes two topics of one bag. A recording keeps its name.
-    return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
+    return _read(path, replace(choice, pose_topic=topic), names_topic=True)
 
 
 def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run":
@@ -82,7 +78,10 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run"
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice, "recording")
-    return _note_unused(_read_bag(path, choice), choice, "bag")
+    run = _read_bag(path, choice)
+    # A topic in the name distinguishes two topics of one bag. A recording keeps its name.
+    run = replace(run, name=f"{run.name}:{choice.pose_topic}") if names_topic else run
+    return _note_unused(run, choice, "bag")
 
 
 def _read_bag(path: Path, choice: ReadChoice) -> "Run":
@@ -119,7 +118,7 @@ def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
         run = log.import_plain_table(
             path, choice.columns, robot=choice.robot, allow_partial=choice.allow_partial
         )
-    choice = replace(choice, robot=None) if ROBOT in run.notes else choice
+    choice = replace(choice, robot=None) if run.origin.robot else choice
     return _note_unused(run, choice, "table")
 
 
@@ -220,7 +219,7 @@ def _recognise(path: Path) -> tuple[bool, bool]:
 
 
 def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
-    unused = describe_unused(choice, kind, run.notes.get("command_topic", ""))
+    unused = describe_unused(choice, kind, run.origin.commands)
     return replace(run, notes={**run.notes, UNUSED: unused}) if unused else run
 
 

@@ -33,7 +33,7 @@ from turtlelog.log.recording.head import (
     parse_scenario_file,
 )
 from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE
-from turtlelog.run import Parameter
+from turtlelog.run import Lost, Parameter
 from turtlelog.scenario import flatten_tables
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
@@ -92,6 +92,7 @@ class RecordingInfo:
         notes: Notes, as in `Run`; also `recovered` for a recovered file and `partial` for a damaged
             one.
         not_understood: Topics whose messages cannot become columns, with the reason.
+        lost: What the file had lost when it was recovered.
     """
 
     file: str
@@ -109,6 +110,7 @@ class RecordingInfo:
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
     not_understood: tuple[str, ...] = ()
+    lost: Lost = "nothing"
 
     def __repr__(self) -> str:
         length = "no messages" if self.duration_s is None else f"{self.duration_s:.1f} s"
@@ -176,7 +178,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
         else:
             survey = survey_file(opened, allow_partial=allow_partial)
         span_ns, reasons = survey.span_ns, survey.catalogue.list_reasons()
-        notes = describe_recovery(survey.records)
+        notes, lost = describe_recovery(survey.records)
         if not survey.is_finished:
             notes["partial"] = describe_damages(survey.damages)
         storage = "sqlite3" if isinstance(opened, SqliteSource) else "mcap"
@@ -191,6 +193,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             topics=_list_topics(survey, reasons),
             not_understood=tuple(f"{topic}: {reason}" for topic, reason in reasons.items()),
             notes=notes,
+            lost=lost,
         )
         return _add_head(info, survey)
 
@@ -204,7 +207,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         found.name: found.data for found in survey.records if isinstance(found, Attachment)
     }
     tables, is_complete = parse_scenario_file(attachments)
-    is_whole = survey.is_finished and not describe_recovery(survey.records)
+    is_whole = survey.is_finished and info.lost == "nothing"
     counts = {topic.topic: topic.count for topic in info.topics}
     places = {"poses": POSE, "commands": COMMAND, "samples": CONTROL, "goal_xy_m": GOAL}
     held = {name for name, topic in places.items() if counts.get(topic.name)}

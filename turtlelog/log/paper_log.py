@@ -5,6 +5,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from sys import intern
 from typing import Any, Final
@@ -12,15 +13,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import LATEST_S
+from turtlelog.display import LATEST_S, parse_utc
 from turtlelog.errors import LogError
 from turtlelog.files.text_files import describe_csv_error, iterate_lines
 from turtlelog.files.urls import make_path
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log.engine.records import MCAP0_MAGIC
 from turtlelog.log.file_access import name_file, open_file
+from turtlelog.log.planar_poses import note_changes
 from turtlelog.log.table_files import decode_text, read_header
-from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run import CommandColumns, Origin, PoseColumns, Run, SampleColumns
 from turtlelog.run.loops import DONE
 from turtlelog.run.stop_reasons import FINISHED
 
@@ -117,11 +119,12 @@ def _build_columns(
 def _build_run(
     columns: _Columns, states: _Whole, *, sort: bool, parameters: Mapping[str, float], **facts: Any
 ) -> Run:
-    """Return the run in a log; its name, source, absent fields and notes are `facts`."""
+    """Return the run in a log; its name, source, absent fields, notes and origin are `facts`."""
     notes, absent = {**facts.pop("notes", {}), "pose_times": _POSE_TIMES}, facts.pop("absent")
+    origin = facts.pop("origin", Origin())
     if sort:
-        columns, states, counts = _sort_rows(columns, states)
-        notes |= counts
+        columns, states, origin = _sort_rows(columns, states, origin)
+        notes |= note_changes(origin)
     _require_rising(columns["time"], is_sorted=sort)
     time_ns = np.rint((columns["time"] - columns["time"][0]) * 1e9).astype(np.int64)
     goal_xy_m = _find_goal(parameters, columns)
@@ -145,6 +148,7 @@ def _build_run(
         parameters=parameters,
         stop_reason=FINISHED if is_finished else None,
         absent=(*_NEVER_LOGGED, *absent, *(() if goal_xy_m else ("goal_xy_m",))),
+        origin=origin,
         notes=notes,
     )
 
@@ -177,14 +181,16 @@ def _find_goal(parameters: Mapping[str, float], columns: _Columns) -> tuple[floa
     return (float(goal[0, 0]), float(goal[0, 1])) if (goal == goal[0]).all() else None
 
 
-def _sort_rows(columns: _Columns, states: _Whole) -> tuple[_Columns, _Whole, dict[str, str]]:
+def _sort_rows(
+    columns: _Columns, states: _Whole, origin: Origin
+) -> tuple[_Columns, _Whole, Origin]:
     rows = zip(*(columns[name].tolist() for name in _NUMBERS), states.tolist(), strict=True)
     firsts = np.array(sorted({row: i for i, row in reversed(list(enumerate(rows)))}.values()))
     time = columns["time"][firsts]
     late = int((time < np.maximum.accumulate(time)).sum())
     order = firsts[np.argsort(time, kind="stable")]
-    counts = {"sorted_rows": str(late), "dropped_duplicates": str(len(states) - len(firsts))}
-    return {name: values[order] for name, values in columns.items()}, states[order], counts
+    origin = replace(origin, sorted_rows=late, dropped_duplicates=len(states) - len(firsts))
+    return {name: values[order] for name, values in columns.items()}, states[order], origin
 
 
 def _require_rising(time: NDArray[np.float64], *, is_sorted: bool) -> None:
@@ -260,6 +266,7 @@ def parse_paper_json(text: str, path: Path, *, sort: bool) -> Run:
         source=f"paper-json: {path.name}",
         parameters=parameters,
         absent=tuple(f"parameters.{key}" for key in _PARAMETERS if key not in parameters),
+        origin=Origin(began_ns=parse_utc(timestamp or "")),
         notes={} if timestamp is None else {"original_timestamp": timestamp},
     )
 

@@ -15,7 +15,6 @@ from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import (
-    HEADINGS,
     Values,
     compute_heading,
     compute_tilt,
@@ -24,22 +23,20 @@ from turtlelog.log.planar_poses import (
     describe_order,
     fits_degrees,
     lift_poses,
+    note_changes,
+    note_crowded,
     separate_times,
     sort_rows,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, RESTARTS, ROBOT
+from turtlelog.log.read_choice import CHOSEN, RESTARTS
 from turtlelog.log.ros2.reported_motion import (
-    PATH_NOTE,
-    RATE_NOTE,
     describe_speed,
     describe_turning,
-    note_crowded,
 )
 from turtlelog.log.table_columns import (
     DATE,
     QUANTITIES,
-    UNLIKELY,
     Choice,
     assign_columns,
     describe_units,
@@ -115,7 +112,9 @@ def import_plain_table(
         run = _build_run(path, cells)
         if robot not in {*robots, *cells.robots}:
             return run
-        return replace(run, name=f"{run.name}:{robot}", notes={**run.notes, ROBOT: robot})
+        origin = replace(run.origin, robot=robot)
+        name = f"{run.name}:{robot}"
+        return replace(run, name=name, origin=origin, notes={**run.notes, "robot": robot})
 
 
 def _require_columns(
@@ -126,6 +125,10 @@ def _require_columns(
     if missing := [name for name in _NEEDED if name not in known]:
         if {"row", "failed"} <= {*table.names}:
             raise LogError("a table of turtlelog sweep, not a run: turtlelog plot shows it")
+        if {"file", "sha256", "error"} <= {*table.names}:
+            raise LogError(
+                "results of turtlelog metrics or check, not a run: its column file names the runs"
+            )
         if table.names == KITTI_COLUMNS and not table.has_header:
             raise LogError(
                 "a KITTI trajectory has no times, so it is no run; turtlelog compare FILE"
@@ -146,7 +149,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **_read_rotation(cells),
         **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
     }
-    time_ns, values, notes = sort_rows(cells.time_ns, values)
+    time_ns, values, changed = sort_rows(cells.time_ns, values)
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -157,7 +160,8 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     whole = {name: column for name, column in poses.items() if not np.isnan(column).any()}
     lacks = [f"commands.{column}" for name, column in _COMMANDS.items() if name not in values]
     absent = [*_NEVER, *(lacks if len(commands) else ("commands",))]
-    start = f"{format_seconds(start_ns)} s" if start_ns < 1e18 else format_utc(start_ns)
+    is_dated = start_ns >= _EPOCHS[0][0]
+    start = format_utc(start_ns) if is_dated else f"{format_seconds(start_ns)} s"
     pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses["heading"])
     plane = describe_height(poses.get("z"), poses.get("tilt"))
@@ -165,7 +169,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         CHOSEN: cells.describe(),
         "columns": cells.describe(),
         **({"original_timestamp": start} if start_ns else {}),
-        **notes,
+        **note_changes(changed),
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
         **cells.notes,
@@ -187,6 +191,13 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         commands=replace(commands, time_ns=commands.time_ns - start_ns),
         samples=SampleColumns.build_empty(),
         absent=tuple(absent),
+        origin=replace(
+            changed,
+            began_ns=start_ns if is_dated else None,
+            start_ns=start_ns,
+            table_run=cells.table_run,
+            lost=cells.table.columns.lost,
+        ),
         notes=notes,
     )
 
@@ -212,18 +223,19 @@ def _list_contradictions(
         return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
     xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
     if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
-        return {UNLIKELY: doubt}
+        return {"unlikely_units": doubt}
     column = cells.chosen["heading"].name if "heading" in cells.chosen else ""
     is_assumed = bool(cells.find_assumed("heading"))
     found = {}
     if is_flat:  # tilted robots move along their own axes
-        found[HEADINGS] = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
+        said = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
+        found["heading_and_travel"] = said
         assumed = cells.find_assumed("speed", "turn_rate")
         if (speed := whole.get("speed")) is not None:
-            found[PATH_NOTE] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
+            found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
         if (rate := whole.get("turn_rate")) is not None:
             name = assumed.get("turn_rate", "")
-            found[RATE_NOTE] = describe_turning(time_ns, heading_rad, rate, name)
+            found["turning_by_rate"] = describe_turning(time_ns, heading_rad, rate, name)
     return {name: text for name, text in found.items() if text}
 
 
@@ -277,8 +289,6 @@ deg of rotation between two rows. In radians, these steps would be at least 52 t
 _EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
 """Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
 
-_ASSUMED: Final = ", assumed"
-
 
 class Cells:
     """The chosen columns of a table, as numbers in standard units.
@@ -288,6 +298,7 @@ class Cells:
         chosen: Chosen columns by quantity.
         time_ns: Times [ns], since 1970 or from another start, shape (n,).
         notes: Notes on rows that are left out.
+        table_run: Number of the run that is read, and number of runs; None for one run.
         robots: Robots whose rows alternate; empty for one robot.
     """
 
@@ -296,6 +307,7 @@ class Cells:
     ) -> None:
         self.table, self.chosen = table, chosen
         self._guesses: dict[str, str] = {}
+        self._assumed: set[str] = set()
         taken = [choice.column for choice in chosen.values()]
         named = find_robot_column(table.names, {*taken})
         found = table.columns.read([*taken, *named])
@@ -315,8 +327,11 @@ class Cells:
         self._rows = max(runs, key=lambda rows: rows.stop - rows.start)
         self.time_ns = time_ns[self._rows]
         self.notes = dict(table.columns.notes)
+        self.table_run: tuple[int, int] | None = None
         if len(runs) > 1:
-            self.notes[RESTARTS] = self._describe_restart(runs)
+            number = runs.index(self._rows) + 1
+            self.table_run = number, len(runs)
+            self.notes[RESTARTS] = self._describe_restart(runs, number)
 
     def read(self, field: str) -> Values | None:
         """Return the numbers of a column, NaN if a cell is empty; None without such a column."""
@@ -336,8 +351,7 @@ class Cells:
 
     def find_assumed(self, *fields: str) -> dict[str, str]:
         """Return the names of columns in assumed standard units, by quantity."""
-        guessed = [one for one in fields if self._guesses.get(one, "").endswith(_ASSUMED)]
-        return {field: self.chosen[field].name for field in guessed}
+        return {field: self.chosen[field].name for field in fields if field in self._assumed}
 
     def _take_robot(self, rows: NDArray[np.int64]) -> None:
         self._cells = {
@@ -355,11 +369,11 @@ class Cells:
         edges = [0, *(int(placed[run.start]) for run in runs[1:]), len(time_ns)]
         return [*map(slice, edges[:-1], edges[1:])]
 
-    def _describe_restart(self, runs: Sequence[slice]) -> str:
+    def _describe_restart(self, runs: Sequence[slice], number: int) -> str:
         lines, word, rows = self._lines, self.table.word, self._rows
         left = sum(run.stop - run.start for run in runs) - (rows.stop - rows.start)
         return (
-            f"run {runs.index(rows) + 1} of {len(runs)} in the table is read, {word}s"
+            f"run {number} of {len(runs)} in the table is read, {word}s"
             f" {lines[rows.start]} to {lines[rows.stop - 1]}; times start again at {word}"
             f" {lines[runs[1].start]}, and {describe_count(left, 'row')} are left out: save each"
             " run to a file of its own"
@@ -432,7 +446,8 @@ class Cells:
             if fits_degrees(xy_m, numbers[self._rows]):
                 self._guesses["heading"] = "deg, as the direction of travel shows"
                 return "deg"
-        self._guesses[choice.field] = f"{usual}{_ASSUMED}"
+        self._guesses[choice.field] = f"{usual}, assumed"
+        self._assumed.add(choice.field)
         return usual
 
     def _read_times(self) -> NDArray[np.int64]:
@@ -469,5 +484,6 @@ class Cells:
                 f" which are no seconds: --column t='{choice.name} [{guess_time_unit(step)}]' names"
                 " the unit (s, ms, us, ns)"
             )
-        self._guesses["t"] = f"s{_ASSUMED}"
+        self._guesses["t"] = "s, assumed"
+        self._assumed.add("t")
         return "s"

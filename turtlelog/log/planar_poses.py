@@ -8,7 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import format_short
 from turtlelog.errors import LogError
+from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
 
 Values = NDArray[np.float64]
@@ -263,8 +265,8 @@ def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
 
 def sort_rows(
     time_ns: NDArray[np.int64], values: Mapping[str, Values]
-) -> tuple[NDArray[np.int64], dict[str, Values], dict[str, str]]:
-    """Return the rows sorted by time without duplicates, and notes on the changes."""
+) -> tuple[NDArray[np.int64], dict[str, Values], Origin]:
+    """Return the rows sorted by time without duplicates, and the numbers of changed rows."""
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     if late:
         order = np.argsort(time_ns, kind="stable")
@@ -274,11 +276,17 @@ def sort_rows(
     for column in values.values():
         bits = column.view(np.int64)
         twice = twice[bits[twice] == bits[twice + 1]]
-    notes = {"sorted_rows": str(late), "dropped_duplicates": str(len(twice))}
+    changed = Origin(sorted_rows=late, dropped_duplicates=len(twice))
     if len(twice):
         time_ns = np.delete(time_ns, twice + 1)
         values = {name: np.delete(column, twice + 1) for name, column in values.items()}
-    return time_ns, dict(values), notes
+    return time_ns, dict(values), changed
+
+
+def note_changes(origin: Origin) -> dict[str, str]:
+    """Return notes on the numbers of rows that were sorted, and dropped as duplicates."""
+    counts = (origin.sorted_rows, origin.dropped_duplicates)
+    return dict(zip(("sorted_rows", "dropped_duplicates"), map(str, counts), strict=True))
 
 
 def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
@@ -289,9 +297,6 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     far = np.abs(heading_rad) > np.nextafter(np.float32(np.pi), np.float32(4.0))
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
 
-
-HEADINGS: Final = "heading_and_travel"
-"""Name of the note on headings that differ from the direction of travel."""
 
 MOVED_M: Final = 0.1
 """Smallest extent of a robot that moved, without jumps [m]; noise of robots at rest is smaller."""
@@ -402,3 +407,17 @@ def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assu
             return f"{found}, but fit {words}: --column heading='{column} [{unit}]'"
     read = " (assumed in rad)" if is_assumed else ""
     return f"{found}: the robot drives sideways, or the headings{read} are wrong"
+
+
+_CROWDED_NS: Final = 10_000
+"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
+
+
+def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
+    """Return a note on poses that are too close in time for a sensor, if they are."""
+    steps_ns = np.diff(time_ns)
+    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
+        return {}
+    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
+    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
+    return {"crowded": text}

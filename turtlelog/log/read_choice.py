@@ -1,14 +1,18 @@
-"""What to read of a file: topics, frames, times and wheels, and the names of notes about them."""
+"""What to read of a file: topics, frames, times and wheels; and where notes on it are shown."""
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Literal, TypedDict
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 from turtlelog.display import join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
+
+if TYPE_CHECKING:
+    from turtlelog.run import SourceTopic
 
 TimeSource = Literal["auto", "log", "stamp"]
 """Source of pose times: the recorder's clock, stamps mapped to it, or chosen from the bag
@@ -82,21 +86,6 @@ class ReadChoice:
         return [name for name, usual in _USUAL.items() if getattr(self, name) != usual]
 
 
-CHOSEN: Final = "chosen"
-"""Name of a one-line note on the chosen topics. The note is shown on request and never recorded."""
-
-ROBOT: Final = "robot"
-"""Name of a note on the robot whose columns were read, of several in a table."""
-
-RESTARTS: Final = "restarts"
-"""Name of the note on times that start again, as of two runs one below the other."""
-
-CLOCK_SET: Final = "clock_set"
-"""Name of the note on steps of the recorder's clock."""
-
-UNUSED: Final = "unused"
-"""Name of a one-line note on options that a file does not use. The note is never recorded."""
-
 FileKind = Literal["table", "recording", "bag"]
 
 _USUAL: Final = {name: getattr(ReadChoice(), name) for name in ReadOptions.__annotations__}
@@ -106,10 +95,12 @@ _OF_EVERY_FILE: Final = ("goal", "allow_partial", "allow_no_poses")
 _OF_BAGS: Final = tuple(name for name in _USUAL if name not in {*_OF_TABLES, *_OF_EVERY_FILE})
 
 
-def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> str:
+def describe_unused(
+    choice: ReadChoice, kind: FileKind, commands: "SourceTopic | None" = None
+) -> str:
     """Return one line on the options that a file does not use, and why; empty without such options.
 
-    Recordings have one clock and turn rates as commands; `commands` are topic and type in a bag.
+    Recordings have one clock and turn rates as commands; `commands` are the topic of a bag.
     """
     given = choice.list_given()
     of_recording = (*_OF_TABLES, "time", "wheelbase")
@@ -126,9 +117,12 @@ def describe_unused(choice: ReadChoice, kind: FileKind, commands: str = "") -> s
         verb = "is" if len(texts) == 1 else "are"
         reason = reasons.get(kind, "this is no table")
         parts.append(f"{join_words(texts)} {verb} not used: {reason}")
-    if kind == "bag" and "wheelbase" in given and "ackermann_msgs" not in commands:
-        found = f"the commands on {commands} are turn rates"
-        parts.append(f"--wheelbase is not used: {found if commands else 'no commands were read'}")
+    if kind == "bag" and "wheelbase" in given:
+        if commands is None:
+            parts.append("--wheelbase is not used: no commands were read")
+        elif not commands.type.startswith("ackermann_msgs"):
+            said = f"the commands on {commands.describe()} are turn rates"
+            parts.append(f"--wheelbase is not used: {said}")
     return "; ".join(parts)
 
 
@@ -187,3 +181,103 @@ def parse_wheelbase(value: float) -> float:
     if not 0.0 < value < math.inf:
         raise LogError(f"wheelbase: expected a length above 0 in m, found {value!r:.60}")
     return float(value)
+
+
+CHOSEN: Final = "chosen"
+"""Name of the note on the chosen topics or columns. Only runs read from their source have it."""
+
+CLOCK_SET: Final = "clock_set"
+"""Name of the note on steps of the recorder's clock."""
+
+RESTARTS: Final = "restarts"
+"""Name of the note on times that start again, as of two runs one below the other."""
+
+UNUSED: Final = "unused"
+"""Name of the note on options that a file does not use."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoteKind:
+    """Where a note on the reading of a file is shown.
+
+    Attributes:
+        after: Files whose notes follow an answer: a run's own `source`, not a recording that was
+            converted from it, or `any` file. None: the note does not follow an answer.
+        in_info: Whether `info` shows it.
+        has_label: Whether its name precedes it after an answer.
+        doubt: Clause about an end whose numbers the note puts in doubt; empty without doubt.
+        is_recorded: Whether recordings store it.
+    """
+
+    after: Literal["source", "any"] | None = None
+    in_info: bool = False
+    has_label: bool = True
+    doubt: str = ""
+    is_recorded: bool = True
+
+
+_IN_INFO: Final = NoteKind(in_info=True)
+_OF_SOURCE: Final = NoteKind(after="source", in_info=True)
+
+NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
+    {
+        "preset": NoteKind(after="any", has_label=False),
+        CHOSEN: NoteKind(after="source", has_label=False, is_recorded=False),
+        "goal": _IN_INFO,
+        "path": _IN_INFO,
+        UNUSED: NoteKind(after="any", in_info=True, has_label=False, is_recorded=False),
+        "crowded": replace(_OF_SOURCE, doubt=", but the times of most poses are wrong"),
+        "clock": _OF_SOURCE,
+        CLOCK_SET: _OF_SOURCE,
+        "silence": _OF_SOURCE,
+        "plane": replace(_OF_SOURCE, has_label=False),
+        "quaternion_order": NoteKind(after="source"),
+        "dropped_nan": _OF_SOURCE,
+        "held_transforms": _OF_SOURCE,
+        "dropped_before_transforms": _OF_SOURCE,
+        "robots": _IN_INFO,
+        "heading": _OF_SOURCE,
+        "origin": _IN_INFO,
+        "wheels": _OF_SOURCE,
+        "reported_rates": _OF_SOURCE,
+        "leaps": _OF_SOURCE,
+        "path_by_speed": _OF_SOURCE,
+        "still": _OF_SOURCE,
+        "other_pose_topics": _IN_INFO,
+        "other_frames": _IN_INFO,
+        RESTARTS: _OF_SOURCE,
+        "unlikely_units": replace(_OF_SOURCE, doubt=", in units that are unlikely"),
+        "heading_and_travel": _OF_SOURCE,
+        "turning_by_rate": _OF_SOURCE,
+        "repeated_headers": NoteKind(after="source"),
+        "other_command_topics": _IN_INFO,
+        "recovered": NoteKind(after="any"),
+        "partial": NoteKind(after="any"),
+        # Shown by commands that list all notes of a run.
+        **dict.fromkeys(
+            (
+                *("original_timestamp", "pose_topic", "command_topic", "path_topic", "frame"),
+                *("goal_set_ns", "path_set_ns", "other_path_topics", "robot", "columns"),
+                *("poses", "commands", "samples", "not_read", "not_understood", "bag_files"),
+                *("sorted_rows", "dropped_duplicates", "moved_rows", "wrapped_headings"),
+                *("close_rows", "height", "rows_without_pose", "rows_without_command"),
+                *("measured_speed", "measured_turn_rate", "pose_times", "scenario", "slice"),
+            ),
+            NoteKind(),
+        ),
+    }
+)
+"""Every note of a run, in the order in which answers show them."""
+
+
+def label_note(name: str) -> str:
+    """Return the words that precede a note."""
+    return name.replace("_", " ")
+
+
+def list_notes_after(notes: Mapping[str, str]) -> Iterator[str]:
+    """Yield the notes that follow an answer, those on a run's own source first."""
+    for after in ("source", "any") if CHOSEN in notes else ("any",):
+        for name, kind in NOTES.items():
+            if kind.after == after and name in notes:
+                yield f"{label_note(name)}: {notes[name]}" if kind.has_label else notes[name]

@@ -363,9 +363,6 @@ def is_row_of_units(cells: Sequence[str]) -> bool:
     return any(cell.strip("[]() ").lower() in _SPELLINGS for cell in cells)
 
 
-UNLIKELY: Final = "unlikely_units"
-"""Name of the note on assumed units of time and length that give an unlikely motion."""
-
 _LONGEST_STEP_S: Final = 5.0
 """Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
 every few seconds. In milliseconds, this is 200 Hz."""

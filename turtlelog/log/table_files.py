@@ -21,7 +21,7 @@ from turtlelog.log.file_access import name_file, open_file, replace_when_complet
 from turtlelog.log.parquet_file import ParquetFile, count_most_rows, describe_rows, list_cells
 from turtlelog.log.planar_poses import compute_heading
 from turtlelog.log.table_columns import is_row_of_units
-from turtlelog.run import Run
+from turtlelog.run import Lost, Run
 from turtlelog.run.angles import wrap_angle
 
 _TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
@@ -198,6 +198,7 @@ class _TextColumns:
         self._size, self._head, self._is_cut = size, head, is_cut
         self.lines: Sequence[int] = ()
         self.notes: dict[str, str] = {}
+        self.lost: Lost = "nothing"
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
         """Return the cells of some columns."""
@@ -241,7 +242,7 @@ class _TextColumns:
             raise LogError(found)
         if not self._is_cut:
             raise LogError(f"{found} in the last row: --partial leaves it out")
-        self.notes["partial"] = f"the last row is left out, {found}"
+        self.notes["partial"], self.lost = f"the last row is left out, {found}", "rows"
 
 
 def _split_lines(
@@ -304,6 +305,7 @@ class _StoredColumns:
         self._file, self.names = file, [leaf.path for leaf in file.leaves]
         self.lines: Sequence[int] = range(1, file.row_count + 1)
         self.notes: Mapping[str, str] = {}
+        self.lost: Lost = "nothing"
 
     def read(self, places: Sequence[int]) -> list[Sequence[Any]]:
         """Return the cells of some columns."""

@@ -24,12 +24,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.measure.rates import (
-    GAP_STEPS,
-    NEIGHBOURS,
-    find_changing_rows,
-    find_usual_step,
-)
+from turtlelog.measure.rates import GAP_STEPS, NEIGHBOURS, find_changing_rows, find_usual_step
 from turtlelog.measure.reductions import Values, compute_median
 from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
@@ -133,7 +128,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
 
 def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     poses = run.poses
-    if has_courses(run):  # a course turns with the positions, and is not independent
+    if run.origin.has_courses:  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = find_changing_rows(poses)
     if len(rows) < len(poses):
@@ -191,11 +186,6 @@ def _find_jump_steps(
     for way, net, seen, acceleration in zip(ways, together, applied, ACCELERATION, strict=True):
         is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
     return is_jump
-
-
-def has_courses(run: Run) -> bool:
-    """Return whether headings are courses over ground, as of a satellite receiver."""
-    return "heading" in run.notes
 
 
 def _find_far_steps(

@@ -12,7 +12,7 @@ angle gives another heading. Speeds along this heading are too small by the cosi
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +24,15 @@ from turtlelog.measure.breaks import (
     PoseJump,
     find_gaps,
     find_jumps,
-    has_courses,
     measure_length,
     measure_steps,
 )
-from turtlelog.measure.rates import AXES, describe_repetition, find_changing_rows, space_poses
+from turtlelog.measure.metric import Metric
+from turtlelog.measure.rates import AXES, Axis, describe_repetition, find_changing_rows, space_poses
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.references import recall
 from turtlelog.measure.signals import sign_speeds
 from turtlelog.run import PoseColumns, Run, take_rows
-
-if TYPE_CHECKING:
-    from turtlelog.measure.metric import Metric
 
 _BLOCK: Final = 20
 """Number of second differences that give one estimate of the noise; its error is a fifth."""
@@ -69,11 +66,8 @@ def measure_noise(poses: PoseColumns) -> WhiteNoise:
 
 
 def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
-    """Return the noise of some rows of the poses.
-
-    The noise of headings counts only if turns to and fro are noise: slow poses do not tell noise
-    from a robot that turns round.
-    """
+    """Return the noise of some rows of the poses."""
+    # Slow poses do not tell noise of the headings from a robot that turns round.
     noise = measure_noise(take_rows(run.poses, rows))
     if noise.heading_rad and find_scatter(run).turning_rad is None:
         return replace(noise, heading_rad=0.0)
@@ -133,7 +127,9 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(run, "scatter", lambda: _find_scatter(run.poses, is_course=has_courses(run)))
+    return recall(
+        run, "scatter", lambda: _find_scatter(run.poses, is_course=run.origin.has_courses)
+    )
 
 
 def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
@@ -144,12 +140,9 @@ def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
     noise_m = np.sqrt(np.pi) * measure_noise(poses).position_m
     # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
     path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise_m)
-    return Scatter(
-        path_m=path_m,
-        turning_rad=_measure_through_medians(
-            poses.time_ns, heading_rad, is_noisy=path_m is not None or is_course
-        ),
-    )
+    is_noisy = path_m is not None or is_course
+    turning_rad = _measure_through_medians(poses.time_ns, heading_rad, is_noisy=is_noisy)
+    return Scatter(path_m=path_m, turning_rad=turning_rad)
 
 
 def _measure_through_medians(
@@ -162,14 +155,12 @@ def _measure_through_medians(
     """
     steps = np.diff(values, axis=0)
     ways = measure_length(steps)
-    whole = float(ways.sum())
-    if not whole:
+    if not (whole := float(ways.sum())):
         return None
     seconds = (time_ns - time_ns[0]) // _MEDIAN_NS
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))
     middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
-    medians = [axis[np.lexsort((axis, seconds))][middles] for axis in values.T]
-    corners = np.column_stack(medians)
+    corners = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in values.T])
     left = np.diff(corners, axis=0, prepend=values[:1], append=values[-1:])
     length = float(measure_length(left).sum())
     if length > _SHORTER * whole:
@@ -178,8 +169,7 @@ def _measure_through_medians(
     is_back = (shares[1:] * shares[:-1]).sum(axis=1) < 0.0
     own_s = 0.0 if is_noisy else compute_median(np.diff(time_ns)) / 1e9
     is_scatter = float(ways[1:][is_back].sum()) >= max(_BACK, _MOST_TURNS_HZ * own_s) * whole
-    is_scatter |= noise_m * len(ways) >= _BY_NOISE * (whole - length)
-    return length if is_scatter else None
+    return length if is_scatter or noise_m * len(ways) >= _BY_NOISE * (whole - length) else None
 
 
 _OVER_S: Final = 0.5
@@ -208,9 +198,6 @@ _LEFT: Final = 0.1
 """Share of the motion that must not go together with turning: on one circle, a marker beside the
 robot's centre looks like a marker that is turned."""
 
-_UNLIKE: Final = ("heading", "leaps")
-"""Notes on headings that are computed from the motion, and on poses of two programs."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelDirection:
@@ -230,10 +217,9 @@ class TravelDirection:
     def describe(self) -> str:
         """Return the angle and its side in words, and what it makes of speeds along the heading."""
         side = "left" if self.angle_rad > 0.0 else "right"
-        return (
-            f"the robot travels {abs(math.degrees(self.angle_rad)):.1f} deg to the {side} of its"
-            f" heading; speeds along the heading are {100.0 * self.shortfall:.1f} % too small"
-        )
+        way = f"the robot travels {abs(math.degrees(self.angle_rad)):.1f} deg to the {side} of its"
+        less = f"speeds along the heading are {100.0 * self.shortfall:.1f} % too small"
+        return f"{way} heading; {less}"
 
 
 def describe_travel(run: Run) -> dict[str, str]:
@@ -249,9 +235,8 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
     beside the robot's centre, does not count. There is no angle if sideways speeds are commanded,
     or if the robot is turtlesim.
     """
-    if run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None:
-        return None
-    if any(name in run.notes for name in _UNLIKE):
+    is_other = run.commands.lateral_speed_m_s.any() or run.poses.speed_m_s is not None
+    if is_other or run.origin.has_courses or run.origin.has_leaps:
         return None
     moved_m, turned_rad = _measure_displacements(run.poses)
     sizes_m = np.hypot(moved_m[:, 0], moved_m[:, 1])
@@ -260,17 +245,15 @@ def find_travel_direction(run: Run) -> TravelDirection | None:
         return None
     moved_m /= largest_m  # whose squares are finite; only the direction counts
     energy = float((moved_m**2).sum())
-    turning = float(turned_rad @ turned_rad)
-    if turning:
+    if turning := float(turned_rad @ turned_rad):
         moved_m = moved_m - np.outer(turned_rad, (turned_rad @ moved_m) / turning)
     (least, most), axes = np.linalg.eigh(moved_m.T @ moved_m)
     ahead, aside = axes[:, 1].tolist()
     angle_rad = math.atan(aside / ahead) if ahead else math.pi / 2.0
     unexplained = least / (least + most * math.sin(angle_rad) ** 2) if angle_rad else 1.0
     is_clear = most > _LEFT * energy and unexplained < 1.0 - _EXPLAINED
-    if abs(angle_rad) < _LEAST_RAD or not is_clear:
-        return None
-    return TravelDirection(angle_rad=angle_rad)
+    is_clear &= abs(angle_rad) >= _LEAST_RAD
+    return TravelDirection(angle_rad=angle_rad) if is_clear else None
 
 
 def _measure_displacements(poses: PoseColumns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -326,11 +309,9 @@ def describe_breaks(run: Run) -> dict[str, str]:
         longest = max(gaps, key=lambda gap: gap.end_ns - gap.start_ns)
         which = "" if len(gaps) == 1 else "the longest "
         length_s = (longest.end_ns - longest.start_ns) / 1e9
-        found["gaps"] = (
-            f"{describe_count(len(gaps), 'gap')}, {which}{length_s:.2f} s without a pose from"
-            f" {(longest.start_ns - run.start_ns) / 1e9:.1f} s; usual are"
-            f" {longest.usual_ns / 1e6:.0f} ms"
-        )
+        at_s, usual_ms = (longest.start_ns - run.start_ns) / 1e9, longest.usual_ns / 1e6
+        long = f"{which}{length_s:.2f} s without a pose from {at_s:.1f} s"
+        found["gaps"] = f"{describe_count(len(gaps), 'gap')}, {long}; usual are {usual_ms:.0f} ms"
     return found
 
 
@@ -338,22 +319,20 @@ def _tell_jumps(run: Run, jumps: Sequence[PoseJump]) -> str:
     largest = max(jumps, key=lambda jump: (jump.excess_m, jump.excess_rad))
     which = "" if len(jumps) == 1 else "the largest "
     names = ("m ahead", "m back", "m to the left", "m to the right")
-    if has_courses(run):
+    if run.origin.has_courses:
         names = ("m east", "m west", "m north", "m south")
     signed = (largest.moved_m, -largest.moved_m, largest.aside_m, -largest.aside_m)
     way_m = float(np.hypot(largest.moved_m, largest.aside_m))
-    least_m = ROUNDING
     beyond_s2 = largest.excess_m / ACCELERATION[0], largest.excess_rad / ACCELERATION[1]
-    if largest.excess_m <= _JUMPED * way_m and beyond_s2[0] < beyond_s2[1]:
-        least_m = np.inf  # the displacement has no meaning if the heading jumps
+    # The displacement has no meaning if the heading jumps.
+    is_turn = largest.excess_m <= _JUMPED * way_m and beyond_s2[0] < beyond_s2[1]
+    least_m, beyond = np.inf if is_turn else ROUNDING, ""
     parts = [f"{way:.3g} {name}" for name, way in zip(names, signed, strict=True) if way > least_m]
     if abs(largest.turned_rad) > ROUNDING:
         parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
-    at_s = (largest.time_ns - run.start_ns) / 1e9
-    beyond = ""
-    if abs(largest.excess_m - way_m) > _JUMPED * way_m and np.isfinite(least_m):
+    if abs(largest.excess_m - way_m) > _JUMPED * way_m and not is_turn:
         beyond = f", {largest.excess_m:.3g} m more than it drove"
-    count = describe_count(len(jumps), "jump")
+    at_s, count = (largest.time_ns - run.start_ns) / 1e9, describe_count(len(jumps), "jump")
     return f"{count}, {which}{join_words(parts)} at {at_s:.1f} s{beyond}"
 
 
@@ -375,14 +354,10 @@ _LARGE: Final = 0.05
 are. Wheel odometry is as wrong itself."""
 
 
-_DIFFERENCED: Final = "; the {} is a difference of poses"
-
-
-def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
+def describe_poses(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     """Return notes on motion to the side, and on what metrics contain besides motion.
 
-    Of a simulation there are none; without a path length among the metrics, only the resolution of
-    lags and rise times.
+    Without a path length, there is only the resolution of lags and rise times.
     """
     if run.poses.speed_m_s is not None:
         return {}
@@ -391,14 +366,12 @@ def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
     if path_m is None:
         return resolution
     sideways = describe_sideways(run)
-    reported = run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s
-    silent = [
-        axis for axis, rate in zip(("speed", "turn rate"), reported, strict=True) if rate is None
-    ]
+    silent = [axis.replace("_", " ") for axis in _list_silent(run)]
+    is_partly = len(silent) == 1
     return {
         **resolution,
         **({} if sign_speeds(run) is None else {"unsigned": "the poses give the sign"}),
-        **({"differenced": _DIFFERENCED.format(*silent)} if len(silent) == 1 else {}),
+        **({"differenced": f"; the {silent[0]} is a difference of poses"} if is_partly else {}),
         **describe_travel(run),
         **({"sideways": sideways} if sideways else {}),
         **_describe_times(run),
@@ -408,51 +381,50 @@ def describe_poses(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
     }
 
 
-def _get(metrics: "Mapping[str, Metric]", name: str) -> float | None:
+def _list_silent(run: Run) -> list[Axis]:
+    """Return the axes of which the robot reports no rates."""
+    reported = (run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s)
+    return [axis for axis, rate in zip(AXES, reported, strict=True) if rate is None]
+
+
+def _get(metrics: Mapping[str, Metric], name: str) -> float | None:
     metric = metrics.get(name)
     return None if metric is None else metric.value
 
 
-def _describe_resolution(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
+def _describe_resolution(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     known = [_get(metrics, f"run.{axis}_{name}") for axis in AXES for name in ("lag", "rise_time")]
     if all(value is None for value in known) or len(run.poses) < 2:
         return {}
-    time_s = run.poses.time_ns / 1e9
-    if run.poses.measured_speed_m_s is None:
-        time_s = space_poses(run).time_s
+    is_reported = run.poses.measured_speed_m_s is not None
+    time_s = run.poses.time_ns / 1e9 if is_reported else space_poses(run).time_s
     return {"rate_step": format_short(1e3 * compute_median(subtract_neighbours(time_s)), "ms")}
 
 
 def _describe_times(run: Run) -> dict[str, str]:
-    notes = {}
-    if changes := describe_repetition(run.poses):
-        notes["changes"] = changes
+    changes = describe_repetition(run.poses)
     gaps_s = sum(gap.end_ns - gap.start_ns for gap in find_gaps(run)) / 1e9
-    if gaps_s > _COUNTED * run.duration_s:
-        notes["gaps"] = format_short(gaps_s, "s")
-    if gaps_s > _LARGE * run.duration_s:
-        notes["large_gaps"] = notes["gaps"]
-    return notes
+    least_s = {"gaps": _COUNTED * run.duration_s, "large_gaps": _LARGE * run.duration_s}
+    gaps = {name: format_short(gaps_s, "s") for name in least_s if gaps_s > least_s[name]}
+    return {"changes": changes, **gaps} if changes else gaps
 
 
-def _describe_noise(run: Run, metrics: "Mapping[str, Metric]") -> dict[str, str]:
+def _describe_noise(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
     notes, scatter = {}, find_scatter(run)
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    reported = (run.poses.measured_speed_m_s, run.poses.measured_turn_rate_rad_s)
+    noises = dict(zip(AXES, measure_rate_noise(run), strict=True))
     sizes = [
-        f"{noise:.1g} {unit}"
-        for (axis, unit), rate, noise in zip(
-            AXES.items(), reported, measure_rate_noise(run), strict=True
-        )
-        if rate is None and noise > _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
+        f"{noises[axis]:.1g} {AXES[axis]}"
+        for axis in _list_silent(run)
+        if noises[axis] > _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
     ]
     return notes | ({"rate_noise": join_words(sizes)} if sizes else {})
 
 
-def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> dict[str, str]:
+def _describe_rest(run: Run, metrics: Mapping[str, Metric], path_m: float) -> dict[str, str]:
     if not _get(metrics, "run.rest_share"):
         return {}
     from turtlelog.measure.metrics.travel import AT_REST_M_S, Rest, judge_rest
@@ -461,9 +433,9 @@ def _describe_rest(run: Run, metrics: "Mapping[str, Metric]", path_m: float) -> 
     rest = judge_rest(RunContext(run, MeasureSettings()))
     if not isinstance(rest, Rest) or rest.way_m <= max(_CREPT_M, _LARGE * path_m):
         return {}
-    if rest.way_m > AT_REST_M_S * rest.time_s:  # it swings, and does not creep
-        return {}
-    return {"crept": format_short(rest.way_m, "m")}
+    # A robot that moves further swings, and does not creep.
+    creeps = rest.way_m <= AT_REST_M_S * rest.time_s
+    return {"crept": format_short(rest.way_m, "m")} if creeps else {}
 
 
 def _describe_jumps(run: Run, path_m: float) -> dict[str, str]:
@@ -471,7 +443,5 @@ def _describe_jumps(run: Run, path_m: float) -> dict[str, str]:
     share = sum(jump.excess_m for jump in jumps) / (path_m or math.inf)
     if share <= _SHOWN:
         return {}
-    notes = {"jumps": _tell_jumps(run, jumps)}
-    if share >= _LARGE:
-        notes["jumped_share"] = f"{100.0 * share:.0f} %"
-    return notes
+    large = {"jumped_share": f"{100.0 * share:.0f} %"} if share >= _LARGE else {}
+    return {"jumps": _tell_jumps(run, jumps), **large}

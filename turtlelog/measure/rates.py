@@ -87,9 +87,7 @@ def space_poses(run: Run, jumps: Sequence[int] = ()) -> SpacedPoses:
     `jumps` are the rows of the first poses after jumps, in order.
     """
     poses = run.poses
-    rows = np.arange(len(poses))
-    if poses.speed_m_s is None:
-        rows = _find_shown_rows(poses)
+    rows = _find_shown_rows(poses) if poses.speed_m_s is None else np.arange(len(poses))
     rows = rows[thin_poses(poses.time_ns[rows])]
     is_seen = find_seen(poses.time_ns, rows) & ~_find_leaps(poses, rows)
     is_seen[np.searchsorted(rows, [row for row in jumps if row <= rows[-1]]) - 1] = False
@@ -120,9 +118,8 @@ def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates
             return rates
         time_s = (poses.time_ns - run.start_ns) / 1e9
         return replace(rates, time_s=time_s, values=applied, outliers=0)
-    if axis == "speed" and reported.min() >= 0.0:
-        signed = sign_speeds(run)
-        reported = reported if signed is None else signed
+    if axis == "speed" and (signed := sign_speeds(run)) is not None:
+        reported = signed
     kept = np.delete(np.arange(len(poses)), find_outliers(poses.time_ns, reported))
     time_s, values = (poses.time_ns[kept] - run.start_ns) / 1e9, reported[kept]
     return Rates(
@@ -151,11 +148,10 @@ def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
     The last row is left out if it is less than a whole stride after the previous one.
     """
-    apart = np.flatnonzero(np.append(True, subtract_neighbours(time_ns) >= _SAME_TIME_NS))
-    if len(apart) < 2:
-        return np.array([0, len(time_ns) - 1])
-    usual_s = compute_median(subtract_neighbours(time_ns[apart])) / 1e9
-    rows = apart[:: max(round(SHORTEST_S / usual_s), 1)]
+    rows = np.flatnonzero(np.append(True, subtract_neighbours(time_ns) >= _SAME_TIME_NS))
+    if len(rows) > 1:
+        usual_s = compute_median(subtract_neighbours(time_ns[rows])) / 1e9
+        rows = rows[:: max(round(SHORTEST_S / usual_s), 1)]
     if len(rows) < 2:
         return np.array([0, len(time_ns) - 1])
     step_ns = subtract_neighbours(time_ns[rows])
@@ -174,10 +170,8 @@ def _difference_poses(run: Run, axis: Axis, spaced: SpacedPoses) -> Rates:
     means = moved / subtract_neighbours(edges_s)
     middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
     wrong = find_outliers(np.asarray(np.round(middle_s * 1e9), dtype=np.int64), means)
-    if len(wrong):
-        # The intervals stay in order: an outlier's interval gets the values of its neighbours.
-        means = means.copy()
-        means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
+    # The intervals stay in order: an outlier's interval gets the values of its neighbours.
+    means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
     is_value = is_seen.copy()
     is_value[wrong] = False
     return Rates(
@@ -212,13 +206,9 @@ class HeldCommands:
         """Return the integral of the commands up to each time [m or rad], shape of `time_s`."""
         first_s = min(float(time_s.min()), float(self.time_s[0])) - 1.0
         last_s = max(float(time_s.max()), self.end_s) + 1.0
-        knots_s, integral = np.empty(len(self.time_s) + 2), np.zeros(len(self.time_s) + 2)
-        knots_s[0], knots_s[1:-1], knots_s[-1] = first_s, self.time_s, last_s
-        ways = subtract_neighbours(knots_s)
-        ways[0] *= self.before
-        ways[1:] *= self.values
-        np.cumsum(ways, out=integral[1:])
-        return np.asarray(np.interp(time_s, knots_s, integral))
+        knots_s = np.concatenate([[first_s], self.time_s, [last_s]])
+        ways = subtract_neighbours(knots_s) * np.append(self.before, self.values)
+        return np.asarray(np.interp(time_s, knots_s, np.append(0.0, np.cumsum(ways))))
 
 
 SAME: Final = 1e-6
@@ -327,8 +317,7 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     none = np.empty(0, dtype=np.int64)
     if len(values) < _LEAST_ROWS:
         return none
-    smooth = np.array(values)
-    sides = values[:-2], values[2:]
+    smooth, sides = np.array(values), (values[:-2], values[2:])
     smooth[1:-1] = np.clip(values[1:-1], np.minimum(*sides), np.maximum(*sides))  # median of three
     height = np.abs(values - smooth)
     rows = _find_apart(height)
@@ -344,18 +333,12 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
 
 def list_outliers(run: Run) -> tuple[Outlier, ...]:
     """Return the outliers of a run's measured signals, by signal and then by time."""
-    signals = [one for name in MEASURED if (one := find_signal(run, name)) is not None]
-    return tuple(
-        Outlier(
-            signal=signal.name,
-            row=row,
-            time_ns=int(signal.time_ns[row]),
-            value=float(signal.values[row]),
-            unit=signal.unit,
-        )
-        for signal in signals
-        for row in find_outliers(signal.time_ns, signal.values).tolist()
-    )
+    found: list[Outlier] = []
+    for one in filter(None, (find_signal(run, name) for name in MEASURED)):
+        for row in find_outliers(one.time_ns, one.values).tolist():
+            at_ns, value = int(one.time_ns[row]), float(one.values[row])
+            found += [Outlier(signal=one.name, row=row, time_ns=at_ns, value=value, unit=one.unit)]
+    return tuple(found)
 
 
 def describe_outliers(run: Run) -> dict[str, str]:
@@ -369,8 +352,7 @@ def describe_outliers(run: Run) -> dict[str, str]:
 def _describe(outliers: list[Outlier], start_ns: int) -> str:
     """Return the number of outliers and the largest one: `1 outlier, -143.6 rad/s at 31.9 s`."""
     worst = max(outliers, key=lambda outlier: abs(outlier.value))
-    count = describe_count(len(outliers), "outlier")
-    at_s = (worst.time_ns - start_ns) / 1e9
+    count, at_s = describe_count(len(outliers), "outlier"), (worst.time_ns - start_ns) / 1e9
     which = "" if len(outliers) == 1 else "the largest "
     return f"{count}, {which}{worst.value:.1f} {worst.unit} at {at_s:.1f} s"
 

@@ -434,47 +434,6 @@ def sum_products(*columns: NDArray[Any]) -> float:
     return float(np.einsum(f"{rows}->", *columns))
 
 
-def _compute_misfit(
-    time_s: Any, reference: Any, error: Any, shift_s: float, every: int, memory: Any
-) -> float:
-    pieces, count = memory.numbers[PIECES], (len(time_s) - 1) // every + 1
-    after = 0
-    for place in range(count):
-        row = place * every
-        at_s = time_s[row] - shift_s
-        while after < count and time_s[after * every] <= at_s:
-            after += 1
-        end, begin = after * every, (after - 1) * every
-        if after == 0:
-            fitted = reference[0]
-        elif after == count or time_s[begin] == at_s:
-            fitted = reference[begin]
-        else:
-            slope = (reference[end] - reference[begin]) / (time_s[end] - time_s[begin])
-            fitted = slope * (at_s - time_s[begin]) + reference[begin]
-        off = reference[row] - error[row] - fitted
-        pieces[place] = off * off
-    return add_up(pieces, count) / count
-
-
-@compiled_as(_compute_misfit)
-def compute_misfit(
-    time_s: Values,
-    reference: Values,
-    error: Values,
-    shift_s: float,
-    every: int,
-    memory: Any,  # noqa: ARG001
-) -> float:
-    """Return the mean square of the signal minus the shifted reference, on every n-th row.
-
-    The signal is the reference minus the error; between rows the reference is a line.
-    """
-    time_s, reference, error = time_s[::every], reference[::every], error[::every]
-    fitted = np.interp(time_s - shift_s, time_s, reference)
-    return float(np.mean((reference - error - fitted) ** 2))
-
-
 def _measure_way(x_m: Any, y_m: Any, memory: Any) -> float:
     count, pieces = len(x_m) - 1, memory.numbers[PIECES]
     for row in range(count):

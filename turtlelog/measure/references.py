@@ -26,10 +26,22 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, MeasureError
 from turtlelog.files.text_files import describe_csv_error, read_text_file
 from turtlelog.files.urls import make_path
+from turtlelog.measure.loop_segment import (
+    REFERENCES,
+    aim_at,
+    find_bearing,
+    find_last_acting,
+    find_latest,
+    hold_column,
+    number_loop,
+    project,
+    read_constant,
+)
 from turtlelog.measure.reductions import Values, measure_way
 from turtlelog.run import GoalLine, Run
 from turtlelog.run.loops import ControlLoop
-from turtlelog.run.paths import Path, PathFollower
+from turtlelog.run.path_pieces import follow_pieces
+from turtlelog.run.paths import Path
 
 _Value = TypeVar("_Value")
 
@@ -43,16 +55,11 @@ def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
     line, reference = run.goal_line, loop.reference
     if reference in {"path", "recorded"}:
         return _read_path(run, loop) if reference == "path" else _read_recorded(run, loop, line)
-    match reference:
-        case "goal_bearing":
-            return None if line is None else line.bearing_rad
-        case "goal_distance":
-            return None if line is None else line.length_m
-        case "goal_heading":
-            return run.goal_heading_rad
-        case "bearing_now":
-            return _read_bearings(run)
-    return 0.0
+    if reference == "bearing_now":
+        return _read_bearings(run)
+    aim = aim_at(line, run.goal_xy_m, run.goal_heading_rad)
+    wanted = read_constant(REFERENCES.index(reference), aim)
+    return None if math.isnan(wanted) else wanted
 
 
 def read_heading_reference(run: Run) -> float | Values | None:
@@ -71,7 +78,7 @@ def read_heading_reference(run: Run) -> float | Values | None:
         return run.goal_heading_rad if run.is_lawless else None
     if len(known) == 1:
         return known[0][1]
-    acting = find_acting(run, tuple(loop for loop, _ in known))
+    acting = _find_acting(run, tuple(loop for loop, _ in known))
     rows = len(run.poses)
     columns = np.array([np.broadcast_to(found, (rows,)) for _, found in known])
     return np.asarray(columns[acting, np.arange(rows)])
@@ -84,10 +91,12 @@ def has_lasting_heading(run: Run) -> bool:
     """
     declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
     loops = tuple(loop for loop in declared if read_reference(run, loop) is not None)
-    return bool(loops) and loops[find_acting(run, loops)[-1]].reference != "bearing_now"
+    numbers = [number_loop(run.declaration, loop) for loop in loops]
+    acting = find_last_acting(run.samples.phase, numbers, ~0)
+    return acting >= 0 and loops[acting].reference != "bearing_now"
 
 
-def find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
+def _find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
     """Return the index of the loop that acts at every pose, or acted last, shape (n,)."""
     names = run.phase_names
     of_phase = np.full(len(names), -1)
@@ -99,32 +108,21 @@ def find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
     acting = np.flatnonzero(of_sample >= 0)
     if not len(acting):
         return np.zeros(len(run.poses), dtype=np.int64)
-    latest = _find_latest(run, acting)
+    latest = find_latest(run.samples.pose_sequence[acting], len(run.poses))
     return np.asarray(of_sample[acting[latest]])
 
 
 def hold_samples(run: Run, values: Values) -> Values:
     """Return the recorded value of the last sample at or before each pose, shape (n,)."""
-    return np.asarray(values[_find_latest(run, np.arange(len(run.samples)))])
-
-
-def _find_latest(run: Run, samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the last sample that read each pose or an earlier pose, shape (n,)."""
-    read = np.maximum.accumulate(run.samples.pose_sequence[samples])
-    latest = np.searchsorted(read, np.arange(len(run.poses)), side="right") - 1
-    return np.asarray(np.maximum(latest, 0))
+    return np.asarray(values[find_latest(run.samples.pose_sequence, len(run.poses))])
 
 
 def _read_bearings(run: Run) -> Values | None:
     if run.goal_xy_m is None:
         return None
-    ahead_m, left_m = (
-        (goal - column).tolist()
-        for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True)
-    )
-    # Not numpy's `arctan2`, whose last bit differs from the C library's on processors with AVX-512:
-    # compiled code calls the C library.
-    return np.fromiter(map(math.atan2, left_m, ahead_m), np.float64, len(run.poses))
+    (goal_x_m, goal_y_m), xy_m = run.goal_xy_m, run.poses.xy_m.tolist()
+    bearings_rad = (find_bearing(x_m, y_m, goal_x_m, goal_y_m) for x_m, y_m in xy_m)
+    return np.fromiter(bearings_rad, np.float64, len(xy_m))
 
 
 def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float | Values | None:
@@ -202,10 +200,9 @@ def recall(run: Run, what: str, compute: Callable[[], _Value]) -> _Value:
 
 def hold_reference(run: Run, column: Values | None) -> Values | None:
     """Return a component of the recorded reference pose, held at each pose; None if missing."""
-    if column is None:
+    if column is None or not np.isfinite(column[:, 0] if column.ndim > 1 else column).any():
         return None
-    rows = np.flatnonzero(np.isfinite(column if column.ndim == 1 else column[:, 0]))
-    return np.asarray(column[rows[_find_latest(run, rows)]]) if len(rows) else None
+    return hold_column(column, run.samples.pose_sequence, len(run.poses), None)
 
 
 def read_controlled_distance(run: Run) -> Values | None:
@@ -219,10 +216,7 @@ def read_controlled_distance(run: Run) -> Values | None:
 
 def project_on_line(xy_m: Values, line: GoalLine, *, along: bool) -> Values:
     """Return the coordinates of points along, or left of, the line from start to goal [m]."""
-    # As frames.rotate_to_turtle, for the requested coordinate only.
-    x_m, y_m = (column - start for column, start in zip(xy_m.T, line.start_xy_m, strict=True))
-    cos, sin = np.cos(line.bearing_rad), np.sin(line.bearing_rad)
-    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
+    return np.asarray(project(xy_m[:, 0], xy_m[:, 1], aim_at(line, None, None), along))
 
 
 _BLOCKS: Final = (2048, 64)
@@ -322,14 +316,12 @@ def trace_path(
         due_m: Arc length of the reference at each position, if the path has a time law [m], shape
             (n,).
     """
-    follower = PathFollower(path, arc_m)
-    dues_m = [None] * len(xy_m) if due_m is None else due_m.tolist()
-    places = [
-        follower.advance(x_m, y_m, due)
-        for (x_m, y_m), due in zip(xy_m.tolist(), dues_m, strict=True)
-    ]
-    arcs_m, offsets_m = zip(*places, strict=True) if places else ((), ())
-    return np.array(arcs_m, dtype=np.float64), np.array(offsets_m, dtype=np.float64)
+    x_m, y_m = (column.tolist() for column in xy_m.T)
+    dues_m = [math.nan] * len(xy_m) if due_m is None else due_m.tolist()
+    arcs_m, offsets_m = [0.0] * len(xy_m), [0.0] * len(xy_m)
+    first_m = math.nan if arc_m is None else arc_m
+    follow_pieces(path.numbers, path.ways, first_m, x_m, y_m, dues_m, arcs_m, offsets_m)
+    return np.array(arcs_m, np.float64), np.array(offsets_m, np.float64)
 
 
 _MOST_BYTES: Final = 2**24

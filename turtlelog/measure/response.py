@@ -11,16 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
+from turtlelog.measure.loop_segment import (
+    Segment,
+    ends_itself,
+    find_phase,
+    find_segment,
+    number_loop,
+    refer_to_start,
+    subtract_from,
+    tell_pose_time,
+    tell_publication,
+    turn_towards,
+    unwrap,
+)
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
+from turtlelog.measure.reductions import Values, subtract_neighbours
 from turtlelog.measure.references import read_controlled_distance, read_reference, trace_poses
 from turtlelog.measure.signals import Signal
-from turtlelog.measure.step_response import NEVER, NOBODY_KNOWS
 from turtlelog.run import PhaseSpan, Run
-from turtlelog.run.angles import find_heading_steps, wrap_angle
+from turtlelog.run.angles import find_heading_steps
 from turtlelog.run.loops import PAUSE, ControlLoop
 from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT
+from turtlelog.run.tables import ends_blocked
 
 if TYPE_CHECKING:
     from turtlelog.measure.run_context import MeasureSettings
@@ -127,7 +140,7 @@ class Response:
     @cached_property
     def error(self) -> Values:
         """Reference minus value [rad or m], shape (n,)."""
-        return np.asarray(self.reference - self.values)
+        return subtract_from(self.reference, self.values, None)
 
     @cached_property
     def step_s(self) -> Values:
@@ -144,24 +157,6 @@ class Response:
         """Magnitude at which commands are clipped; NaN if it is not recorded."""
         return math.nan if self.commands.limit is None else self.commands.limit
 
-    @property
-    def answered(self) -> int:
-        """Number of poses up to the last answered one; later motion is not caused by the loop."""
-        last_ns = self.commands.answered_ns[-1]
-        return int(np.searchsorted(self.pose_ns, last_ns, side="right"))
-
-    @property
-    def clipped(self) -> int:
-        """Index of the last pose after which no command was at its limit, for `judge_swings`."""
-        saturated = self.commands.is_saturated
-        if saturated is None:
-            return NOBODY_KNOWS
-        if not saturated.any():
-            return NEVER
-        last = len(saturated) - 1 - int(saturated[::-1].argmax())
-        last_ns = self.commands.answered_ns[last]
-        return int(np.searchsorted(self.pose_ns, last_ns, side="right")) - 1
-
 
 def find_response(
     run: Run, loop: ControlLoop, signal: Signal | None, settings: "MeasureSettings"
@@ -172,8 +167,9 @@ def find_response(
     """
     if not len(run.samples):
         return Missing(Status.ABSENT, "no samples of a controller were read")
-    stretch = find_first_stretch(run, loop)
-    if not stretch:
+    numbers = number_loop(run.declaration, loop)
+    segment = find_segment(run.samples, run.poses.time_ns, numbers, run.end_ns)
+    if segment.first_sample == segment.after_sample:
         return Missing(Status.NO_PHASE, describe_no_phase(run, loop))
     controlled = None if signal is None else signal.values
     if loop.signal == "distance" and loop.reference == "recorded":
@@ -181,53 +177,46 @@ def find_response(
     wanted = read_reference(run, loop)
     if controlled is None or wanted is None:
         return Missing(Status.ABSENT, _describe_unknown(run, loop))
-    start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
-    first = _find_first_row(run.poses.time_ns, start_ns)
-    inside = slice(first, int(np.searchsorted(run.poses.time_ns, end_ns, side="right")))
-    count = len(controlled[inside])
-    if count < 2:
-        return Missing(Status.TOO_SHORT, f"{describe_count(count, 'pose')} in {loop.name}")
-    if loop.signal == "heading":
-        moves = find_heading_steps(run.poses)
-        # The error of a moving reference is wrapped, which aliases.
-        is_wrong = moves.is_fast if isinstance(wanted, np.ndarray) else moves.is_lost
-        if is_wrong[first : inside.stop - 1].any():
-            return Missing(Status.UNDETERMINED, LOST_TURNS)
-    values, target = _refer_to_start(loop, controlled[inside], wanted, inside)
+    inside, is_angle = slice(segment.first, segment.after), loop.signal == "heading"
+    controlled = controlled[inside]
+    if len(controlled) < 2:
+        reason = f"{describe_count(len(controlled), 'pose')} in {loop.name}"
+        return Missing(Status.TOO_SHORT, reason)
+    if is_angle and _loses_turns(run, segment, isinstance(wanted, np.ndarray)):
+        return Missing(Status.UNDETERMINED, LOST_TURNS)
+    if isinstance(wanted, np.ndarray):
+        target = float(wanted[segment.first])
+        values = refer_to_start(wanted[inside] - controlled, target, is_angle, None)
+    else:
+        target, values = turn_towards(wanted, float(controlled[-1]), is_angle), controlled
     initial, reference = _find_step(loop, values, target, settings)
+    is_done = came_to_rest(run)
     return Response(
         loop=loop,
-        start_s=(start_ns - run.start_ns) / 1e9,
+        start_s=(segment.start_ns - run.start_ns) / 1e9,
         rows=inside,
         pose_ns=run.poses.time_ns[inside],
-        time_s=np.maximum(run.poses.time_ns[inside] - start_ns, 0) / 1e9,
+        time_s=tell_pose_time(run.poses.time_ns[inside], segment.start_ns),
         values=values,
         initial=initial,
         reference=reference,
         band=settings.band,
-        commands=_find_commands(run, loop, end_ns),
+        commands=_find_commands(run, loop, segment),
         track=_read_track(run, loop, wanted, inside),
-        was_cut=not run.is_complete and end_ns == run.end_ns,
-        ended_itself=stretch[-1].phase == PAUSE or end_ns < run.end_ns or came_to_rest(run),
+        was_cut=not run.is_complete and segment.end_ns == run.end_ns,
+        ended_itself=ends_itself(segment, run.samples, numbers, is_done, ends_blocked(run)),
     )
 
 
 LOST_TURNS: Final = "the heading turns more than half a turn between poses, which hides full turns"
 """Reason for no response of a heading that aliases."""
 
-_NEAR: Final = 1.5
-"""Longest usual step between poses, as a multiple of the usual one. In a longer step the robot may
-have moved far."""
 
-
-def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
-    """Return the row of the pose at which a loop begins; between two poses, the earlier row."""
-    # A timer reads the earlier pose. If poses before it are lost, the later row is returned.
-    after = int(np.searchsorted(time_ns, start_ns, side="left"))
-    if after in {0, len(time_ns)} or time_ns[after] == start_ns:
-        return after
-    step_ns = time_ns[after] - time_ns[after - 1]
-    return after - 1 if step_ns <= _NEAR * compute_median(subtract_neighbours(time_ns)) else after
+def _loses_turns(run: Run, segment: Segment, moves: bool) -> bool:  # noqa: FBT001
+    # The error of a moving reference is wrapped, which aliases.
+    steps = find_heading_steps(run.poses)
+    is_wrong = steps.is_fast if moves else steps.is_lost
+    return bool(is_wrong[segment.first : segment.after - 1].any())
 
 
 def came_to_rest(run: Run) -> bool:
@@ -244,15 +233,12 @@ def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:
 
 def find_loop_samples(run: Run, loop: ControlLoop) -> slice | None:
     """Return the rows of the samples of a loop's first segment; None if there is none."""
-    own = [run.phase_names.index(phase) for phase in run.declaration.list_phases(loop.name)]
-    is_own = np.zeros(len(run.samples), np.bool_)
-    for phase in own:
-        is_own |= run.samples.phase == phase
-    first = int(is_own.argmax()) if len(is_own) else 0
-    if not len(is_own) or not is_own[first]:
+    if not len(run.samples):
         return None
-    others = ~is_own[first:]
-    return slice(first, first + int(others.argmax()) if others.any() else len(is_own))
+    phases = number_loop(run.declaration, loop).phases
+    first = find_phase(run.samples.phase, 0, phases)
+    after = find_phase(run.samples.phase, first, ~phases)
+    return slice(first, after) if first < after else None
 
 
 def describe_no_phase(run: Run, loop: ControlLoop) -> str:
@@ -268,22 +254,6 @@ def _describe_unknown(run: Run, loop: ControlLoop) -> str:
     return f"the reference {loop.reference} of {loop.signal} is not known"
 
 
-def _refer_to_start(
-    loop: ControlLoop, controlled: Values, wanted: float | Values, rows: slice
-) -> tuple[Values, float]:
-    """Return the values of a response and the reference that they should reach."""
-    if not isinstance(wanted, np.ndarray):
-        return controlled, _turn_towards(loop, wanted, float(controlled[-1]))
-    inside = wanted[rows]
-    error = inside - controlled
-    if loop.signal == "heading":
-        error = np.unwrap(wrap_angle(error))
-        # Shifted by the full turns of the last error, as for a constant reference.
-        error = error - 2.0 * np.pi * np.round(error[-1] / (2.0 * np.pi))
-    target = float(inside[0])
-    return np.asarray(target - error), target
-
-
 _NONE: Final = np.empty(0)
 _CONSTANT: Final = Track(_NONE, _NONE, np.empty((0, 3)), 0.0, 0.0, is_closed=False, has_speed=False)
 
@@ -293,7 +263,7 @@ def _read_track(run: Run, loop: ControlLoop, wanted: float | Values, rows: slice
     if not isinstance(wanted, np.ndarray):
         return _CONSTANT
     inside, path = wanted[rows], run.path
-    inside = np.unwrap(inside) if loop.signal == "heading" else inside
+    inside = unwrap(inside) if loop.signal == "heading" else inside
     if path is None or (loop.signal, loop.reference) != ("cross_track", "path"):
         return _CONSTANT._replace(reference=inside)
     return Track(
@@ -312,8 +282,8 @@ def list_corners(path: Path) -> Values:
     return np.array(path.corners, np.float64).reshape(-1, 3)
 
 
-def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:
-    samples, rows = run.samples, find_loop_samples(run, loop)
+def _find_commands(run: Run, loop: ControlLoop, segment: Segment) -> CommandStretch:
+    samples, rows = run.samples, slice(segment.first_sample, segment.after_sample)
     has_publications = len(run.commands) == len(samples)
     time_ns = (run.commands if has_publications else samples).time_ns[rows]
     if loop.command == "turn_rate":
@@ -322,11 +292,11 @@ def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:
         values, wanted = samples.speed_m_s, samples.wanted_speed_m_s
     limit = run.parameters.get(loop.limit_key)
     return CommandStretch(
-        time_s=(np.minimum(time_ns, end_ns) - run.start_ns) / 1e9,
+        time_s=tell_publication(time_ns, segment.end_ns, run.start_ns),
         values=values[rows],
         wanted=None if wanted is None else wanted[rows],
         limit=float(limit) if isinstance(limit, int | float) else None,
-        end_s=(end_ns - run.start_ns) / 1e9,
+        end_s=(segment.end_ns - run.start_ns) / 1e9,
         answered_ns=samples.time_ns[rows],
     )
 
@@ -338,20 +308,13 @@ def _find_step(
     initial, final = settings.initial, settings.final
     initial = initial.get(loop.name) if isinstance(initial, Mapping) else initial
     final = final.get(loop.name, "reference") if isinstance(final, Mapping) else final
-    first, last = float(values[0]), float(values[-1])
-    initial = first if initial is None else _turn_towards(loop, initial, first)
+    first, last, is_angle = float(values[0]), float(values[-1]), loop.signal == "heading"
+    initial = first if initial is None else turn_towards(initial, first, is_angle)
     if final == "last":
         return initial, last
     if final != "reference":
-        return initial, _turn_towards(loop, float(final), last)
+        return initial, turn_towards(float(final), last, is_angle)
     return initial, target
-
-
-def _turn_towards(loop: ControlLoop, value: float, measured: float) -> float:
-    """Return a heading shifted by full turns towards the measured heading, which has no jumps."""
-    if loop.signal != "heading":
-        return value
-    return value + float(np.round((measured - value) / (2.0 * np.pi))) * 2.0 * np.pi
 
 
 def compute_hold_times(time_s: Values, end_s: float) -> Values:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from turtlelog import display
 from turtlelog.errors import MeasureError, describe_unknown
 from turtlelog.libraries import load_library
+from turtlelog.measure.loop_segment import find_distance
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.reductions import Values, subtract_neighbours
 from turtlelog.measure.references import (
@@ -102,8 +103,7 @@ class Signal:
 
     def __reduce__(self) -> Rebuilding:
         # The function that reads a run cannot be pickled, and is no longer needed.
-        kind = replace(self.kind, read=_read_nothing)
-        return rebuild_value(self, kind=kind)
+        return rebuild_value(self, kind=replace(self.kind, read=_read_nothing))
 
     def __len__(self) -> int:
         return len(self.values)
@@ -122,19 +122,16 @@ class Signal:
         count = display.describe_count(len(self), "value")
         if not np.isfinite(self.values).any():
             return f"{count} in {self.unit}"
-        ends = (
-            display.format_number(float(end(self.values)), self.unit)
-            for end in (np.nanmin, np.nanmax)
-        )
+        values = (float(np.nanmin(self.values)), float(np.nanmax(self.values)))
+        ends = (display.format_number(value, self.unit) for value in values)
         return f"{count} in {self.unit}, {' to '.join(ends)}"
 
     def _repr_html_(self) -> str:
         rows = np.unique(np.linspace(0, max(0, len(self) - 1), _MOST_SHOWN).astype(int))
         curve = self.values[rows] if len(self) else self.values
         picture = display.format_curve_svg(curve.tolist(), label=f"{self.name} over time")
-        return display.format_notebook(
-            f"{self.name}: {self._describe()}. {self.kind.meaning}", picture
-        )
+        answer = f"{self.name}: {self._describe()}. {self.kind.meaning}"
+        return display.format_notebook(answer, picture)
 
 
 _MOST_SHOWN: Final = 400
@@ -153,11 +150,8 @@ def could_be_signal(name: str) -> bool:
 
 def list_signal_units(declarations: Iterable[Declaration]) -> dict[str, str]:
     """Return the units of the signals and states of some laws by name, signals first."""
-    return {
-        name: kind.unit
-        for declaration in declarations
-        for name, kind in list_signals(declaration).items()
-    }
+    kinds = (list_signals(declaration).items() for declaration in declarations)
+    return {name: kind.unit for found in kinds for name, kind in found}
 
 
 def read_signal(run: Run, name: str) -> Signal:
@@ -183,11 +177,10 @@ def find_signal(run: Run, name: str) -> Signal | None:
     kinds = list_signals(run.declaration)
     if name not in kinds:
         raise MeasureError(describe_unknown("signal", name, kinds, place="turtlelog list signals"))
-    kind = kinds[name]
-    if name in COMMANDED and not len(run.samples):
-        kind = COMMANDED[name]
-        if find_no_commands(run, name):
-            return None
+    is_commanded = name in COMMANDED and not len(run.samples)
+    kind = COMMANDED[name] if is_commanded else kinds[name]
+    if is_commanded and find_no_commands(run, name):
+        return None
     values = kind.read(run)
     if values is None or not len(values):
         return None
@@ -320,8 +313,8 @@ def _read_error(run: Run, axis: int) -> Values | None:
 def _read_distance(run: Run) -> Values | None:
     if run.goal_xy_m is None:
         return None
-    x_m, y_m = (goal - column for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True))
-    return np.asarray(np.hypot(x_m, y_m))
+    x_m, y_m = run.poses.xy_m.T
+    return np.asarray(find_distance(x_m, y_m, *run.goal_xy_m))
 
 
 def _read_heading_error(run: Run) -> Values | None:
@@ -409,16 +402,14 @@ SIGNALS: Final[Mapping[str, SignalKind]] = display.NamedValues(
             "Heading that the controller reads, within half a turn of the signal `heading`.",
             _read_sensed_heading,
         ),
-        "error_x": _pose(
-            "m",
-            "Coordinate x of goal minus position, in the world frame.",
-            lambda run: _read_error(run, 0),
-        ),
-        "error_y": _pose(
-            "m",
-            "Coordinate y of goal minus position, in the world frame.",
-            lambda run: _read_error(run, 1),
-        ),
+        **{
+            f"error_{axis}": _pose(
+                "m",
+                f"Coordinate {axis} of goal minus position, in the world frame.",
+                partial(_read_error, axis=column),
+            )
+            for column, axis in enumerate("xy")
+        },
         "distance": _pose("m", "Distance to the goal.", _read_distance),
         "heading_error": _pose(
             "rad",
@@ -452,12 +443,8 @@ SIGNALS: Final[Mapping[str, SignalKind]] = display.NamedValues(
 
 COMMANDED: Final[Mapping[str, SignalKind]] = MappingProxyType(
     {
-        "speed": replace(
-            SIGNALS["speed"], source="command", read=lambda run: run.commands.speed_m_s
-        ),
-        "turn_rate": replace(
-            SIGNALS["turn_rate"], source="command", read=lambda run: run.commands.turn_rate_rad_s
-        ),
+        name: replace(SIGNALS[name], source="command", read=attrgetter(f"commands.{column}"))
+        for name, column in _COLUMNS.items()
     }
 )
 """Signals of a run without samples: the published commands, from the first command on."""

@@ -52,13 +52,11 @@ SETTLED: Final = 1e-15
 constant: less than the resolution of a coordinate of 10 m."""
 
 MOST_TURN_RAD: Final = 1000.0
-"""Largest turn within one move that the quadrature follows [rad]. A loop that runs away would take
-forever."""
+"""Largest turn within one move that is followed [rad], so that a loop that runs away ends."""
 
 _MOST_PIECES: Final = 2.0**62
 
-_SHORTEST_S: Final = 1e-18
-"""Shortest piece [s]. With a huge acceleration, a ramp may end after a negligible time."""
+_SHORTEST_S: Final = 1e-18  # shortest piece [s]: a huge acceleration may end a ramp at once
 
 _GAUSS: Final = (
     (0.019855071751231912, 0.05061426814518853),
@@ -127,8 +125,6 @@ def find_facts(keys: Any) -> Plant:
 @dataclass(slots=True)
 class AxisState:
     """State of one rate: a constant part plus a transient that decays.
-
-    The transient decays with the time constant, but no faster than the acceleration allows.
 
     Attributes:
         target: Rate that the command leads to after the transient.
@@ -262,10 +258,7 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
 def want_rate(
     command: float, gain: float, reverse_gain: float, deadband: float, bound: float
 ) -> float:
-    """Return the rate that a command leads to in the end.
-
-    A reverse gain of NaN means the normal gain.
-    """
+    """Return the rate that a command leads to; a reverse gain of NaN means the normal gain."""
     if abs(command) <= deadband:
         return 0.0
     if command < 0.0 and not math.isnan(reverse_gain):
@@ -274,10 +267,9 @@ def want_rate(
 
 
 def _follow(axis: Any, wanted: float, lag_s: float, acceleration: float) -> None:
-    before = axis.target
-    axis.target = wanted
     if lag_s != 0.0 or not math.isinf(acceleration):
-        axis.transient += before - wanted
+        axis.transient += axis.target - wanted
+    axis.target = wanted
     axis.waiting_first += 1
 
 
@@ -343,8 +335,7 @@ def _move_smoothly(keys: Any, state: Any, left_s: float) -> None:
 def _move_along_arc(keys: Any, state: Any, duration_s: float) -> None:
     """Drive a circle or line. The rest of a transient adds to the length and the turn."""
     way_m = _let_pass(state.speed, keys.speed_lag_s, keys.speed_acceleration, duration_s)
-    turned_rad = _let_pass(state.turn, keys.turn_lag_s, keys.turn_acceleration, duration_s)
-    half_rad = 0.5 * turned_rad
+    half_rad = 0.5 * _let_pass(state.turn, keys.turn_lag_s, keys.turn_acceleration, duration_s)
     chord_m = way_m * (math.sin(half_rad) / half_rad) if half_rad != 0.0 else way_m
     middle_rad = state.heading_rad + half_rad
     state.x_m += chord_m * math.cos(middle_rad)
@@ -357,9 +348,8 @@ def _move_by_quadrature(keys: Any, state: Any, duration_s: float) -> None:
     x_m = y_m = 0.0
     for node, weight in _GAUSS:
         time_s = node * duration_s
-        heading_rad = state.heading_rad + _integrate(
-            turn, keys.turn_lag_s, keys.turn_acceleration, time_s
-        )
+        turned_rad = _integrate(turn, keys.turn_lag_s, keys.turn_acceleration, time_s)
+        heading_rad = state.heading_rad + turned_rad
         rate = speed.target + speed.push
         if speed.transient != 0.0:
             rate += _fade(speed, keys.speed_lag_s, keys.speed_acceleration, time_s)
@@ -411,9 +401,8 @@ def _integrate(axis: Any, lag_s: float, acceleration: float, time_s: float) -> f
         ramp_s = least(time_s, _find_ramp_s(axis, lag_s, acceleration))
         slope = math.copysign(acceleration, axis.transient)
         way += (axis.transient - 0.5 * slope * ramp_s) * ramp_s
-        return way
-    faded = -math.expm1(-time_s / lag_s)
-    way += axis.transient * lag_s * faded
+    else:
+        way += axis.transient * lag_s * -math.expm1(-time_s / lag_s)
     return way
 
 
@@ -431,8 +420,8 @@ _AXES: Final = ("speed", "turn")
 def _build_cause(name: str, meaning: str) -> Cause:
     """Return a limit of both axes as a cause. A key of None has no limit."""
     keys = dict.fromkeys(f"plant.{axis}_{name}" for axis in _AXES)
-    word = name.replace("_", "-")
-    return Cause(name=f"robot-{word}", kind="design", neutral=keys, meaning=meaning)
+    name = f"robot-{name.replace('_', '-')}"
+    return Cause(name=name, kind="design", neutral=keys, meaning=meaning)
 
 
 PART: Final = PlantPart(

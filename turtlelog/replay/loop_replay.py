@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.laws import Law, LawPart, Pose, find_law
-from turtlelog.log.recording.head import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.plants import find_plant
 from turtlelog.replay import differences
@@ -124,7 +123,7 @@ def replay_law(
     signals = differences.compare_pairings(pairings, tolerance)
     stop = compare_last_answer(run, len(answers) - 1, stop_reason, blocks=bool(blocks_ticks[-1]))
     missing, count = differences.count_missing_samples(run.samples), len(run.samples)
-    is_lossy = missing or not run.notes.keys().isdisjoint(LOSS_NOTES) or "commands" in run.absent
+    is_lossy = missing or run.origin.lost != "nothing" or "commands" in run.absent
     has_published, commands = differences.has_published(run), None
     if not (has_published or is_lossy):
         given, at_ns = len(run.commands), run.end_ns
@@ -151,11 +150,10 @@ def replay_law(
 
 def _describe_nothing_read(run: Run) -> str:
     """Return why there are no samples: the file has none, or they were not read."""
-    from turtlelog.log.ros2.bag_reader import NOT_READ  # only this error needs the readers of bags
-
-    if CONTROL.name in (unread := run.notes.get(NOT_READ, "")):
+    if CONTROL.name in run.origin.unread_topics:
+        found = run.notes.get("not_read", CONTROL.name)
         where = "in a file without turtlelog's metadata record"
-        return f"{unread} {where} are not read as samples of a controller"
+        return f"{found} {where} are not read as samples of a controller"
     lack = f"no samples of a controller (topic {CONTROL.name})"
     return f"{lack}: what the law read and commanded is not recorded"
 

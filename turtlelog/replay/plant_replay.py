@@ -383,6 +383,7 @@ class _DrivenPlant:
         wanted_ns = np.zeros(0, np.int64) if time_ns is None else time_ns
         visits = np.searchsorted(wanted_ns, ends_ns, side="right").tolist()
         times, seen, put = wanted_ns.tolist(), 0, 0
+        held = self._settings, self._state, self._rows, self._parts
         for tick, (visit, bound) in enumerate(zip(visits, puts, strict=True)):
             yield from self._visit(tick, times[seen:visit])
             if time_ns is None:
@@ -393,7 +394,7 @@ class _DrivenPlant:
                 row.sequence = number
                 row.published_ns, row.speed_m_s, row.turn_rate_rad_s = command
                 self._now.samples += 1
-                loop.publish(self._settings, self._state, self._rows, self._parts, tick, number)
+                loop.send_command(*held, tick, number)
             seen, put = visit, bound
 
     def _visit(self, tick: int, times: list[int]) -> Iterator[_State]:
@@ -405,7 +406,7 @@ class _DrivenPlant:
         is_pushed = scene.is_pushed and (tick > 0 or self._acts_in_steps)
         at_ns = until_ns if is_pushed and self._acts_in_steps else since_ns
         while is_pushed and at_ns <= until_ns:
-            loop.push_at(settings, state, rows, self._parts, tick, at_ns)
+            loop.disturb_at(settings, state, rows, self._parts, tick, at_ns)
             before_ns = at_ns
             at_ns = self._parts.next_push(settings, state, rows, tick, at_ns, NEVER_NS)
             while times and times[0] < min(at_ns, until_ns) and times[0] >= before_ns:
@@ -419,7 +420,7 @@ class _DrivenPlant:
     def sense(self, number: int, pose: tuple[float, float, float]) -> tuple[float, float, float]:
         """Return the sensed pose for a pose, by its number."""
         row = TickRow(*pose)
-        loop.sense(self._settings, self._state, self._sensed_rows, self._parts, row, number)
+        loop.sense_pose(self._settings, self._state, self._sensed_rows, self._parts, row, number)
         return row.sensed_x_m, row.sensed_y_m, row.sensed_heading_rad
 
     def _hold(self, tick: int, since_ns: int, until_ns: int) -> None:
@@ -428,12 +429,12 @@ class _DrivenPlant:
         scene, now = settings.scene, self._now
         if scene.acts_on_arrival:
             first = now.commands_arrived
-            loop.hold_arrived(settings, state, rows, parts, until_ns)
+            loop.hold_arrived_commands(settings, state, rows, parts, until_ns)
             numbers = range(first, now.commands_arrived)
             self.taken += sum(rows.samples[number].arrivals > 0 for number in numbers)
             return
         until = until_ns + scene.causal_ns if scene.is_timed else tick
-        sample = loop.take(settings, now, rows, until)
+        sample = loop.take_command(settings, now, rows, until)
         if sample >= 0:
             row = rows.samples[sample]
             parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)

@@ -1,14 +1,21 @@
 from . import angles as angles, loops as loops, paths as paths
-from .angles import find_quaternions as find_quaternions, turn_headings as turn_headings
+from .angles import (
+    Trajectory as Trajectory,
+    build_planar_trajectory as build_planar_trajectory,
+    build_trajectory as build_trajectory,
+    find_quaternions as find_quaternions,
+    turn_headings as turn_headings,
+)
 from .columns import (
     Clock as Clock,
     CommandColumns as CommandColumns,
     Event as Event,
+    Lost as Lost,
+    Origin as Origin,
     PoseColumns as PoseColumns,
     SampleColumns as SampleColumns,
-    Trajectory as Trajectory,
-    build_planar_trajectory as build_planar_trajectory,
-    build_trajectory as build_trajectory,
+    SourceTopic as SourceTopic,
+    find_greatest_loss as find_greatest_loss,
     take_rows as take_rows,
 )
 from .run import (

@@ -1,22 +1,16 @@
-"""The columns and events of a run, and the poses of a trajectory, checked; their clock."""
+"""The columns and events of a run, checked; their clock and their origin."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from collections.abc import Callable
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import cache, partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, fit_line
 from turtlelog.errors import RunError
-from turtlelog.run.angles import turn_headings
-
-if TYPE_CHECKING:
-    from turtlelog.run.run import Run
-
 
 PAIRS: Final = {
     "xy_m": ("x_m", "y_m"),
@@ -263,6 +257,91 @@ class Clock:
     jitter_s: float | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceTopic:
+    """A topic from which a run was read.
+
+    Attributes:
+        name: Name of the topic.
+        type: Type of its messages.
+        frames: World frame and robot frame of poses from transforms; None for other messages.
+    """
+
+    name: str
+    type: str
+    frames: tuple[str, str] | None = None
+
+    def describe(self) -> str:
+        """Return name, type and frames in one line."""
+        frames = "" if self.frames is None else ": {} -> {}".format(*self.frames)
+        return f"{self.name} ({self.type}){frames}"
+
+
+Lost = Literal["nothing", "summary", "rows"]
+"""What a file has lost, from least to most: only its summary, or perhaps rows."""
+
+
+def find_greatest_loss(*lost: Lost) -> Lost:
+    """Return the greatest of several losses."""
+    return max(lost, key=get_args(Lost).index, default="nothing")
+
+
+_LATEST_NS: Final = 2**62
+"""Time beyond which no date is known [ns], in the year 2116: the sum of two fits into 64 bits."""
+
+_MOST_ROWS: Final = 2**62
+"""Number of rows that no file reaches, as each takes a byte."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Facts on the source of a run; `Run.notes` tells them, and further remarks, in sentences.
+
+    Attributes:
+        began_ns: Time since 1970, UTC, at which the recording began [ns]; None if unknown.
+        start_ns: Time zero of the run on the clock of its source [ns]; None if unknown.
+        poses: Topic of the poses; None if they are not from a topic of a bag.
+        commands: Topic of the commands; None if they are not from a topic of a bag.
+        frame: Frame of the poses; empty if unknown.
+        robot: Robot that was read by its name, of several; None if no name was given.
+        table_run: Number of the run that was read, and number of runs, in a table of several.
+        goal_given_ns: Time at which the goal was given during the run [ns]; None if unknown.
+        path_given_ns: Time at which the path was given during the run [ns]; None if unknown.
+        was_clock_set: Whether the recorder's clock was set while it recorded.
+        has_courses: Whether headings are courses over ground, as of a satellite receiver.
+        has_leaps: Whether the poses alternate between two places, as of two programs.
+        sorted_rows: Number of rows that were out of order in time, and were sorted.
+        dropped_duplicates: Number of rows that repeated another, and were dropped.
+        unread_topics: Topics of turtlelog's own that were not read.
+        lost: What the file has lost.
+    """
+
+    began_ns: int | None = None
+    start_ns: int | None = None
+    poses: SourceTopic | None = None
+    commands: SourceTopic | None = None
+    frame: str = ""
+    robot: str | None = None
+    table_run: tuple[int, int] | None = None
+    goal_given_ns: int | None = None
+    path_given_ns: int | None = None
+    was_clock_set: bool = False
+    has_courses: bool = False
+    has_leaps: bool = False
+    sorted_rows: int = 0
+    dropped_duplicates: int = 0
+    unread_topics: tuple[str, ...] = ()
+    lost: Lost = "nothing"
+
+    def __post_init__(self) -> None:
+        for name in ("began_ns", "start_ns"):
+            if abs(getattr(self, name) or 0) >= _LATEST_NS:
+                object.__setattr__(self, name, None)
+        for name in ("sorted_rows", "dropped_duplicates"):
+            if not 0 <= getattr(self, name) < _MOST_ROWS:
+                raise RunError(f"origin.{name}: expected a number of rows below {_MOST_ROWS}")
+
+
 AnyColumns = TypeVar("AnyColumns", PoseColumns, CommandColumns, SampleColumns)
 
 
@@ -338,127 +417,3 @@ def _require_rising(values: NDArray[np.int64], name: str, *, strictly: bool) -> 
             f"{name}: expected {order} values, found {values[row]} after {values[row - 1]}"
             f" at row {row}"
         )
-
-
-_UNIT_LENGTH: Final = 1e-6
-"""Largest deviation of a quaternion's length from 1; built quaternions are normalised."""
-
-_FARTHEST_M: Final = 1e12
-"""Largest coordinate of a robot [m]: the sun is at 1.5e11 m, and squares of 1e155 overflow."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trajectory:
-    """Poses of a robot. The arrays are made read-only without a copy.
-
-    Attributes:
-        name: Name of the trajectory in answers.
-        time_ns: Time of each pose as in the file [ns], shape (n,), strictly increasing. For a
-            trajectory without times, the number of the pose in units of 1 s.
-        xyz_m: Position in the world frame [m], shape (n, 3).
-        orientation_quat_wxyz: Unit quaternion of the rotation from the robot's frame to the world
-            frame, shape (n, 4).
-        space: `space` if the file has heights and rotations; `plane` if it has only x, y and
-            heading.
-        clock: `time`, or `frame` for poses that are only numbered.
-        notes: Notes on rows omitted in reading, by keyword.
-    """
-
-    name: str
-    time_ns: NDArray[np.int64]
-    xyz_m: Values
-    orientation_quat_wxyz: Values
-    space: Literal["plane", "space"]
-    clock: Literal["time", "frame"] = "time"
-    notes: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        count = len(self.time_ns)
-        shapes = (self.xyz_m.shape, self.orientation_quat_wxyz.shape)
-        if shapes != ((count, 3), (count, 4)):
-            raise RunError(
-                f"trajectory: expected rows of 3 and 4 for {count} times, found {shapes}"
-            )
-        if (np.diff(self.time_ns) <= 0).any():
-            row = int((np.diff(self.time_ns) <= 0).argmax()) + 1
-            raise RunError(f"trajectory.time_ns[{row}]: expected a time after the one before")
-        for name in ("xyz_m", "orientation_quat_wxyz"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise RunError(f"trajectory.{name}: expected finite numbers")
-        if (farthest_m := float(np.abs(self.xyz_m).max(initial=0.0))) > _FARTHEST_M:
-            raise RunError(
-                f"trajectory: expected positions within {_FARTHEST_M:g} m, found {farthest_m:g} m"
-            )
-        lengths = np.linalg.norm(self.orientation_quat_wxyz, axis=1)
-        if (np.abs(lengths - 1.0) > _UNIT_LENGTH).any():
-            raise RunError("trajectory.orientation_quat_wxyz: expected quaternions of length 1")
-        for array in (self.time_ns, self.xyz_m, self.orientation_quat_wxyz):
-            array.flags.writeable = False
-        object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
-
-    def __len__(self) -> int:
-        return len(self.time_ns)
-
-    def __repr__(self) -> str:
-        return fit_line(f"<Trajectory {self.name}: {len(self)} poses in {self.space}>")
-
-    def __reduce__(self) -> Rebuilding:
-        return rebuild_value(self)
-
-
-def build_planar_trajectory(run: "Run") -> Trajectory:
-    """Return the poses of a run as a planar trajectory, with its source's times."""
-    return Trajectory(
-        name=run.name,
-        time_ns=run.poses.time_ns + run.source_start_ns,
-        xyz_m=np.column_stack([run.poses.xy_m, np.zeros(len(run.poses))]),
-        orientation_quat_wxyz=turn_headings(run.poses.heading_rad),
-        space="plane",
-    )
-
-
-def build_trajectory(
-    name: str,
-    time_ns: NDArray[np.int64],
-    xyz_m: Values,
-    turns: Values,
-    *,
-    notes: Mapping[str, str],
-) -> Trajectory:
-    """Return a trajectory of the finite rows in order of time, one row for each time.
-
-    Args:
-        name: Name of the trajectory.
-        time_ns: Time of each row [ns], shape (n,), in any order.
-        xyz_m: Position [m], shape (n, 3).
-        turns: Rotation as a quaternion w, x, y, z of any length, shape (n, 4).
-        notes: Notes, to which the numbers of rows left out or sorted are added.
-
-    Raises:
-        RunError: If no row has a position and a rotation, or the rows are no trajectory.
-    """
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
-    is_pose = np.isfinite(xyz_m).all(axis=1) & np.isfinite(turns).all(axis=1)
-    if not is_pose.any():
-        raise RunError("no row has a position of finite numbers and a rotation")
-    time_ns, xyz_m, turns = time_ns[is_pose], xyz_m[is_pose], turns[is_pose]
-    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
-    if late:
-        order = np.argsort(time_ns, kind="stable")
-        time_ns, xyz_m, turns = time_ns[order], xyz_m[order], turns[order]
-    is_first = np.concatenate([[True], np.diff(time_ns) > 0])
-    counts = {
-        "without a time, a position or a rotation": int((~is_pose).sum()),
-        "out of order in time, sorted": late,
-        "at a time that an earlier pose has, left out": int((~is_first).sum()),
-    }
-    told = {name: f"{describe_count(count, 'pose')} {name}" for name, count in counts.items()}
-    return Trajectory(
-        name=name,
-        time_ns=time_ns[is_first],
-        xyz_m=xyz_m[is_first],
-        orientation_quat_wxyz=turns[is_first],
-        space="space",
-        notes={**notes, **{key: text for key, text in told.items() if counts[key]}},
-    )

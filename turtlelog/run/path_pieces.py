@@ -346,3 +346,21 @@ def follow_piece(
     low_m, high_m = arc_m - path.reach_m, arc_m + path.reach_m
     arc_m, offset_m = find_nearest(path, pieces, position, low_m, high_m)
     return arc_m, offset_m, arc_m
+
+
+@called
+def follow_pieces(  # noqa: PLR0913, PLR0917  (compiled code knows no keyword-only arguments)
+    path: Any,
+    pieces: Any,
+    arc_m: float,
+    x_m: Any,
+    y_m: Any,
+    dues_m: Any,
+    arcs_m: Any,
+    offsets_m: Any,
+) -> None:
+    """Enter the arc lengths and offsets of positions in order, as `follow_piece` finds them [m]."""
+    for row in range(len(arcs_m)):
+        arcs_m[row], offsets_m[row], arc_m = follow_piece(
+            path, pieces, arc_m, (x_m[row], y_m[row]), dues_m[row]
+        )

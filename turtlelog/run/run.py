@@ -16,6 +16,7 @@ from turtlelog.run.columns import (
     Columns,
     CommandColumns,
     Event,
+    Origin,
     PoseColumns,
     Rebuilding,
     SampleColumns,
@@ -36,15 +37,6 @@ from turtlelog.run.tables import (
 )
 
 Parameter = bool | int | float | str | list[Any]
-
-
-GOAL_SET: Final = "goal_set_ns"
-"""Name of the note on when the goal was given [ns]; only in bags with a topic of goals."""
-
-PATH_SET: Final = "path_set_ns"
-"""Name of the note on when the path to follow was given [ns]; only in bags with paths."""
-
-_MOST_DIGITS: Final = 18  # of a 64-bit number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
@@ -74,7 +66,8 @@ class Run:
             code of a law that is not built in (`law`). Empty if the run was not simulated, or the
             recording does not contain them.
         absent: Names of the fields that the source lacks.
-        notes: Notes of the importer, by name (`original_timestamp`, `sorted_rows`, ...).
+        origin: Facts on the source: topics, date, robot, losses. The default knows none.
+        notes: Notes of the importer in sentences, by name (`clock`, `columns`, ...).
     """
 
     name: str
@@ -92,6 +85,7 @@ class Run:
     events: tuple[Event, ...] = ()
     simulated_by: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
+    origin: Origin = field(default_factory=Origin)
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -153,18 +147,19 @@ class Run:
     @property
     def goal_row(self) -> int:
         """Row of the pose at which the goal was given; 0 if this is unknown."""
-        return self._find_row(GOAL_SET)
+        return self._find_row(self.origin.goal_given_ns)
 
     @property
     def path_row(self) -> int:
         """Row of the pose at which the path, or else the goal, was given; 0 if unknown."""
-        return self._find_row(GOAL_SET if self.path is None else PATH_SET)
+        origin = self.origin
+        return self._find_row(origin.goal_given_ns if self.path is None else origin.path_given_ns)
 
-    def _find_row(self, note: str) -> int:
-        text = self.notes.get(note, "")
-        if not text.isdecimal() or len(text) > _MOST_DIGITS:
+    def _find_row(self, given_ns: int | None) -> int:
+        if given_ns is None or not len(self.poses):
             return 0
-        return min(int(np.searchsorted(self.poses.time_ns, int(text))), len(self.poses) - 1)
+        known_ns = self.poses.time_ns
+        return int(np.searchsorted(known_ns, max(0, min(given_ns, int(known_ns[-1])))))
 
     @property
     def goal_line(self) -> GoalLine | None:
@@ -202,13 +197,10 @@ class Run:
     @property
     def source_start_ns(self) -> int:
         """Time zero on the clock of the source's poses [ns]; 0 if unknown, as in simulations."""
-        text = self.notes.get("original_timestamp", "")
-        if not text.endswith("Z"):  # the date of a paper's log is not that of its first pose
-            found = text.removesuffix(" s").replace(".", "") if text.endswith(" s") else ""
-            return int(found) if found.lstrip("-").isdecimal() else 0
-        is_stamped = self.clock is not None and self.clock.used == "stamp"
-        offset_s = (self.clock.offset_s if self.clock and is_stamped else None) or 0.0
-        return (display.parse_utc(text) or 0) - round(offset_s * 1e9)
+        start_ns, clock = self.origin.start_ns, self.clock
+        is_stamped = clock is not None and clock.used == "stamp"
+        offset_s = (clock.offset_s if clock and is_stamped else None) or 0.0
+        return 0 if start_ns is None else start_ns - round(offset_s * 1e9)
 
     @property
     def begin_ns(self) -> int:

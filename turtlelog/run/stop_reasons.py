@@ -218,9 +218,8 @@ def find_goal_line(run: "Run") -> GoalLine | None:
     x_m, y_m = map(float, run.poses.xy_m[[*samples.pose_sequence[:1], first][0]])
     length_m = bearing_rad = None
     if run.goal_xy_m is not None:
-        ahead_m, left_m = run.goal_xy_m[0] - x_m, run.goal_xy_m[1] - y_m
-        length_m = float(np.hypot(ahead_m, left_m))
-        bearing_rad = math.atan2(left_m, ahead_m)
+        line = draw_goal_line((x_m, y_m), run.goal_xy_m)
+        length_m, bearing_rad = line.length_m, line.bearing_rad
         if (
             run.is_lawless
             and length_m <= _LOOP * np.hypot(*(run.poses.xy_m[first:] - (x_m, y_m)).T).max()
@@ -237,6 +236,13 @@ def find_goal_line(run: "Run") -> GoalLine | None:
     if length_m is None and samples.error_xy_m is not None:
         length_m = float(np.hypot(*samples.error_xy_m[0]))
     return GoalLine(start_xy_m=(x_m, y_m), bearing_rad=bearing_rad, length_m=length_m)
+
+
+def draw_goal_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -> GoalLine:
+    """Return the line from a start to a goal."""
+    ahead_m, left_m = goal_xy_m[0] - start_xy_m[0], goal_xy_m[1] - start_xy_m[1]
+    length_m, bearing_rad = float(np.hypot(ahead_m, left_m)), math.atan2(left_m, ahead_m)
+    return GoalLine(start_xy_m=start_xy_m, bearing_rad=bearing_rad, length_m=length_m)
 
 
 def _stays(run: "Run", error_m: float, allowed_m: float) -> bool:

@@ -294,7 +294,7 @@ def find_phase_spans(run: "Run") -> tuple[PhaseSpan, ...]:
     spans = []
     for first, after, end_ns in zip(firsts, afters, ends_ns, strict=True):
         name, start_ns = names[phase[first]], int(time_ns[first])
-        if after < len(phase) or _ends_blocked(run):
+        if after < len(phase) or ends_blocked(run):
             last_ns = int(time_ns[after - 1])
             spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=last_ns))
             name, start_ns = PAUSE, last_ns
@@ -302,7 +302,7 @@ def find_phase_spans(run: "Run") -> tuple[PhaseSpan, ...]:
     return tuple(spans)
 
 
-def _ends_blocked(run: "Run") -> bool:
+def ends_blocked(run: "Run") -> bool:
     """Return whether the last sample's command was published after its time, or never."""
     published, answered = run.commands.time_ns, run.samples.time_ns
     if len(published) < len(answered):

@@ -63,6 +63,8 @@ def read_scenario(path: str | Path) -> Scenario:
         found = getattr(err, "strerror", None) or err
         raise ScenarioError(f"{path}: expected a scenario file, found: {found}") from err
     path = make_path(path)
+    if not text.strip() and path.suffix != ".toml":
+        raise ScenarioError(f"{path}: expected a scenario, found an empty file")
     return _build(text, str(path), path)
 
 

@@ -306,12 +306,11 @@ def find_software(law: str) -> dict[str, str]:
 
 @cache
 def _find_versions() -> dict[str, str]:
-    library = " ".join(platform.libc_ver())
     return {
         "turtlelog": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "platform": f"{platform.system()} {platform.machine()} {library}".strip(),
+        "platform": " ".join([platform.system(), platform.machine(), *platform.libc_ver()]).strip(),
     }
 
 
@@ -361,9 +360,8 @@ class Pace:
 
     def __init__(self, clock: Pacer, period_s: float) -> None:
         """Set the period of the plant [s], above which a delayed tick counts as late."""
-        self._period_s = period_s
+        self._clock, self._period_s, self._start_s = clock, period_s, 0.0
         self.late_ticks, self.greatest_lag_s = 0, 0.0
-        self._clock, self._start_s = clock, 0.0
 
     def wait(self, tick: Tick) -> None:
         """Wait until the tick's time has come."""
@@ -439,16 +437,14 @@ def _drive(
             pace.wait(tick)
         is_answered = is_answered or bool(tick.computed)
         is_over = bool(caught) and tick.stop_reason is None
-        last = _end(tick) if is_over else tick
+        if is_over:
+            event = Event(time_ns=tick.time_ns, kind="stop", text=describe_stop(INTERRUPTED))
+            events = (*tick.events, event)
+            tick = msgspec.structs.replace(tick, stop_reason=INTERRUPTED, events=events)
         for sink in sinks:
-            sink.receive(last)
+            sink.receive(tick)
         if is_over and not is_answered:
             raise KeyboardInterrupt  # a run needs at least one sample
-        yield last
+        yield tick
         if is_over:
             return
-
-
-def _end(tick: Tick) -> Tick:
-    event = Event(time_ns=tick.time_ns, kind="stop", text=f"The run ended: {INTERRUPTED}.")
-    return msgspec.structs.replace(tick, stop_reason=INTERRUPTED, events=(*tick.events, event))

@@ -60,15 +60,16 @@ def measure_row(facts, ticks, samples, line, loops, memory, entry):
     """
     asked, values, reasons = entry
     ticks, samples = ticks[: facts[0].ticks], samples[: facts[0].samples]
-    start_ns, end_ns = PREPARE_ROW(facts[0], ticks, samples, loops, memory)
+    start_ns, end_ns = PREPARE_ROW(facts[0], ticks, samples, memory)
     row = ROW(facts[0], ticks, samples, line[0], loops, memory, start_ns, end_ns)
     for number in range(len(loops)):
         first, after = number * CURVES, (number + 1) * CURVES
         if not IS_ANY(asked, first, after):
             continue
-        begin, end, reason = FIND_STRETCH(row, number)
+        segment = FIND_SEGMENT(row, number)
+        reason = FIND_MISSING(row, number, segment)
         if reason == 0:
-            curve = READ_CURVE(row, number, begin, end)
+            curve = READ_CURVE(row, number, segment)
             MEASURE_CURVE(curve, asked[first:after], values[first:after], reasons[first:after])
         else:
             reasons[first:after] = reason

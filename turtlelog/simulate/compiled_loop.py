@@ -105,7 +105,7 @@ _OF_TICKS, _OF_SAMPLES = (build_dtype(loop_parts.build_events(ticks=one)) for on
 
 _STEPS: Final[dict[str, loop_parts.Function]] = {
     "MOVE_PLANT": loop.move_plant,
-    "ANSWER": loop.answer,
+    "ANSWER": loop.answer_poses,
     "FINISH_TICK": loop.finish_tick,
 }
 """Steps that the outermost function calls."""
@@ -115,7 +115,7 @@ _STEPS: Final[dict[str, loop_parts.Function]] = {
 def find_kinds(law: LawPart, plant: PlantPart, states: tuple[str, ...]) -> Kinds:
     """Return the types of the records of a loop."""
     state: Any = law.State
-    shape = loop_parts.find_shape(state, loop_parts.find_law_numbers(law), plant, states)
+    shape = loop_parts.find_shape(state, loop_parts.mirror_law(law).kind, plant, states)
     rows: dict[str, type[Any]] = {
         "tick": TickRow,
         "sample": SampleRow,

@@ -31,6 +31,10 @@ from turtlelog.simulate.rows import (
     STATES_FAILED,
     STOP,
     WALL_HIT,
+    add_event,
+    add_losses,
+    count_loss,
+    end_loss_segment,
 )
 
 _TIME_IS_UP: Final = number_stop(MAX_DURATION)
@@ -39,7 +43,7 @@ _TIME_IS_UP: Final = number_stop(MAX_DURATION)
 def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     """Move the plant to a tick, publish its pose, and deliver the sensed pose."""
     now, scene = state.now, settings.scene
-    drive(settings, state, rows, parts, tick)
+    drive_plant(settings, state, rows, parts, tick)
     if now.failure != 0:
         return
     x_m, y_m, heading_rad, speed, turn_rate = parts.read(state.plant)
@@ -50,10 +54,10 @@ def move_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> N
     if scene.is_exact:
         row.x_m, row.y_m, row.heading_rad = x_m, y_m, heading_rad
     now.ticks += 1
-    if scene.senses and not sense(settings, state, rows, parts, row, tick):
+    if scene.senses and not sense_pose(settings, state, rows, parts, row, tick):
         return
     if scene.delays_poses:
-        receive(settings, state, rows, parts, row, tick)
+        send_pose(settings, state, rows, parts, row, tick)
     else:
         row.arrival_ns = 0
         queue_pose(settings, now, rows, row, tick)
@@ -65,113 +69,73 @@ def finish_tick(settings: Any, state: Any, rows: Any, parts: Any, tick: int, bef
     if now.stop == 0 and tick == settings.scene.last_tick:
         now.stop = _TIME_IS_UP
     if now.has_losses:
-        tell_losses(now, now.lost_poses, rows, tick)
-        tell_losses(now, now.lost_commands, rows, tick)
-        tell_losses(now, now.dropped_commands, rows, tick)
+        add_losses(now, now.lost_poses, rows, tick)
+        add_losses(now, now.lost_commands, rows, tick)
+        add_losses(now, now.dropped_commands, rows, tick)
     if state.plant.hit_wall != now.was_at_wall:
         now.was_at_wall = state.plant.hit_wall
         if now.was_at_wall:
-            place = parts.read(state.plant)
-            event = note(now, rows, tick)
-            event.kind, event.first, event.second = WALL_HIT, place[0], place[1]
+            x_m, y_m = parts.read(state.plant)[:2]
+            add_event(now, rows, tick, WALL_HIT, x_m, y_m)
     # Poses that a blocked controller misses become one event after the block.
-    if now.samples > before and now.poses_dropped > now.poses_told:
-        event = note(now, rows, tick)
-        event.kind, event.second = POSES_DROPPED, float(now.poses_dropped - now.poses_told)
-        now.poses_told = now.poses_dropped
-    if now.commands_dropped > now.commands_told:
+    if now.samples > before and now.poses_dropped > now.poses_reported:
+        dropped = float(now.poses_dropped - now.poses_reported)
+        add_event(now, rows, tick, POSES_DROPPED, 0.0, dropped)
+        now.poses_reported = now.poses_dropped
+    if now.commands_dropped > now.commands_reported:
         if not settings.scene.is_timed:
-            event = note(now, rows, tick)
-            event.kind, event.first = COMMANDS_DROPPED, -1.0
-            event.second = float(now.commands_dropped - now.commands_told)
-        now.commands_told = now.commands_dropped
+            dropped = float(now.commands_dropped - now.commands_reported)
+            add_event(now, rows, tick, COMMANDS_DROPPED, -1.0, dropped)
+        now.commands_reported = now.commands_dropped
     if now.stop != 0:
-        event = note(now, rows, tick)
-        event.kind, event.second = STOP, float(now.stop)
-
-
-def note(now: Any, rows: Any, tick: int) -> Any:
-    """Return a new event of a tick."""
-    event = begin_row(rows.events, rows.new[0].event, now.events)
-    event.tick = tick
-    now.events += 1
-    return event
-
-
-@called
-def tell_losses(now: Any, losses: Any, rows: Any, tick: int) -> None:
-    """Record ended segments of losses once; at the end of the run, all segments."""
-    if now.stop != 0:
-        end_stretch(losses)
-    if losses.finished > 0:
-        event = note(now, rows, tick)
-        event.kind, event.second = losses.kind, float(losses.finished)
-        event.first = float(losses.finished_since_ns)
-        losses.finished = 0
-
-
-def count_lost(now: Any, losses: Any, time_ns: int) -> None:
-    """Count a pose or command lost at a time [ns], in a segment of losses."""
-    now.has_losses = True
-    if losses.count == 0:
-        losses.since_ns = time_ns
-    losses.count += 1
-
-
-def end_stretch(losses: Any) -> None:
-    """End a segment of losses when something arrives. The segments of a tick become one event."""
-    if losses.count > 0:
-        if losses.finished == 0:
-            losses.finished_since_ns = losses.since_ns
-        losses.finished += losses.count
-        losses.count = 0
+        add_event(now, rows, tick, STOP, 0.0, float(now.stop))
 
 
 # The plant and its inputs.
 
 
-def drive(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
+def drive_plant(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     """Move the plant to the time of a tick, with the arriving commands and disturbances."""
     now, scene = state.now, settings.scene
     time_ns = tick * scene.period_ns
     since_ns = time_ns - scene.period_ns
     if scene.acts_on_arrival:
-        hold_arrived(settings, state, rows, parts, time_ns)
+        hold_arrived_commands(settings, state, rows, parts, time_ns)
     else:
         until = time_ns + scene.causal_ns if scene.is_timed else tick
-        sample = take(settings, now, rows, until)
+        sample = take_command(settings, now, rows, until)
         if sample >= 0:
             row = rows.samples[sample]
             parts.hold(settings, state.plant, rows, since_ns, row.speed_m_s, row.turn_rate_rad_s)
     if scene.is_pushed:
-        push(settings, state, rows, parts, tick, since_ns)
+        disturb(settings, state, rows, parts, tick, since_ns)
     if not parts.move(settings, state.plant, rows, time_ns):
         now.failure = RUNS_AWAY
 
 
 @called
-def push(settings: Any, state: Any, rows: Any, parts: Any, tick: int, since_ns: int) -> None:
+def disturb(settings: Any, state: Any, rows: Any, parts: Any, tick: int, since_ns: int) -> None:
     """Disturb the plant in the step to a tick, from the start of each disturbance on."""
     now, scene = state.now, settings.scene
     until_ns = since_ns + scene.period_ns
     at_ns = until_ns
     if scene.acts_in_steps:
-        push_at(settings, state, rows, parts, tick, at_ns)
+        disturb_at(settings, state, rows, parts, tick, at_ns)
     elif tick > 0:
         at_ns = since_ns
     while at_ns < until_ns and now.failure == 0:
-        push_at(settings, state, rows, parts, tick, at_ns)
+        disturb_at(settings, state, rows, parts, tick, at_ns)
         at_ns = parts.next_push(settings, state, rows, tick, at_ns, NEVER_NS)
 
 
 @called
-def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: int) -> None:
+def disturb_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: int) -> None:
     """Disturb the plant from a time within the step to a tick, unless nothing changes."""
     now = state.now
     speed, turn_rate = parts.push(settings, state, rows, tick, at_ns, (0.0, 0.0))
-    if speed == now.push_speed and turn_rate == now.push_turn_rate:
+    if speed == now.disturbance_speed and turn_rate == now.disturbance_turn_rate:
         return
-    now.push_speed, now.push_turn_rate = speed, turn_rate
+    now.disturbance_speed, now.disturbance_turn_rate = speed, turn_rate
     moves = True
     if not settings.scene.acts_in_steps:
         moves = parts.move(settings, state.plant, rows, at_ns)
@@ -184,7 +148,7 @@ def push_at(settings: Any, state: Any, rows: Any, parts: Any, tick: int, at_ns: 
 # Commands: transport, then the plant's queue.
 
 
-def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample: int) -> None:
+def send_command(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample: int) -> None:
     """Send the command of a sample. No command overtakes another."""
     now, scene, row = state.now, settings.scene, rows.samples[sample]
     now.published += 1
@@ -198,10 +162,10 @@ def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample:
             now.commands_arrived += 1
     elif parts.lose_command(settings, state, rows, sample, 0, False):  # noqa: FBT003
         row.arrivals = 0
-        count_lost(now, now.lost_commands, row.published_ns)
+        count_loss(now, now.lost_commands, row.published_ns)
     else:
         if now.has_losses:
-            end_stretch(now.lost_commands)
+            end_loss_segment(now.lost_commands)
         arrival_ns = parts.command_travel(settings, state, rows, sample, 0, row.published_ns)
         row.arrival_ns = max(arrival_ns, now.command_arrived_ns)
         now.command_arrived_ns = row.arrival_ns
@@ -209,7 +173,7 @@ def publish(settings: Any, state: Any, rows: Any, parts: Any, tick: int, sample:
 
 
 @called
-def arrive(settings: Any, now: Any, rows: Any, until: int) -> None:
+def queue_arrived_commands(settings: Any, now: Any, rows: Any, until: int) -> None:
     """Queue the commands that arrive before a time."""
     while now.commands_arrived < now.published:
         row = rows.samples[now.commands_arrived]
@@ -226,15 +190,15 @@ def queue_command(settings: Any, now: Any, rows: Any, row: Any) -> None:
         now.newest_command, now.queue_count = row.sequence, 1
         return
     if now.queue_count == settings.loop.command_queue:
-        take_oldest(now, rows)
+        take_oldest_command(now, rows)
         now.commands_dropped += 1
         if settings.scene.is_timed:
-            count_lost(now, now.dropped_commands, row.arrival_ns)
+            count_loss(now, now.dropped_commands, row.arrival_ns)
     row.queued += 1
     now.queue_count += 1
 
 
-def take_oldest(now: Any, rows: Any) -> int:
+def take_oldest_command(now: Any, rows: Any) -> int:
     """Take the oldest command from the queue and return its sample."""
     oldest: int = now.queue_first
     row = rows.samples[oldest]
@@ -247,23 +211,22 @@ def take_oldest(now: Any, rows: Any) -> int:
     return oldest
 
 
-def take(settings: Any, now: Any, rows: Any, until: int) -> int:
+def take_command(settings: Any, now: Any, rows: Any, until: int) -> int:
     """Return the sample whose command is used from the start of a step; -1 before the first."""
     if now.commands_arrived < now.published:
-        arrive(settings, now, rows, until)
+        queue_arrived_commands(settings, now, rows, until)
     if now.has_losses and now.queue_count < settings.loop.command_queue:
-        end_stretch(now.dropped_commands)
+        end_loss_segment(now.dropped_commands)
     if now.queue_count == 0:
         return -1
     if not settings.scene.newest_only:
-        return take_oldest(now, rows)
+        return take_oldest_command(now, rows)
     now.queue_count, now.queue_first = 0, now.commands_arrived
-    newest: int = now.newest_command
-    return newest
+    return now.newest_command  # type: ignore[no-any-return]
 
 
 @called
-def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int) -> None:
+def hold_arrived_commands(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int) -> None:
     """Pass commands that arrive before a time to the plant, without the queue."""
     now = state.now
     while now.commands_arrived < now.published:
@@ -280,14 +243,14 @@ def hold_arrived(settings: Any, state: Any, rows: Any, parts: Any, until_ns: int
 # Poses: transport to the controller.
 
 
-def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> bool:
+def sense_pose(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> bool:
     """Sense the pose of a tick and return whether it arrives."""
     now, scene = state.now, settings.scene
     if parts.lose_pose(settings, state, rows, tick, 0, False):  # noqa: FBT003
-        count_lost(now, now.lost_poses, tick * scene.period_ns)
+        count_loss(now, now.lost_poses, tick * scene.period_ns)
         return False
     if now.has_losses:
-        end_stretch(now.lost_poses)
+        end_loss_segment(now.lost_poses)
     pose = parts.sense(settings, state, rows, tick, 0, (row.x_m, row.y_m, row.heading_rad))
     x_m, y_m, heading_rad = pose
     # Rounding may put turtlesim's own headings slightly beyond pi: unchanged ones are kept.
@@ -300,7 +263,7 @@ def sense(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int)
 
 
 @called
-def receive(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> None:
+def send_pose(settings: Any, state: Any, rows: Any, parts: Any, row: Any, tick: int) -> None:
     """Send the pose of a tick. No pose overtakes another."""
     now, time_ns = state.now, tick * settings.scene.period_ns
     arrival_ns = parts.pose_travel(settings, state, rows, tick, 0, time_ns)
@@ -331,7 +294,7 @@ def take_pose(now: Any, rows: Any) -> int:
     return oldest
 
 
-def find_arrival(now: Any, rows: Any) -> int:
+def find_next_arrival(now: Any, rows: Any) -> int:
     """Return the arrival time of the next pose [ns]."""
     while now.poses_arrived < now.ticks:
         arrival_ns: int = rows.ticks[now.poses_arrived].arrival_ns
@@ -342,19 +305,19 @@ def find_arrival(now: Any, rows: Any) -> int:
 
 
 @called
-def find_next(now: Any, rows: Any) -> int:
+def find_next_time(now: Any, rows: Any) -> int:
     """Return the time of the next arrival, timer event or end of a block [ns]."""
-    next_ns = min(find_arrival(now, rows), now.fires_ns)
+    next_ns = min(find_next_arrival(now, rows), now.fires_ns)
     if now.blocked >= 0:
         next_ns = min(next_ns, now.free_at)
     return next_ns  # type: ignore[no-any-return]
 
 
 @called
-def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
+def deliver_poses(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
     """Queue the poses that have arrived, and mark an answer as due when the timer fires."""
     scene = settings.scene
-    while find_arrival(now, rows) <= now_ns:
+    while find_next_arrival(now, rows) <= now_ns:
         pose = now.poses_arrived
         now.poses_arrived += 1
         if scene.timer_ns == 0:
@@ -372,7 +335,7 @@ def deliver(settings: Any, now: Any, rows: Any, now_ns: int) -> None:
 # The controller.
 
 
-def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
+def answer_poses(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     """Answer the poses that wait or arrive before the next tick, and publish the commands.
 
     While the law blocks, poses are queued, and one timer event waits.
@@ -383,12 +346,12 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
     goes_on = True
     while goes_on:
         if delays_poses:
-            time_ns = place = find_next(now, rows)
+            time_ns = place = find_next_time(now, rows)
             if time_ns >= min((tick + 1) * scene.period_ns, scene.end_ns):
                 return
-            deliver(settings, now, rows, time_ns)
+            deliver_poses(settings, now, rows, time_ns)
         if now.blocked >= 0 and place >= now.free_at:
-            publish(settings, state, rows, parts, tick, now.blocked)
+            send_command(settings, state, rows, parts, tick, now.blocked)
             now.blocked = -1
         if now.waits_for == 0 and now.blocked < 0:
             if now.is_due:
@@ -405,7 +368,7 @@ def answer(settings: Any, state: Any, rows: Any, parts: Any, tick: int) -> None:
                 if blocks > 0:
                     now.blocked, now.free_at = sample, place + blocks * scene.block
                 else:
-                    publish(settings, state, rows, parts, tick, sample)
+                    send_command(settings, state, rows, parts, tick, sample)
         goes_on = delays_poses and now.stop == 0
 
 
@@ -432,8 +395,8 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
         or not math.isfinite(total)
     ):
         if scene.has_goal and math.isnan(errors):
-            complete(settings.goal, row, pose)
-        judge(scene, now, row, speed, turn_rate)
+            complete_errors(settings.goal, row, pose)
+        check_numbers(scene, now, row, speed, turn_rate)
         if now.failure != 0:
             return 0
     if scene.has_states and not parts.record(state.law, rows, sample):
@@ -454,7 +417,7 @@ def answer_pose(settings: Any, state: Any, rows: Any, parts: Any, time_ns: int, 
 
 
 @called
-def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
+def complete_errors(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
     """Compute the missing errors from the present position to the goal."""
     x_m, y_m = goal.x_m - pose[0], goal.y_m - pose[1]
     bearing_rad = math.atan2(y_m, x_m)
@@ -470,7 +433,7 @@ def complete(goal: Any, row: Any, pose: tuple[float, float, float]) -> None:
         row.distance_m = hypot(row.error_x_m, row.error_y_m)
 
 
-def judge(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
+def check_numbers(scene: Any, now: Any, row: Any, speed: float, turn_rate: float) -> None:
     """Reject values that cannot be executed or recorded. Without a goal there are no errors."""
     reference = row.reference_x_m + row.reference_y_m + row.reference_heading_rad
     errors = row.bearing_rad + row.heading_error_rad + row.error_x_m + row.error_y_m

@@ -53,7 +53,7 @@ class NoNumbers:
 class Mirror(NamedTuple):
     """A dataclass for the numbers of keys, and the function that reads them from an object."""
 
-    kind: type[Any]
+    kind: Any
     read: Callable[[Any], Any]
 
 
@@ -128,22 +128,12 @@ def find_states(names: tuple[str, ...]) -> type[Any]:
     return dataclasses.make_dataclass("States", found, slots=True)
 
 
-def find_law_numbers(law: AnyLaw) -> Any:
-    """Return the dataclass that a law reads as `settings.law`."""
+def mirror_law(law: AnyLaw) -> Mirror:
+    """Return the numbers that a law reads as `settings.law`, from its parameters."""
     if not isinstance(law, LawPart):
-        return NoNumbers
+        return Mirror(NoNumbers, lambda _: NoNumbers())
     keys: Any = law.Parameters
-    return law.Numbers or mirror(keys).kind
-
-
-def read_law_values(law: AnyLaw, parameters: Any) -> Any:
-    """Return the values that a law reads as `settings.law`."""
-    if not isinstance(law, LawPart):
-        return NoNumbers()
-    if law.prepare is not None:
-        return law.prepare(parameters)
-    keys: Any = law.Parameters
-    return mirror(keys).read(parameters)
+    return Mirror(law.Numbers or mirror(keys).kind, law.prepare or mirror(keys).read)
 
 
 def build_settings(
@@ -152,7 +142,7 @@ def build_settings(
     """Return the shape of a loop, its settings, and its initial state; the law is resolved."""
     part, goal, start = PLANTS[scenario.plant.kind], scenario.goal, scenario.start
     state_kind: Any = law.State if isinstance(law, LawPart) else NoNumbers
-    shape = find_shape(state_kind, find_law_numbers(law), part, declaration.states)
+    shape = find_shape(state_kind, mirror_law(law).kind, part, declaration.states)
     keys, place = scenario.plant.keys, (start.x_m, start.y_m, start.heading_rad)
     settings = shape.Settings(
         build_scene(scenario, law, declaration, plant),
@@ -160,7 +150,7 @@ def build_settings(
         PathNumbers() if scenario.path is None else scenario.path.numbers,
         *(mirror(table).read(getattr(scenario, name)) for name, table in _TABLES.items()),
         mirror(part.Keys).read(keys),
-        read_law_values(law, scenario.law.parameters),
+        mirror_law(law).read(scenario.law.parameters),
     )
     state = shape.State(
         Progress(waits_for=scenario.loop.start_backlog),

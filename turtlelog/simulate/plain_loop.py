@@ -177,7 +177,7 @@ class PlainLoop:
         settings, state, rows, parts = self.settings, self.state, self.rows, self.parts
         now, scene = self.now, settings.scene
         period_ns, delays_poses = scene.period_ns, scene.delays_poses
-        move_plant, answer, finish_tick = loop.move_plant, loop.answer, loop.finish_tick
+        move_plant, answer, finish_tick = loop.move_plant, loop.answer_poses, loop.finish_tick
         samples, ticks, states = rows.samples, rows.ticks, rows.states
         before = published = events = 0
         for tick in range(scene.last_tick + 1):

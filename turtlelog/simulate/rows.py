@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from typing import Any, Final, TypeVar
 
+from turtlelog.arithmetic import begin_row, called
 from turtlelog.laws.base import LawRow
 from turtlelog.parts import NEVER_NS
 from turtlelog.run import Event
@@ -117,8 +118,8 @@ class Progress:
         poses_count: Number of poses in the queue.
         poses_arrived: First pose that may be on its way.
         pose_arrived_ns: Arrival time of the last pose [ns].
-        poses_dropped: Number of poses that the full queue dropped. Events contain `poses_told` of
-            them.
+        poses_dropped: Number of poses that the full queue dropped. Events contain
+            `poses_reported` of them.
         newest: Newest pose that arrived, for the timer; -1: no pose.
         fires_ns: Next time of the timer [ns].
         is_due: Whether the timer has fired.
@@ -128,11 +129,11 @@ class Progress:
         command_arrived_ns: Arrival time of the last command [ns].
         newest_command: Sample of the newest command that arrived.
         commands_dropped: Number of commands that the full queue dropped. Events contain
-            `commands_told` of them.
+            `commands_reported` of them.
         has_losses: Whether a pose or command was lost so far.
         was_at_wall: Whether the plant was at the wall in the previous tick.
-        push_speed: Present disturbance of the plant's speed [m/s].
-        push_turn_rate: Present disturbance of the plant's turn rate [rad/s].
+        disturbance_speed: Present disturbance of the plant's speed [m/s].
+        disturbance_turn_rate: Present disturbance of the plant's turn rate [rad/s].
     """
 
     ticks: int = 0
@@ -150,7 +151,7 @@ class Progress:
     poses_arrived: int = 0
     pose_arrived_ns: int = 0
     poses_dropped: int = 0
-    poses_told: int = 0
+    poses_reported: int = 0
     newest: int = -1
     fires_ns: int = NEVER_NS
     is_due: bool = False
@@ -160,11 +161,11 @@ class Progress:
     command_arrived_ns: int = 0
     newest_command: int = -1
     commands_dropped: int = 0
-    commands_told: int = 0
+    commands_reported: int = 0
     has_losses: bool = False
     was_at_wall: bool = False
-    push_speed: float = 0.0
-    push_turn_rate: float = 0.0
+    disturbance_speed: float = 0.0
+    disturbance_turn_rate: float = 0.0
     lost_poses: Losses = field(default_factory=partial(Losses, POSES_LOST))
     lost_commands: Losses = field(default_factory=partial(Losses, COMMANDS_LOST))
     dropped_commands: Losses = field(default_factory=partial(Losses, COMMANDS_DROPPED))
@@ -254,6 +255,44 @@ def find_maker(kind: type[_Row]) -> Callable[[], _Row]:
     exec(text, scope)
     made: Callable[[], _Row] = scope["make"]
     return made
+
+
+# Events of the loop, which is also compiled.
+
+
+def add_event(now: Any, rows: Any, tick: int, kind: int, first: float, second: float) -> None:
+    """Add an event of a tick, with its two numbers as in `describe_event`."""
+    event = begin_row(rows.events, rows.new[0].event, now.events)
+    event.tick, event.kind, event.first, event.second = tick, kind, first, second
+    now.events += 1
+
+
+@called
+def add_losses(now: Any, losses: Any, rows: Any, tick: int) -> None:
+    """Record ended segments of losses once; at the end of the run, all segments."""
+    if now.stop != 0:
+        end_loss_segment(losses)
+    if losses.finished > 0:
+        since_ns, count = float(losses.finished_since_ns), float(losses.finished)
+        add_event(now, rows, tick, losses.kind, since_ns, count)
+        losses.finished = 0
+
+
+def count_loss(now: Any, losses: Any, time_ns: int) -> None:
+    """Count a pose or command lost at a time [ns], in a segment of losses."""
+    now.has_losses = True
+    if losses.count == 0:
+        losses.since_ns = time_ns
+    losses.count += 1
+
+
+def end_loss_segment(losses: Any) -> None:
+    """End a segment of losses when something arrives. The segments of a tick become one event."""
+    if losses.count > 0:
+        if losses.finished == 0:
+            losses.finished_since_ns = losses.since_ns
+        losses.finished += losses.count
+        losses.count = 0
 
 
 _LOSSES: Final = {

@@ -66,13 +66,16 @@ from .sweep_table import (
     read_table_results as read_table_results,
 )
 from .sweep_views import (
+    BestRow as BestRow,
     Rivals as Rivals,
     SweptCells as SweptCells,
     SweptView as SweptView,
     choose_view as choose_view,
     count_rivals as count_rivals,
     fill_cells as fill_cells,
+    find_best_row as find_best_row,
     find_best_rows as find_best_rows,
     list_shown_values as list_shown_values,
+    name_values as name_values,
     require_values as require_values,
 )

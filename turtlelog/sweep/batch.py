@@ -18,18 +18,19 @@ from numpy.typing import NDArray
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.laws import find_law
 from turtlelog.measure import measure_run
+from turtlelog.measure.loop_segment import aim_at, number_loop
 from turtlelog.measure.metric import REASONS, Status
 from turtlelog.measure.metric_kinds import RUN_METRICS
 from turtlelog.processes import count_cores
-from turtlelog.run.loops import PAUSE, Declaration
-from turtlelog.run.stop_reasons import name_stop
+from turtlelog.run.loops import Declaration
+from turtlelog.run.stop_reasons import draw_goal_line, name_stop
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import compiled_loop, declare_scenario, many, simulate_run
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep import batch_arrays as arrays
-from turtlelog.sweep.batch_kernel import NO_PHASE, REFERENCES, SIGNALS
+from turtlelog.sweep.batch_kernel import NO_PHASE
 from turtlelog.sweep.sweep_plan import build_row_scenario
 
 _MEASURING_S: Final = 5.0
@@ -112,17 +113,19 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     first: int = 0,
     ahead: int = 0,
     step_budget_s: float = STEP_BUDGET_S,
+    source: str = "grid",
 ) -> MeasuredRows:
     """Simulate rows that vary a scenario, whose law may run, and return metrics by their ids.
 
     `columns` are the values of each varied key, one per row. There is a thread per core by default.
     `ahead`, about the number of rows still to be done by this process, decides whether compiled
     loops are worth loading. The row's number, from `first` on, is in the name of its scenario.
+    `source` is the prefix of errors about the values of a row.
     """
     counts = {len(column) for column in columns.values()}
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
-    work = _Work(base, columns, metrics, first, step_budget_s)
+    work = _Work(base, columns, metrics, (source, first), step_budget_s)
     rest: Sequence[int] = range(work.count)
     batch = find_batch(base) if all(map(is_covered, metrics)) else None
     if batch is not None:
@@ -144,13 +147,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
 
 def _build_loops(declaration: Declaration) -> NDArray[Any]:
     """Return the loops of a covered law as `LOOP`."""
-    phases = declaration.phase_names
-    rows = []
-    for loop in declaration.loops:
-        own = sum(1 << phases.index(phase) for phase in declaration.list_phases(loop.name))
-        kinds = SIGNALS.index(loop.signal), REFERENCES.index(loop.reference)
-        rows.append((own, phases.index(PAUSE), *kinds, loop.command == "turn_rate"))
-    return np.array(rows, arrays.LOOP)
+    return np.array([number_loop(declaration, one) for one in declaration.loops], arrays.LOOP)
 
 
 class _Cells(NamedTuple):
@@ -168,12 +165,13 @@ class _Work:
         base: Scenario,
         columns: Mapping[str, Sequence[Any]],
         metrics: Sequence[str],
-        first: int,
+        rows: tuple[str, int],
         step_budget_s: float,
     ) -> None:
+        """Store what to compute; `rows` are the source of the rows and the number of the first."""
         self.count = count = len(next(iter(columns.values())))
         self._base, self._columns, self._metrics = base, columns, tuple(metrics)
-        self._first, self._step_budget_s = first, step_budget_s
+        (self._source, self._first), self._step_budget_s = rows, step_budget_s
         self._is_own = False
         self.notes: list[str] = []
         self._compiled = 0
@@ -210,7 +208,8 @@ class _Work:
 
     def _build_scenario(self, row: int) -> Scenario:
         keys, values = tuple(self._columns), [column[row] for column in self._columns.values()]
-        scenario = build_row_scenario(self._base, keys, values, self._first + row)
+        number = self._first + row
+        scenario = build_row_scenario(self._base, keys, values, number, source=self._source)
         return resolve_scenario(scenario)
 
     def run_compiled(
@@ -319,8 +318,7 @@ class _Work:
             rows = kernel.loop.kinds.allocate(ticks, samples)
             pieces = compiled_loop.build_pieces(prepared.path)
             local.rows = rows._replace(table=prepared.table, pieces=pieces)
-            loops = len(self._declaration.loops)
-            local.memory = arrays.allocate_memory(ticks, samples, loops, prepared.path)
+            local.memory = arrays.allocate_memory(ticks, samples, prepared.path)
             local.seed = None
         if local.seed != seed:
             compiled_loop.draw_streams(local.rows, prepared.streams, seed, ticks, samples)
@@ -335,11 +333,9 @@ class _Work:
         other &= ~np.isnan(read[:, 0])
         moved = np.flatnonzero(other)
         for row in moved.tolist():
-            settings = prepared.settings[row]
-            goal = float(settings["goal"]["x_m"]), float(settings["goal"]["y_m"])
-            found = arrays.find_line((float(read[row, 0]), float(read[row, 1])), goal)
-            for name, value in found.items():
-                lines[name][row] = value
+            *_, x_m, y_m, heading_rad, band = lines[row].tolist()
+            line = draw_goal_line((float(read[row, 0]), float(read[row, 1])), (x_m, y_m))
+            lines[row] = (*aim_at(line, (x_m, y_m), heading_rad), band)
         return moved
 
     def _enter(self, prepared: arrays.PreparedRows, cells: _Cells, good: NDArray[np.int64]) -> None:

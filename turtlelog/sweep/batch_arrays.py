@@ -4,7 +4,6 @@ The batch computes the registered metrics that are functions of numbers; this mo
 them.
 """
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,6 +17,7 @@ from turtlelog.arithmetic import called, to_float32
 from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.laws.sequential import SequentialNumbers
+from turtlelog.measure.loop_segment import GOAL_REFERENCES, SIGNALS, Aim, LoopNumbers, aim_at
 from turtlelog.measure.metric import Status
 from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
 from turtlelog.measure.response import list_corners
@@ -27,15 +27,15 @@ from turtlelog.plants import PLANTS
 from turtlelog.run import CUT_SHORT
 from turtlelog.run.loops import REFERENCES as REFERENCES_OF, ControlLoop
 from turtlelog.run.paths import Path
+from turtlelog.run.stop_reasons import draw_goal_line
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import compiled_loop, declare_scenario, loop_parts
 from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled_entry import measure_row
 from turtlelog.simulate.compiled_twins import Twins, as_record, compile_entry, stamp_functions
 from turtlelog.simulate.many import find_loop
-from turtlelog.sweep import batch_kernel, batch_path_kernel
-from turtlelog.sweep.batch_kernel import PATH, REFERENCES, SIGNALS, USES_OF_ROW, Memory, Row
-from turtlelog.sweep.batch_path_kernel import PathMemory
+from turtlelog.sweep import batch_kernel
+from turtlelog.sweep.batch_kernel import USES_OF_PATH, USES_OF_ROW, Memory, PathMemory, Row
 from turtlelog.sweep.sweep_plan import build_row_scenario
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
@@ -48,10 +48,8 @@ STATUSES: Final = tuple(Status)  # statuses in the order of their numbers
 
 OK: Final = STATUSES.index(Status.OK)
 
-_LINE: Final = ("x_m", "y_m", "cos", "sin", "length_m", "bearing_rad")
-_GOAL: Final = ("goal_x_m", "goal_y_m", "goal_heading_rad", "band")
-LINE: Final = np.dtype([(name, np.float64) for name in (*_LINE, *_GOAL)])
-"""The line from start to goal, and further values of a scenario that only the measurement needs."""
+LINE: Final = np.dtype([(name, np.float64) for name in (*Aim._fields, "band")])
+"""The line from start to goal, and the settling band."""
 
 FACTS: Final = np.dtype(
     [(name, np.int64) for name in ("period_ns", "ticks", "samples", "published")]
@@ -65,16 +63,11 @@ The values are the clock [ns], the numbers of rows, whether `max_duration_s` or 
 ended the run, and the limits.
 """
 
+_KINDS: Final = {int: np.int64, bool: np.bool_}
 LOOP: Final = np.dtype(
-    [(name, np.int64) for name in ("phases", "pause", "signal", "reference")]
-    + [("turns", np.bool_)],
-    align=True,
+    [(name, _KINDS[kind]) for name, kind in LoopNumbers.__annotations__.items()], align=True
 )
-"""Description of a loop for the measurement: the phases in which it acts, one bit each; the phase
-of its pause; indices into `SIGNALS` and `REFERENCES`; whether its command is the turn rate."""
-
-SPAN: Final = np.dtype([(name, np.int64) for name in ("first", "after", "end", "last")])
-"""Samples of a loop: the first, the one after its phases, its first segment's end, and the last."""
+"""Record type of `LoopNumbers`."""
 
 FIRST_POSE: Final = slice(-2, None)
 """Last columns: x and y of the first pose that the controller read [m]."""
@@ -105,10 +98,10 @@ def _choose_curves(references: Collection[str]) -> tuple[str, ...]:
 GOALS: Final = Coverage(
     "goal",
     f"{__name__}:compile_goals",
-    _choose_curves(REFERENCES[:-1]),
+    _choose_curves(GOAL_REFERENCES),
     {
         "PREPARE_ROW": batch_kernel.prepare_row,
-        "FIND_STRETCH": batch_kernel.find_stretch,
+        "FIND_MISSING": batch_kernel.find_missing,
         "READ_CURVE": batch_kernel.read_loop_curve,
         "READ_COURSE": batch_kernel.read_course,
     },
@@ -119,14 +112,14 @@ GOALS: Final = Coverage(
 PATHS: Final = Coverage(
     "path",
     f"{__name__}:compile_paths",
-    _choose_curves([PATH]),
+    _choose_curves(["path"]),
     {
-        "PREPARE_ROW": batch_path_kernel.prepare_path_row,
-        "FIND_STRETCH": batch_path_kernel.find_path_stretch,
-        "READ_CURVE": batch_path_kernel.read_path_curve,
-        "READ_COURSE": batch_path_kernel.read_path_course,
+        "PREPARE_ROW": batch_kernel.prepare_path_row,
+        "FIND_MISSING": batch_kernel.find_path_missing,
+        "READ_CURVE": batch_kernel.read_path_curve,
+        "READ_COURSE": batch_kernel.read_path_course,
     },
-    batch_path_kernel.USES_OF_PATH,
+    USES_OF_PATH,
 )
 """Laws without a goal, whose loops all refer to the path."""
 
@@ -136,29 +129,27 @@ def find_coverage(scenario: Scenario) -> Coverage | None:
     declaration, has_path = declare_scenario(scenario), scenario.path is not None
     loops, is_path = declaration.loops, has_path and not declaration.uses_goal
     references = {loop.reference for loop in loops}
-    is_known = references <= {*REFERENCES} and all(loop.limit is None for loop in loops)
-    if not is_known or len(declaration.phase_names) > _MOST_PHASES:
+    has_limits = any(loop.limit is not None for loop in loops)
+    if has_limits or len(declaration.phase_names) > _MOST_PHASES:
         return None
-    if is_path and references == {PATH}:
+    if is_path and references == {"path"}:
         return PATHS
     has_heading = any(loop.signal == "heading" for loop in loops)
-    is_goal = declaration.uses_goal and not has_path and PATH not in references
+    is_goal = declaration.uses_goal and not has_path and references <= {*GOAL_REFERENCES}
     return GOALS if is_goal and has_heading else None
 
 
 _MOST_PHASES: Final = 60  # phases of a law: each has a bit of 64
 
 
-def allocate_memory(
-    ticks: int, samples: int, loops: int, path: Path | None = None
-) -> Memory | PathMemory:
-    """Return arrays for rows with at most these numbers of poses, samples and loops.
+def allocate_memory(ticks: int, samples: int, path: Path | None = None) -> Memory | PathMemory:
+    """Return arrays for rows with at most these numbers of poses and samples.
 
     `path` is the path of the rows, if they track one.
     """
     coverage = GOALS if path is None else PATHS
     numbers = np.empty((coverage.uses, max(2 * ticks, samples)))
-    memory = Memory(numbers, np.empty(ticks, np.int64), np.empty(loops, SPAN))
+    memory = Memory(numbers, np.empty(ticks, np.int64))
     if path is None:
         return memory
     numbers_of_path = as_record(path.numbers), compiled_loop.build_pieces(path), list_corners(path)
@@ -202,7 +193,7 @@ def type_measurement(coverage: Coverage) -> Any:
         np.empty(1, kind) for kind in (FACTS, compiled_loop.TICK, compiled_loop.SAMPLE, LINE, LOOP)
     ]
     path = Path(kind="line", points=((0.0, 0.0), (1.0, 0.0))) if coverage is PATHS else None
-    memory = allocate_memory(1, 1, 1, path)
+    memory = allocate_memory(1, 1, path)
     return types.int64(*map(typeof, (*arrays, memory, entry)))
 
 
@@ -213,11 +204,12 @@ def _bind(coverage: Coverage) -> tuple[dict[str, loop_parts.Function], str]:
 
     functions: dict[str, loop_parts.Function] = {
         "IS_ANY": batch_kernel.is_any,
+        "FIND_SEGMENT": batch_kernel.find_row_segment,
         **coverage.functions,
         "MEASURE_CURVE": _chain("curve", {name: CURVES[name] for name in coverage.curves}),
         "MEASURE_COURSE": _chain("course", COURSES),
     }
-    types = FACTS, compiled_loop.TICK, compiled_loop.SAMPLE, LINE, LOOP, SPAN, compiled_loop.PIECE
+    types = FACTS, compiled_loop.TICK, compiled_loop.SAMPLE, LINE, LOOP, compiled_loop.PIECE
     return functions, stamp_functions(functions.values(), *types, version("numba"), np.__version__)
 
 
@@ -313,13 +305,12 @@ class _Case:
         x_m, y_m = part.read(start.plant)[:2]
         exact = scenario.loop.pose_precision == "float64"
         start_xy_m = (x_m, y_m) if exact else (to_float32(x_m), to_float32(y_m))
-        line = find_line(start_xy_m, (scenario.goal.x_m, scenario.goal.y_m))
-        heading_rad = math.nan if scenario.goal.heading_rad is None else scenario.goal.heading_rad
-        goal = scenario.goal.x_m, scenario.goal.y_m, heading_rad
-        self.path = scenario.path
+        goal, self.path = scenario.goal, scenario.path
+        line = draw_goal_line(start_xy_m, (goal.x_m, goal.y_m))
+        aim = aim_at(line, (goal.x_m, goal.y_m), goal.heading_rad)
         if self.path is not None:  # a law that tracks a path has no goal
-            goal = math.nan, math.nan, math.nan
-        self.line = (*line.values(), *goal, SETTLING_BAND)
+            aim = aim_at(line, None, None)
+        self.line = (*aim, SETTLING_BAND)
 
     def has_memory_of(self, other: "_Case") -> bool:
         """Return whether two cases have the same table of the law and the same path."""
@@ -441,13 +432,3 @@ def _judge_value(base: Scenario, key: str, value: Any) -> Any:
         return scenario.seed
     table, name = key.split(".")
     return getattr(scenario.plant if table == "plant" else scenario.law.parameters, name)
-
-
-def find_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -> dict[str, float]:
-    """Return the line from start to goal as in `Run`, and as used for projecting signals."""
-    x_m, y_m = start_xy_m
-    ahead_m, left_m = goal_xy_m[0] - x_m, goal_xy_m[1] - y_m
-    bearing_rad = math.atan2(left_m, ahead_m)
-    cos, sin = float(np.cos(bearing_rad)), float(np.sin(bearing_rad))
-    length_m = float(np.hypot(ahead_m, left_m))
-    return dict(zip(_LINE, (x_m, y_m, cos, sin, length_m, bearing_rad), strict=True))

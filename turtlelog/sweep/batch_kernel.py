@@ -1,35 +1,48 @@
-"""Inputs of metrics in the batch: the curve of each loop, and quantities of the whole run.
+"""Arrays of a row of the batch for the metrics of `measure`: curves of loops, and the course.
 
-The functions are compiled, like the metric functions of `measure` that they call. Fields have the
-names and, bit for bit, the values of `Response` and `RunContext`. The line from start to goal is an
-input because numpy computes its cosine, as for single runs.
+The functions are compiled. They read the rows of the loop into work arrays by the rules of
+`measure.loop_segment`; fields have the names and, bit for bit, the values of `Response` and
+`RunContext`. Laws that track a path have functions of their own, so that laws with a goal take no
+longer to compile.
 """
 
 import math
 from typing import Any, Final, NamedTuple
 
-from numpy import arctan2, fmod, hypot, rint
-
 from turtlelog.arithmetic import called, wrap_angle
+from turtlelog.measure.loop_segment import (
+    ALONG,
+    BEARING_NOW,
+    CROSS,
+    GOAL_HEADING,
+    HEADING,
+    Segment,
+    Ticks,
+    ends_itself,
+    find_bearing,
+    find_distance,
+    find_last_acting,
+    find_segment,
+    hold_column,
+    project,
+    read_constant,
+    refer_to_start,
+    subtract_from,
+    tell_pose_time,
+    tell_publication,
+    turn_towards,
+    unwrap,
+)
 from turtlelog.measure.metric import Status, add_reason
 from turtlelog.measure.reductions import USES
-from turtlelog.measure.response import LOST_TURNS
-from turtlelog.run.angles import EXPLAINED_RAD
+from turtlelog.measure.response import LOST_TURNS, Track
+from turtlelog.run.angles import continue_step, explains_step, is_fast_turn
+from turtlelog.run.path_pieces import follow_pieces
 
 NO_PHASE: Final = add_reason(Status.NO_PHASE, "the run has no such phase")
 _TOO_SHORT: Final = add_reason(Status.TOO_SHORT, "less than two poses in the loop")
-NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
+_NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
 _LOST_TURNS: Final = add_reason(Status.UNDETERMINED, LOST_TURNS)
-_NO_SAMPLES: Final = -1
-
-SIGNALS: Final = ("heading", "along_track", "cross_track", "distance")
-PATH: Final = "path"
-REFERENCES: Final = ("zero", "goal_bearing", "goal_distance", "goal_heading", "bearing_now", PATH)
-"""References and signals of loops, by number; references from `bearing_now` on move."""
-HEADING, ALONG, CROSS, _DISTANCE = range(4)
-_ZERO, _GOAL_BEARING, _GOAL_DISTANCE, _GOAL_HEADING, _BEARING_NOW = range(5)
-
-TURN_RAD: Final = 2.0 * math.pi
 
 
 class Memory(NamedTuple):
@@ -37,11 +50,23 @@ class Memory(NamedTuple):
 
     numbers: Any  # one row per use: first the rows of `reductions`, then those named here
     rows: Any  # row numbers
-    spans: Any  # A `SPAN` for each loop
 
 
-HEADINGS, VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)
+class PathMemory(NamedTuple):
+    """Work arrays as in `Memory`, the path's numbers and pieces, corners and seam as in `Track`."""
+
+    numbers: Any
+    rows: Any
+    path: Any
+    pieces: Any
+    corners: Any
+    seam_rad: float
+
+
+_HEADINGS, _VALUES, _ERROR, _TIMES, _STEPS, _COMMAND_TIMES, _COMMANDS = range(USES, USES + 7)
 USES_OF_ROW: Final = USES + 7
+_ARCS, _OFFSETS, _DUES, _REFERENCE = range(USES_OF_ROW, USES_OF_ROW + 4)
+USES_OF_PATH: Final = USES_OF_ROW + 4
 
 
 class Commands(NamedTuple):
@@ -49,11 +74,13 @@ class Commands(NamedTuple):
 
     time_s: Any
     values: Any
+    answered_ns: Any
 
 
 class LoopCurve(NamedTuple):
     """Curve of a loop, with the fields of `Response`."""
 
+    pose_ns: Ticks
     time_s: Any
     step_s: Any
     values: Any
@@ -65,11 +92,9 @@ class LoopCurve(NamedTuple):
     ended_itself: bool
     was_cut: bool
     is_angle: bool
-    answered: int
-    clipped: int
     limit: float
     commands: Commands
-    memory: Memory
+    memory: Any
     track: Any
 
 
@@ -80,7 +105,7 @@ class Course(NamedTuple):
     y_m: Any
     samples: Any
     goal: tuple[float, float, float]
-    line: tuple[float, float, float, float]
+    aim: Any
     start_ns: int
     period_ns: int
     first_row: int
@@ -91,7 +116,7 @@ class Course(NamedTuple):
     last_cross_track_m: float
     heading_error_rad: float
     is_lawless_with_goal: bool
-    memory: Memory
+    memory: Any
     offset_m: Any
 
 
@@ -101,7 +126,7 @@ class Row(NamedTuple):
     facts: Any
     ticks: Any
     samples: Any
-    line: Any
+    aim: Any
     loops: Any
     memory: Any
     start_ns: int
@@ -116,285 +141,156 @@ def is_any(asked: Any, first: int, after: int) -> bool:
     return count > 0
 
 
-def prepare_row(facts: Any, ticks: Any, samples: Any, loops: Any, memory: Any) -> tuple[int, int]:
-    """Unwrap the headings, find the samples of loops, and return start and end of the run [ns]."""
+def prepare_row(facts: Any, ticks: Any, samples: Any, memory: Any) -> tuple[int, int]:
+    """Unwrap the headings, as `unwrap_headings`, and return start and end of the run [ns]."""
+    heading_rad, period_s = memory.numbers[_HEADINGS], facts.period_ns / 1e9
+    added_rad, before = 0.0, ticks[0].heading_rad
+    heading_rad[0] = before
+    for place in range(1, len(ticks)):
+        now, turned_rad = ticks[place].heading_rad, ticks[place].turn_rate_rad_s * period_s
+        is_fast = is_fast_turn(turned_rad)
+        if is_fast or abs(now - before) > math.pi:  # other steps add nothing, in no time
+            added_rad += continue_step(now - before, turned_rad, is_fast)
+        heading_rad[place] = now + added_rad
+        before = now
     end_ns = max((facts.ticks - 1) * facts.period_ns, samples[-1].time_ns)
     if facts.published > 0:
         end_ns = max(end_ns, samples[facts.published - 1].published_ns)
-    _unwrap(ticks, facts.period_ns, memory.numbers[HEADINGS])
-    _find_spans(samples, loops, memory.spans)
     return samples[0].time_ns, end_ns
 
 
-def _unwrap(ticks: Any, period_ns: int, heading_rad: Any) -> None:
-    """Unwrap the heading, as `unwrap_headings` does."""
-    turned = 0.0
-    before = heading_rad[0] = ticks[0].heading_rad
-    for row in range(1, len(ticks)):
-        now = ticks[row].heading_rad
-        full_rad = _find_full_turns(now - before, ticks[row].turn_rate_rad_s * (period_ns / 1e9))
-        turned += find_turn(now - before) if math.isnan(full_rad) else full_rad
-        heading_rad[row] = now + turned
-        before = now
+def find_row_segment(row: Row, number: int) -> Segment:
+    """Return the segment of a loop."""
+    times = Ticks(row.facts.period_ns, 0, row.facts.ticks)
+    return find_segment(row.samples, times, row.loops[number], row.end_ns)
 
 
-def _find_full_turns(step_rad: float, turned_rad: float) -> float:
-    """Return the full turns that a turn adds to a step of the heading [rad].
+def find_missing(row: Row, number: int, segment: Segment) -> int:
+    """Return the reason why a loop has no curve, as in `find_response`; 0 if it has one."""
+    loop = row.loops[number]
+    if segment.first_sample == segment.after_sample:
+        return NO_PHASE
+    if loop.reference == GOAL_HEADING and math.isnan(row.aim.goal_heading_rad):
+        return _NO_REFERENCE
+    if segment.after - segment.first < 2:
+        return _TOO_SHORT
+    return _LOST_TURNS if loop.signal == HEADING and _loses_turns(row, loop, segment) else 0
 
-    The result is NaN if the turn is at most half a turn, or does not explain the step.
-    """
-    if abs(turned_rad) <= math.pi:
-        return math.nan
-    full_rad: float = TURN_RAD * rint((turned_rad - step_rad) / TURN_RAD)
-    return full_rad if abs(turned_rad - step_rad - full_rad) <= EXPLAINED_RAD else math.nan
 
-
-def _loses_turns(row: Row, moves: bool, first: int, after: int) -> bool:  # noqa: FBT001
-    """Return whether full turns between poses are lost, as in `find_response`."""
+def _loses_turns(row: Row, loop: Any, segment: Segment) -> bool:
     period_s, lost = row.facts.period_ns / 1e9, 0
-    for place in range(first + 1, after):
+    for place in range(segment.first + 1, segment.after):
         turned_rad = row.ticks[place].turn_rate_rad_s * period_s
         step_rad = row.ticks[place].heading_rad - row.ticks[place - 1].heading_rad
-        is_lost = moves or math.isnan(_find_full_turns(step_rad, turned_rad))
-        if is_lost and abs(turned_rad) > math.pi:
+        moves = loop.reference >= BEARING_NOW
+        if is_fast_turn(turned_rad) and (moves or not explains_step(step_rad, turned_rad)):
             lost += 1
     return lost > 0
 
 
-def find_turn(step_rad: float) -> float:
-    """Return the angle that numpy's unwrap adds from a step on."""
-    if abs(step_rad) <= math.pi:
-        return 0.0
-    rest: float = fmod(step_rad + math.pi, TURN_RAD)
-    if rest < 0.0:
-        rest += TURN_RAD
-    return rest - math.pi - step_rad
-
-
-def _find_spans(samples: Any, loops: Any, spans: Any) -> None:
-    """Find the samples of each loop's first segment, and the last sample of each loop."""
-    for number in range(len(loops)):
-        spans[number].first = spans[number].after = spans[number].last = _NO_SAMPLES
-        spans[number].end = len(samples)
-    begin, count = 0, len(samples)
-    while begin < count:
-        phase, after = samples[begin].phase, begin + 1
-        while after < count and samples[after].phase == phase:
-            after += 1
-        for number in range(len(loops)):
-            _add_samples(loops[number], spans[number], phase, begin, after)
-        begin = after
-
-
-def _add_samples(loop: Any, span: Any, phase: int, begin: int, after: int) -> None:
-    """Add one phase's samples; a segment includes a pause, and ends at the next other phase."""
-    if loop.phases >> phase & 1 != 0:
-        if span.first < 0:
-            span.first = begin
-        if span.after < 0 or span.after == begin:
-            span.after = after
-        span.last = after - 1
-    elif span.first >= 0 and begin < span.end and phase != loop.pause:
-        span.end = begin
-
-
-def find_stretch(row: Row, number: int) -> tuple[int, int, int]:
-    """Return a loop's first pose, the pose after its last, and the reason for no curve, or 0."""
-    facts, span, period_ns = row.facts, row.memory.spans[number], row.facts.period_ns
-    if span.first < 0:
-        return 0, 0, NO_PHASE
-    start_ns = row.samples[span.first].time_ns
-    pose = -(-start_ns // period_ns)
-    if 0 < pose < facts.ticks and pose * period_ns != start_ns:
-        pose -= 1
-    first, after = min(pose, facts.ticks), min(_end_ns(row, span) // period_ns + 1, facts.ticks)
-    loop = row.loops[number]
-    if loop.reference == _GOAL_HEADING and math.isnan(row.line.goal_heading_rad):
-        return first, after, NO_REFERENCE
-    if after - first < 2:
-        return first, after, _TOO_SHORT
-    moves = loop.reference >= _BEARING_NOW
-    if loop.signal == HEADING and _loses_turns(row, moves, first, after):
-        return first, after, _LOST_TURNS
-    return first, after, 0
-
-
-def _end_ns(row: Row, span: Any) -> int:
-    goes_on = span.end < len(row.samples)
-    return row.samples[span.end].time_ns if goes_on else row.end_ns
-
-
 @called
-def read_loop_curve(row: Row, number: int, first: int, after: int) -> LoopCurve:
-    """Return the curve of a loop between two poses."""
-    loop = row.loops[number]
-    values = _read_values(row, loop, first, after)
-    reference = _read_target(row, loop, first, values)
-    return build_curve(row, number, first, values, reference, 0)
-
-
-def build_curve(
-    row: Row, number: int, first: int, values: Any, reference: float, track: Any
-) -> LoopCurve:
-    """Return the curve of a loop from its values, which begin at a pose, and its reference."""
-    facts, memory, samples, loop = row.facts, row.memory, row.samples, row.loops[number]
-    span, count, period_ns = memory.spans[number], len(values), facts.period_ns
-    start_ns, end_ns, after = samples[span.first].time_ns, _end_ns(row, span), first + len(values)
-    error, time_s = memory.numbers[_ERROR][:count], memory.numbers[_TIMES][:count]
-    step_s = memory.numbers[_STEPS][: count - 1]
+def read_loop_curve(row: Row, number: int, segment: Segment) -> LoopCurve:
+    """Return the curve of a loop in its segment."""
+    loop, memory, aim = row.loops[number], row.memory, row.aim
+    first, count = segment.first, segment.after - segment.first
+    values = memory.numbers[_HEADINGS][first : segment.after]
+    is_angle = loop.signal == HEADING
+    if not is_angle:
+        values = memory.numbers[_VALUES][:count]
+        for place in range(count):
+            x_m, y_m = row.ticks[first + place].x_m, row.ticks[first + place].y_m
+            if loop.signal == ALONG or loop.signal == CROSS:  # noqa: PLR1714
+                values[place] = project(x_m, y_m, aim, loop.signal == ALONG)
+            else:
+                values[place] = find_distance(x_m, y_m, aim.goal_x_m, aim.goal_y_m)
+    if loop.reference != BEARING_NOW:
+        reference = turn_towards(read_constant(loop.reference, aim), values[-1], is_angle)
+        return _build_curve(row, loop, segment, values, reference, 0)
+    error, reference = memory.numbers[_ERROR][:count], _find_bearing(row, first)
     for place in range(count):
-        error[place] = reference - values[place]
-        time_s[place] = max((first + place) * period_ns - start_ns, 0) / 1e9
+        error[place] = _find_bearing(row, first + place) - values[place]
+    values = refer_to_start(error, reference, is_angle, memory.numbers[_VALUES][:count])
+    return _build_curve(row, loop, segment, values, reference, 0)
+
+
+def _find_bearing(row: Row, place: int) -> float:
+    tick, aim = row.ticks[place], row.aim
+    return find_bearing(tick.x_m, tick.y_m, aim.goal_x_m, aim.goal_y_m)
+
+
+def _build_curve(
+    row: Row, loop: Any, segment: Segment, values: Any, reference: float, track: Any
+) -> LoopCurve:
+    facts, memory, samples, count = row.facts, row.memory, row.samples, len(values)
+    time_s, step_s = memory.numbers[_TIMES][:count], memory.numbers[_STEPS][: count - 1]
+    for place in range(count):
+        pose_ns = (segment.first + place) * facts.period_ns
+        time_s[place] = tell_pose_time(pose_ns, segment.start_ns)
     for place in range(count - 1):
         step_s[place] = time_s[place + 1] - time_s[place]
-    in_pause = span.end < len(samples) or samples[-1].phase == loop.pause
-    ended_itself = not (facts.is_cut or facts.is_late) or end_ns < row.end_ns
-    ended_itself = ended_itself or in_pause or _ends_blocked(row)
-    limit = facts.turn_limit if loop.turns else facts.speed_limit
-    commands = _read_commands(row, loop, span, end_ns)
-    answered = min(samples[span.after - 1].time_ns // period_ns + 1, after) - first
-    clipped = len(commands.values) - 1
-    while clipped >= 0 and abs(commands.values[clipped]) < limit:
-        clipped -= 1
-    if clipped >= 0:
-        pose = min(samples[span.first + clipped].time_ns // period_ns, after - 1)
-        clipped = max(pose - first, -1)
+    last = samples[-1]
+    out_ns = row.end_ns if facts.published < len(samples) else last.published_ns
+    is_done = not (facts.is_cut or facts.is_late)
     return LoopCurve(
+        Ticks(facts.period_ns, segment.first, count),
         time_s,
         step_s,
         values,
-        error,
+        subtract_from(reference, values, memory.numbers[_ERROR][:count]),
         values[0],
         reference,
-        row.line.band,
-        (start_ns - row.start_ns) / 1e9,
-        ended_itself,
-        facts.is_cut and end_ns == row.end_ns,
+        row.aim.band,
+        (segment.start_ns - row.start_ns) / 1e9,
+        ends_itself(segment, samples, loop, is_done, out_ns > last.time_ns),
+        facts.is_cut and segment.end_ns == row.end_ns,
         loop.signal == HEADING,
-        answered,
-        clipped,
-        limit,
-        commands,
+        facts.turn_limit if loop.turns else facts.speed_limit,
+        _read_commands(row, loop, segment),
         memory,
         track,
     )
 
 
-def _ends_blocked(row: Row) -> bool:
-    """Whether the last sample's command was published after the sample's time, or never."""
-    last_ns, published = row.samples[-1].time_ns, row.facts.published
-    if published < len(row.samples):
-        return row.end_ns > last_ns  # type: ignore[no-any-return]
-    return row.samples[published - 1].published_ns > last_ns  # type: ignore[no-any-return]
-
-
-def _read_commands(row: Row, loop: Any, span: Any, end_ns: int) -> Commands:
-    count, samples = span.after - span.first, row.samples
-    values = row.memory.numbers[_COMMANDS][:count]
-    time_s = row.memory.numbers[_COMMAND_TIMES][:count]
-    is_out = row.facts.published == len(samples)
-    for place in range(count):
-        sample = samples[span.first + place]
+def _read_commands(row: Row, loop: Any, segment: Segment) -> Commands:
+    samples = row.samples[segment.first_sample : segment.after_sample]
+    values = row.memory.numbers[_COMMANDS][: len(samples)]
+    time_s = row.memory.numbers[_COMMAND_TIMES][: len(samples)]
+    is_out = row.facts.published == len(row.samples)
+    for place in range(len(samples)):
+        sample = samples[place]
         values[place] = sample.turn_rate_rad_s if loop.turns else sample.speed_m_s
-        at_ns = sample.published_ns if is_out else sample.time_ns
-        time_s[place] = (min(at_ns, end_ns) - row.start_ns) / 1e9
-    return Commands(time_s, values)
-
-
-def _read_values(row: Row, loop: Any, first: int, after: int) -> Any:
-    """Return the signal of a loop at poses. A moving goal bearing is treated as fixed."""
-    memory, ticks, line = row.memory, row.ticks, row.line
-    if loop.signal == HEADING and loop.reference != _BEARING_NOW:
-        return memory.numbers[HEADINGS][first:after]
-    values = memory.numbers[VALUES][: after - first]
-    if loop.signal == HEADING:
-        _follow_bearing(row, first, values)
-        return values
-    for place in range(after - first):
-        tick = ticks[first + place]
-        if loop.signal == _DISTANCE:
-            values[place] = hypot(line.goal_x_m - tick.x_m, line.goal_y_m - tick.y_m)
-        else:
-            x_m, y_m = tick.x_m - line.x_m, tick.y_m - line.y_m
-            along = loop.signal == ALONG
-            values[place] = (
-                x_m * line.cos + y_m * line.sin if along else y_m * line.cos - x_m * line.sin
-            )
-    return values
-
-
-def _find_bearing(row: Row, place: int) -> float:
-    """Return the bearing of the goal from a pose [rad]."""
-    tick, line = row.ticks[place], row.line
-    return arctan2(line.goal_y_m - tick.y_m, line.goal_x_m - tick.x_m)  # type: ignore[no-any-return]
-
-
-def _follow_bearing(row: Row, first: int, values: Any) -> None:
-    """Enter the heading as if the goal bearing kept its first value."""
-    heading_rad, turned = row.memory.numbers[HEADINGS], 0.0
-    before = wrap_angle(_find_bearing(row, first) - heading_rad[first])
-    values[0] = before
-    for place in range(1, len(values)):
-        now = wrap_angle(_find_bearing(row, first + place) - heading_rad[first + place])
-        turned += find_turn(now - before)
-        values[place] = now + turned
-        before = now
-    turns_rad = TURN_RAD * rint(values[-1] / TURN_RAD)
-    target_rad = _find_bearing(row, first)
-    for place in range(len(values)):
-        values[place] = target_rad - (values[place] - turns_rad)
-
-
-def _read_target(row: Row, loop: Any, first: int, values: Any) -> float:
-    """Return the target value of a curve; a heading's gets the full turns of the last value."""
-    if loop.reference == _BEARING_NOW:
-        return _find_bearing(row, first)
-    wanted = _read_constant(row, loop)
-    if loop.signal != HEADING:
-        return wanted
-    return wanted + rint((values[-1] - wanted) / TURN_RAD) * 2.0 * math.pi  # type: ignore[no-any-return]
-
-
-def _read_constant(row: Row, loop: Any) -> float:
-    line, wanted = row.line, 0.0
-    if loop.reference == _GOAL_BEARING:
-        wanted = line.bearing_rad
-    elif loop.reference == _GOAL_DISTANCE:
-        wanted = line.length_m
-    elif loop.reference == _GOAL_HEADING:
-        wanted = line.goal_heading_rad
-    return wanted
+        out_ns = sample.published_ns if is_out else sample.time_ns
+        time_s[place] = tell_publication(out_ns, segment.end_ns, row.start_ns)
+    return Commands(time_s, values, samples.time_ns)
 
 
 def read_course(row: Row) -> Course:
     """Return the quantities of the whole run."""
-    last, line = row.ticks[-1], row.line
-    x_m, y_m = last.x_m - line.x_m, last.y_m - line.y_m
-    none, offset_m = row.memory.numbers[HEADINGS][:0], y_m * line.cos - x_m * line.sin
-    return build_course(row, none, offset_m, _find_heading_error(row))
+    last, none = row.ticks[-1], row.memory.numbers[_HEADINGS][:0]
+    last_m = project(last.x_m, last.y_m, row.aim, False)  # noqa: FBT003
+    return _build_course(row, none, last_m, _find_heading_error(row))
 
 
-def build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: float) -> Course:
+def _build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: float) -> Course:
     """Return the quantities of the whole run.
 
     `offset_m` is the offset of every pose from the path; empty for the line from start to goal.
     `last_m` is the offset of the last pose from either, `heading_error_rad` the error at the end.
     """
-    facts, ticks, line = row.facts, row.ticks, row.line
-    last = ticks[-1]
+    facts, ticks, aim = row.facts, row.ticks, row.aim
     return Course(
         ticks.x_m,
         ticks.y_m,
         row.samples,
-        (line.goal_x_m, line.goal_y_m, line.goal_heading_rad),
-        (line.x_m, line.y_m, line.cos, line.sin),
+        (aim.goal_x_m, aim.goal_y_m, aim.goal_heading_rad),
+        aim,
         row.start_ns,
         facts.period_ns,
         min(-(-row.start_ns // facts.period_ns), facts.ticks - 1),
         len(row.samples),
         (row.end_ns - row.start_ns) / 1e9,
         ((facts.ticks - 1) * facts.period_ns - row.start_ns) / 1e9,
-        last.heading_rad,
+        ticks[-1].heading_rad,
         last_m,
         heading_error_rad,
         False,  # noqa: FBT003
@@ -404,22 +300,104 @@ def build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: floa
 
 
 def _find_heading_error(row: Row) -> float:
-    """Return the final heading error: reference of the last active heading loop minus heading.
-
-    If no heading loop acted, the first declared heading loop is used. The goal's heading replaces
-    a bearing from the present position, and a loop that is missing.
-    """
-    acting, spans = -1, row.memory.spans
+    """Return the final heading error, as `get_heading_error`; NaN if it is unknown."""
+    aim, known = row.aim, 0
     for number in range(len(row.loops)):
         loop = row.loops[number]
-        is_known = loop.reference != _GOAL_HEADING or not math.isnan(row.line.goal_heading_rad)
-        if loop.signal == HEADING and is_known:
-            acting = number if acting < 0 or spans[number].last > spans[acting].last else acting
-    last, wanted_rad = len(row.ticks) - 1, row.line.goal_heading_rad
-    if acting >= 0 and row.loops[acting].reference != _BEARING_NOW:
-        wanted_rad = _read_constant(row, row.loops[acting])
+        wanted_rad = read_constant(loop.reference, aim)
+        if loop.signal == HEADING and not math.isnan(wanted_rad):
+            known |= 1 << number
+    acting = find_last_acting(row.samples.phase, row.loops, known)
+    wanted_rad = aim.goal_heading_rad
+    if acting >= 0 and row.loops[acting].reference != BEARING_NOW:
+        wanted_rad = read_constant(row.loops[acting].reference, aim)
     elif acting >= 0 and math.isnan(wanted_rad):
-        wanted_rad = _find_bearing(row, last)
+        wanted_rad = _find_bearing(row, len(row.ticks) - 1)
     if math.isnan(wanted_rad):
         return math.nan
-    return wrap_angle(wanted_rad - row.memory.numbers[HEADINGS][last])
+    return wrap_angle(wanted_rad - row.memory.numbers[_HEADINGS][len(row.ticks) - 1])
+
+
+# Laws that track a path.
+
+
+def prepare_path_row(facts: Any, ticks: Any, samples: Any, memory: Any) -> tuple[int, int]:
+    """Do as `prepare_row`, and find the place of every pose on the path, as `trace_poses`."""
+    path, pieces, numbers, count = memory.path[0], memory.pieces, memory.numbers, len(ticks)
+    x_m, y_m, due_m = numbers[_ARCS][:count], numbers[_OFFSETS][:count], numbers[_DUES][:count]
+    due_m[:] = math.nan
+    if path.has_speed and _has_any(samples.reference_x_m):
+        hold_column(samples.reference_x_m, samples.pose_sequence, count, x_m)
+        hold_column(samples.reference_y_m, samples.pose_sequence, count, y_m)
+        follow_pieces(path, pieces, 0.0, x_m, y_m, due_m, due_m, y_m)
+    for place in range(count):
+        x_m[place], y_m[place] = ticks[place].x_m, ticks[place].y_m
+    follow_pieces(path, pieces, math.nan, x_m, y_m, due_m, x_m, y_m)
+    return prepare_row(facts, ticks, samples, memory)
+
+
+def _has_any(column: Any) -> bool:
+    """Return whether any value of a column is finite."""
+    row = 0
+    while row < len(column) and not math.isfinite(column[row]):
+        row += 1
+    return row < len(column)
+
+
+def find_path_missing(row: Row, number: int, segment: Segment) -> int:
+    """Return the reason of `find_missing`, or that a loop has no reference on the path."""
+    reason, signal = find_missing(row, number, segment), row.loops[number].signal
+    is_known = signal == CROSS
+    if signal == HEADING:
+        is_known = _has_any(row.samples.reference_heading_rad)
+    elif signal == ALONG:
+        is_known = row.memory.path[0].has_speed and _has_any(row.samples.reference_x_m)
+    return reason if is_known or reason == NO_PHASE else _NO_REFERENCE
+
+
+@called
+def read_path_curve(row: Row, number: int, segment: Segment) -> LoopCurve:
+    """Return the curve of a loop in its segment."""
+    memory, loop, samples = row.memory, row.loops[number], row.samples
+    numbers, first, after = memory.numbers, segment.first, segment.after
+    is_angle, count = loop.signal == HEADING, after - first
+    error, values = numbers[_ERROR][:count], numbers[_HEADINGS][first:after]
+    reference, arcs_m = numbers[_REFERENCE][first:after], numbers[_ARCS][first:after]
+    if is_angle:
+        held_rad = numbers[_REFERENCE][:after]
+        hold_column(samples.reference_heading_rad, samples.pose_sequence, after, held_rad)
+    else:
+        values = arcs_m if loop.signal == ALONG else numbers[_OFFSETS][first:after]
+    for place in range(count):
+        if not is_angle:
+            reference[place] = numbers[_DUES][first + place] if loop.signal == ALONG else 0.0
+        error[place] = reference[place] - values[place]
+    start = reference[0]
+    values = refer_to_start(error, start, is_angle, numbers[_VALUES][:count])
+    if is_angle:
+        unwrap(reference)
+    path = memory.path[0]
+    lap = memory.seam_rad, path.length_m, path.is_closed, path.has_speed
+    track = Track(reference, arcs_m, memory.corners, lap[0], lap[1], lap[2], lap[3])
+    return _build_curve(row, loop, segment, values, start, track)
+
+
+def read_path_course(row: Row) -> Course:
+    """Return the quantities of the whole run."""
+    offsets_m = row.memory.numbers[_OFFSETS][: len(row.ticks)]
+    return _build_course(row, offsets_m, offsets_m[-1], _find_path_heading_error(row))
+
+
+def _find_path_heading_error(row: Row) -> float:
+    """Return the final heading error: of a loop of the heading, otherwise the recorded error."""
+    samples, numbers, count = row.samples, row.memory.numbers, len(row.ticks)
+    column, has_loop = samples.reference_heading_rad, False
+    for number in range(len(row.loops)):
+        has_loop = has_loop or row.loops[number].signal == HEADING
+    if has_loop and _has_any(column):
+        held_rad = hold_column(column, samples.pose_sequence, count, numbers[_REFERENCE][:count])
+        return wrap_angle(held_rad[-1] - numbers[_HEADINGS][count - 1])
+    for place in range(len(samples)):
+        if math.isnan(samples[place].heading_error_rad):
+            return math.nan
+    return samples[len(samples) - 1].heading_error_rad  # type: ignore[no-any-return]

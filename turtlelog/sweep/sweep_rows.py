@@ -64,6 +64,7 @@ class RowChunk:
     ahead: int = 0  # about how many rows this process still does, to decide on compiling
     threads: int = 1  # number of threads, if the chunk is a batch
     step_budget_s: float = STEP_BUDGET_S  # longest computing time of the law per step [s]
+    source: str = "grid"  # prefix of errors about the values of a row
 
 
 @dataclass(slots=True, kw_only=True)
@@ -110,7 +111,7 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
     scenarios: list[Scenario | TurtlelogError] = []
     for row, values in enumerate(chunk.values, start=chunk.first):
         try:
-            scenario = build_row_scenario(base, chunk.keys, values, row)
+            scenario = build_row_scenario(base, chunk.keys, values, row, source=chunk.source)
             scenarios.append(resolve_scenario(scenario))
         except TurtlelogError as err:
             scenarios.append(err)
@@ -166,6 +167,7 @@ def _simulate_batch(
         first=chunk.first,
         ahead=chunk.ahead,
         step_budget_s=chunk.step_budget_s,
+        source=chunk.source,
     )
     results = RowResults(
         first=chunk.first,

@@ -164,11 +164,33 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
         MeasureError: If a metric is unknown.
         ExpressionError: If the condition on recordings cannot be evaluated.
     """
-    trusted = True if trust_law else None
     if KP in plan.keys:
         declared = declare_scenario(resolve_scenario(base, trust_law=trust_law))
         plan = plan.spread_gains(declared.list_gains())
-    found, errors = [], []
+    found = _resolve_probes(base, plan, trust_law=trust_law, source=source)
+    known = [flatten_scenario(one) for one in found]
+    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
+    if metrics is not None:
+        for one in found:
+            choose_metrics(metrics, declare_scenario(one))
+    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
+    sweep_rows.require_condition(records, {**known[0], **first})
+    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
+    return Sweep(
+        base=format_scenario(base),
+        plan=plan.with_reals(real),
+        metrics=None if metrics is None else tuple(metrics),
+        records=records,
+        law_code=_digest_laws(sorted(kinds)),
+        step_budget_s=step_budget_s,
+    )
+
+
+def _resolve_probes(
+    base: Scenario, plan: SweepPlan, *, trust_law: bool, source: str
+) -> list[Scenario]:
+    """Return the scenarios of the probed rows that are valid; if none is, the first error."""
+    found, errors, trusted = [], [], True if trust_law else None
     for row in plan.list_probes():
         try:
             scenario = build_row_scenario(
@@ -179,28 +201,17 @@ def prepare_sweep(  # noqa: PLR0913  (all but the first two have defaults)
             errors.append(err)
     if not found:
         raise errors[0]
-    known = [flatten_scenario(one) for one in found]
-    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
-    if metrics is not None:
-        for one in found:
-            choose_metrics(metrics, declare_scenario(one))
-    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
-    sweep_rows.require_condition(records, {**known[0], **first})
-    kinds = sorted({one.law.kind for one in found} | {str(one.get("law.kind")) for one in known})
-    # Files of laws and the modules that they import from their folder, or the source text of a law
-    # of this session; built-in laws and modules have neither.
+    return found
+
+
+def _digest_laws(kinds: Sequence[str]) -> str:
+    """Return a digest of the code of laws; empty if all are built in."""
+    # Files of laws and the modules that they import from their folder, or the text of a law of this
+    # session; built-in laws and modules have neither.
     paths = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
-    files = [file for path in paths for file in list_law_files(path)]
-    texts = [text for kind in kinds if (text := read_law_source(kind)) is not None]
-    code = b"".join([*(path.read_bytes() for path in files), *(text.encode() for text in texts)])
-    return Sweep(
-        base=format_scenario(base),
-        plan=plan.with_reals(real),
-        metrics=None if metrics is None else tuple(metrics),
-        records=records,
-        law_code=hashlib.sha256(code).hexdigest() if files or texts else "",
-        step_budget_s=step_budget_s,
-    )
+    code = [file.read_bytes() for path in paths for file in list_law_files(path)]
+    code += [text.encode() for kind in kinds if (text := read_law_source(kind)) is not None]
+    return hashlib.sha256(b"".join(code)).hexdigest() if code else ""
 
 
 def _read_values(grid: Mapping[str, Iterable[Any]]) -> Iterator[KeyValues]:

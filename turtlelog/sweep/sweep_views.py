@@ -316,3 +316,51 @@ def count_rivals(view: SweptView, metric: SweptMetric) -> Rivals | None:
         error = np.nanstd(row, ddof=1) / np.sqrt(count)
         within += bool(np.nanmean(row) <= stdtrit(count - 1, 1.0 - _CHANCE / len(others)) * error)
     return Rivals(within, len(others))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BestRow:
+    """The best row of a metric: number, value and keys; `as_good` counts equally good rows.
+
+    With means over seeds, it is the first row of the best mean. `within_chance` counts worse means
+    whose difference from the best may be chance, of `others`.
+    """
+
+    row: int
+    value: float
+    as_good: int
+    within_chance: int | None
+    others: int | None
+    keys: Mapping[str, Any]
+
+    @property
+    def is_open(self) -> bool:
+        """Whether no other mean over seeds is worse by more than chance."""
+        return Rivals(self.within_chance or 0, self.others or 0).is_open
+
+
+def find_best_row(view: SweptView, metric: SweptMetric) -> BestRow | None:
+    """Return the best shown row; of several equally good rows, the first."""
+    found = find_best_rows(view, metric)
+    if not found:
+        return None
+    row = found[0]
+    rows, values = list_shown_values(view, metric)
+    rivals = count_rivals(view, metric)
+    return BestRow(
+        row=view.results.row_numbers[row],
+        value=float(values[rows == row][0]),
+        as_good=len(found),
+        within_chance=None if rivals is None else rivals.within_chance,
+        others=None if rivals is None else rivals.others,
+        keys=name_values({axis: axis.places[row] for axis in view.results.axes}),
+    )
+
+
+def name_values(places: Mapping[SweptAxis, int]) -> dict[str, Any]:
+    """Return the values of axes at places, by key."""
+    return {
+        key: value
+        for axis, place in places.items()
+        for key, value in zip(axis.keys, axis.values[place], strict=True)
+    }

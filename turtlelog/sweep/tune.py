@@ -136,23 +136,13 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         LawError: If `law` is not a law.
         ScenarioError: If the scenario does not exist, or the ranges contain no valid scenario.
     """
-    if (minimise is None) == (maximise is None):
-        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
-    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
-    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
-    goal = TuningGoal(
-        objective=parse_expression(str(text), source=name),
-        is_maximised=maximise is not None,
-        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
-    )
-    texts = [*_list_ranges(ranges)]
+    goal, texts = _build_goal(minimise, maximise, subject_to), [*_list_ranges(ranges)]
     most = FOR_EACH_KEY * len(texts) if evaluations is None else evaluations
-    for name, number in (("evaluations", most), ("seed", seed)):
+    for name, number, least in (("seed", seed, 0), ("evaluations", most, FEWEST)):
         if not isinstance(number, Integral):
             raise TuneError(f"{name}: expected a whole number, found {number!r:.60}")
-    if most < FEWEST or seed < 0:
-        name, least, found = ("seed", 0, seed) if seed < 0 else ("evaluations", FEWEST, most)
-        raise TuneError(f"{name}: expected at least {least}, found {found}")
+        if number < least:
+            raise TuneError(f"{name}: expected at least {least}, found {number}")
     base = choose_scenario(scenario, law=law, changes=changes)
     base, keys = complete_searched(base, texts, source="ranges")
     candidates = Candidates(
@@ -165,6 +155,20 @@ def tune_scenario(  # noqa: PLR0913  (all but the first two have defaults)
         source="ranges",
     )
     return tune_candidates(candidates, keys, evaluations=most, seed=seed)
+
+
+def _build_goal(
+    minimise: str | None, maximise: str | None, subject_to: Sequence[str]
+) -> TuningGoal:
+    if (minimise is None) == (maximise is None):
+        raise TuneError("tune_scenario: expected minimise or maximise, one of them")
+    name, text = ("minimise", minimise) if maximise is None else ("maximise", maximise)
+    constraints = [subject_to] if isinstance(subject_to, str) else subject_to
+    return TuningGoal(
+        objective=parse_expression(str(text), source=name),
+        is_maximised=maximise is not None,
+        constraints=tuple(parse_expression(one, source="subject_to") for one in constraints),
+    )
 
 
 def tune_candidates(

@@ -32,8 +32,6 @@ Point = tuple[float | int, ...]
 _CUTS: Final = 8
 """Smallest number of parts of a generation: several parts for each of a few processes."""
 
-_ROWS: Final = "grid: "  # prefix of errors about the values of a row
-
 _CHUNK_S: Final = 0.5
 """Duration of a unit of work [s]: long beside its distribution, short for a waiting user."""
 
@@ -214,6 +212,20 @@ class Candidate:
         return total
 
 
+def _require_goal(goal: TuningGoal, values: Values, law: str) -> None:
+    """Refuse a goal that no candidate can have, by values of all keys and metrics of a law."""
+    unknown = [name for name in goal.metrics if name not in values]
+    if unknown:
+        raise TuneError(f"{unknown[0]}: expected a metric of the law {law}, which has no such loop")
+    goal.compute_objective(values)
+    goal.judge(values)
+    if not goal.metrics:
+        raise TuneError(
+            f"{goal.objective.source}: expected a metric such as final.position_error, found"
+            f" none in {goal.objective.text[:60]!r}"
+        )
+
+
 class Candidates:
     """Evaluated candidates of a scenario."""
 
@@ -266,23 +278,9 @@ class Candidates:
         declared = declare_scenario(resolved)
         self._spreads = spread_keys(self.keys, declared.list_gains(), source=source)
         self._set_keys = tuple(key for keys in self._spreads for key in keys)
-        known = list_metrics(declared)
-        unknown = [name for name in goal.metrics if name not in known]
-        if unknown:
-            raise TuneError(
-                f"{unknown[0]}: expected a metric of the law {resolved.law.kind}, which has no such"
-                " loop"
-            )
         self._scenario, self._trusts = base, trust_law
-        numbers = dict.fromkeys([*self.keys, *known], 1.0)
-        values = {**self._parameters, **numbers}
-        goal.compute_objective(values)  # refuses what cannot be evaluated for any candidate
-        goal.judge(values)
-        if not goal.metrics:
-            raise TuneError(
-                f"{goal.objective.source}: expected a metric such as final.position_error, found"
-                f" none in {goal.objective.text[:60]!r}"
-            )
+        known = [*self.keys, *list_metrics(declared)]
+        _require_goal(goal, {**self._parameters, **dict.fromkeys(known, 1.0)}, resolved.law.kind)
 
     def build_scenario(self, point: Point) -> Scenario:
         """Return the scenario of a candidate under the name of the base scenario."""
@@ -374,6 +372,7 @@ class Candidates:
             ahead=max(self._expected - self.evaluations, 0),
             threads=threads,
             step_budget_s=self._step_budget_s,
+            source=self._source,
         )
 
     def _spread(self, point: Point) -> Point:
@@ -390,8 +389,6 @@ class Candidates:
             **found,
         }
         failed = results.failed[place] or ""
-        if failed.startswith(_ROWS):
-            failed = f"{self._source}: {failed.removeprefix(_ROWS)}"
         objective = None if failed else self.goal.compute_objective(values)
         if objective is not None and not math.isfinite(objective):
             objective = None

@@ -5,6 +5,7 @@ P has no overshoot up to the Kp at which its two slowest poles meet on the real 
 `sampled_loop` has this Kp in closed form. With limits, no simulated step may overshoot.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -235,3 +236,46 @@ def find_p_without_any_overshoot(design: LoopDesign) -> float:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if design.overshoots(PidGains(kp=middle)) else (middle, high)
     return low
+
+
+GAIN_STEP: Final = 1.25  # factor from one gain to the next while the overshoot is too small
+
+
+def find_first_gain(
+    measure: Callable[[float], float], none: float, first: float, percent: float, close: float
+) -> float:
+    """Return the first gain with an overshoot, searching upward from a gain without it.
+
+    At the limit of stability the overshoot is 100 %, so every smaller overshoot occurs below it.
+    """
+    low, below, high = none, 0.0, first
+    while (value := measure(high)) < percent:
+        low, below, high = high, value, GAIN_STEP * high
+    return solve_between(measure, (low, below), (high, value), percent, close)
+
+
+def solve_between(
+    measure: Callable[[float], float],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    target: float,
+    close: float,
+) -> float:
+    """Return the point at which a measure meets its target, between two points on either side.
+
+    The method is regula falsi in the Illinois variant, which halves the value at an end that does
+    not move (M. Dowell and P. Jarratt, BIT 11 (1971) 168-174). If a step gets no nearer, bisection
+    follows.
+    """
+    (at, value), (other, far) = (start[0], start[1] - target), (end[0], end[1] - target)
+    for _ in range(80):
+        middle = other - far * (other - at) / (far - value)
+        found = measure(middle) - target
+        if abs(found) < close or abs(other - at) <= 1e-13 * abs(other):
+            return middle
+        if (found > 0.0) == (far > 0.0):
+            value *= 0.5
+        else:
+            at, value = other, far
+        other, far = middle, found
+    return middle

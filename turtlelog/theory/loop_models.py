@@ -29,7 +29,7 @@ from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.theory.pid_loop import PidLoop, analyse_pid_loop, is_pid_stable
 from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import Process
-from turtlelog.theory.step_motion import StepLimits
+from turtlelog.theory.step_motion import JERK_KEYS, SLOPE_KEYS, StepLimits, find_step_limits
 
 _Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ class LoopModel:
     def allows_for(self, key: str) -> bool:
         """Return whether recommended gains allow for a setting that the linear loop leaves out."""
         plant = PLANT_KEYS[self.loop.command]
-        limits = _SLOPES[self.loop.command], _JERKS[self.loop.command]
+        limits = SLOPE_KEYS[self.loop.command], JERK_KEYS[self.loop.command]
         own = f"{plant}bound", f"{plant}acceleration"
         return self.limits is not None and key in {self.loop.limit_key, *limits, *own}
 
@@ -181,7 +181,7 @@ def model_loop(
         most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
         growth="the age of the poses" if is_timed else "queues",
         limit=read_number(parameters, loop.limit_key, math.inf),
-        limits=_find_limits(loop, parameters),
+        limits=find_step_limits(loop, parameters),
         jitter_s=jitter_s,
         sources={**told, **timing.sources},
         left_out=left_out,
@@ -208,18 +208,6 @@ _OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3"
 """Endings of keys that concern only the speed."""
 
 _OF_PLANT: Final = ("gain", "dead_time_s", "lag_s")
-
-_SLOPES: Final[Mapping[str, str]] = {
-    "turn_rate": "limits.turn_acceleration_rad_s2",
-    "speed": "limits.acceleration_m_s2",
-}
-"""Keys of the limits on the rate of change, by command."""
-
-_JERKS: Final[Mapping[str, str]] = {
-    "turn_rate": "limits.turn_jerk_rad_s3",
-    "speed": "limits.jerk_m_s3",
-}
-"""Keys of the limits on the change of the acceleration, by command."""
 
 _DEFAULTS: Final = flatten_scenario(Scenario())
 
@@ -319,57 +307,6 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
         )
     except TheoryError as err:
         return f"plant: {err}"
-
-
-def _find_limits(loop: ControlLoop, parameters: _Parameters) -> StepLimits | None:
-    """Return the limits of a loop with its largest step; None if nothing limits the acceleration.
-
-    A limit within the robot's loop has no effect on rates that change more slowly by the lag. The
-    largest step is the step from start to goal, or the step in which the rate reaches its largest
-    value and overshoots most, if that step is larger.
-    """
-    key = PLANT_KEYS[loop.command]
-    inf = math.inf
-    step = _find_step(loop, parameters)
-    found = StepLimits(
-        step=step,
-        command=read_number(parameters, loop.limit_key, inf),
-        acceleration=read_number(parameters, _SLOPES[loop.command], inf),
-        jerk=read_number(parameters, _JERKS[loop.command], inf),
-        bound=read_number(parameters, f"{key}bound", inf),
-        rate_acceleration=read_number(parameters, f"{key}acceleration", inf),
-    )
-    most = min(read_number(parameters, f"{key}gain", 1.0) * found.command, found.bound)
-    is_own = most > found.rate_acceleration * read_number(parameters, f"{key}lag_s")
-    if not is_own and min(found.acceleration, found.jerk) == inf:
-        return None
-    gain = read_number(parameters, f"{key}gain", 1.0)
-    reach = found.find_reach(gain)
-    if loop.signal == "heading":
-        reach = min(reach, math.pi)
-    return replace(found, step=reach, also=step) if step < reach < inf else found
-
-
-def _find_step(loop: ControlLoop, parameters: _Parameters) -> float:
-    """Return the size of a loop's step from start to goal [m or rad].
-
-    Without such a step, the size is 1 m or a quarter turn.
-    """
-    names = ("start.x_m", "start.y_m", "goal.x_m", "goal.y_m", "start.heading_rad")
-    x_m, y_m, goal_x_m, goal_y_m, heading_rad = (
-        read_number(parameters, name, math.nan) for name in names
-    )
-    step = math.nan
-    if loop.signal == "heading" and loop.reference in {"goal_bearing", "bearing_now"}:
-        step = math.atan2(goal_y_m - y_m, goal_x_m - x_m) - heading_rad
-    elif loop.reference == "goal_heading":
-        step = read_number(parameters, "goal.heading_rad", math.nan) - heading_rad
-    elif loop.reference == "goal_distance" or loop.signal == "distance":
-        step = math.hypot(goal_x_m - x_m, goal_y_m - y_m)
-    if loop.signal == "heading":
-        step = abs(math.remainder(step, math.tau))
-    usual = 0.5 * math.pi if loop.signal == "heading" else 1.0
-    return step if step > 0.0 else usual
 
 
 def find_timing(parameters: _Parameters) -> LoopTiming | str:

@@ -16,7 +16,7 @@ Hagglund maximise Ki under another constraint (Automatica 34 (1998) 585-601). Kp
 gives one Kp and one Kd at each frequency.
 
 The published rules apply to continuous time. Half a sampling period T counts as dead time of the
-hold, as Skogestad (2003) proposes. Each rule returns gains, or the reason why it does not apply.
+hold, as Skogestad (2003) proposes.
 """
 
 import cmath
@@ -32,9 +32,12 @@ from numpy.typing import NDArray
 from turtlelog.errors import TheoryError
 from turtlelog.theory.loop_design import (
     CLOSE_PERCENT,
+    GAIN_STEP,
     TOO_SLOW,
     LoopDesign,
+    find_first_gain,
     find_p_without_any_overshoot,
+    solve_between,
 )
 from turtlelog.theory.pid_stability import (
     Margins,
@@ -63,8 +66,11 @@ PHASE_MARGIN_RAD: Final = math.pi / 3.0
 """Default of the wanted phase margin: 60 deg, the cautious end of the usual 45 to 60 deg. Dead time
 and time constant of a robot are known only to some ten percent."""
 
-_EXACT: Final = "exact, of the sampled loop"
+_Compute = Callable[[], PidGains | str]
+_Rule = tuple[str, str, str, _Compute]
+"""Name of a rule, its kind of controller and its source, with its gains or why it gives none."""
 
+_EXACT: Final = "exact, of the sampled loop"
 _GIVEN: Final = "given"
 
 
@@ -129,15 +135,11 @@ def recommend_gains(
     )
     margin_rad = PHASE_MARGIN_RAD if phase_margin_rad is None else phase_margin_rad
     margin_rad = require_positive("phase_margin_rad", margin_rad)
-    if not margin_rad < math.pi:
-        problem = f"expected less than pi, found {margin_rad!r}"
-        raise TheoryError(problem, quantity="phase_margin_rad")
-    rules: list[tuple[str, str, str, Callable[[], PidGains | str]]] = []
+    _require_below("phase_margin_rad", margin_rad, math.pi)
+    rules: list[_Rule] = []
     if overshoot_percent is not None:
         percent = require_not_negative("overshoot_percent", overshoot_percent)
-        if not percent < 100.0:
-            problem = f"expected less than 100 %, found {percent!r}"
-            raise TheoryError(problem, quantity="overshoot_percent")
+        _require_below("overshoot_percent", percent, 100.0)
         rules += [
             ("overshoot", kind, _EXACT, partial(_search_steps, design, percent, find))
             for kind, find in (
@@ -147,20 +149,18 @@ def recommend_gains(
             )
         ]
     if phase_margin_rad is not None:
+        finds = _find_p_of_margin, _find_pi_of_margin, _find_pd_of_margin
         rules += [
-            ("phase-margin", "P", _EXACT, partial(_find_p_of_margin, design, margin_rad)),
-            ("phase-margin", "PI", _EXACT, partial(_find_pi_of_margin, design, margin_rad)),
-            ("phase-margin", "PD", _EXACT, partial(_find_pd_of_margin, design, margin_rad)),
+            ("phase-margin", kind, _EXACT, partial(find, design, margin_rad))
+            for kind, find in zip(_KINDS, finds, strict=True)
         ]
+    return tuple(_judge(design, *rule) for rule in (*rules, *_list_published(design)))
 
-    def halve_ultimate_gain() -> PidGains:  # which gives a gain margin of 2
-        return PidGains(kp=0.5 * design.find_ultimate_gain())
 
-    rules += [
-        *(("simc", kind, _SKOGESTAD, partial(_compute_simc, design, kind)) for kind in _KINDS),
-        ("ziegler-nichols", "P", _ZIEGLER_NICHOLS, halve_ultimate_gain),
-    ]
-    return tuple(_judge(design, *rule) for rule in rules)
+def _require_below(quantity: str, value: float, most: float) -> None:
+    if not value < most:
+        end = "pi" if most == math.pi else f"{most:g} %"
+        raise TheoryError(f"expected less than {end}, found {value!r}", quantity=quantity)
 
 
 def measure_gains(
@@ -208,8 +208,7 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     if settles_s is None or (best_settles_s is not None and settles_s > best_settles_s + _EQUAL_S):
         return False
     if best.rule == "overshoot":
-        most_percent = best.motion.overshoot_percent + _EQUAL_PERCENT
-        return given.motion.overshoot_percent <= most_percent
+        return given.motion.overshoot_percent <= best.motion.overshoot_percent + _EQUAL_PERCENT
     margin_rad = given.margins.phase_margin_rad
     least_rad = None if best.margins is None else best.margins.phase_margin_rad
     return margin_rad is None or (least_rad is not None and margin_rad >= least_rad - _EQUAL_RAD)
@@ -224,11 +223,7 @@ _SAME_GAIN: Final = 0.005
 
 
 def _judge(
-    design: LoopDesign,
-    rule: str,
-    controller: str,
-    source: str,
-    compute: Callable[[], PidGains | str],
+    design: LoopDesign, rule: str, controller: str, source: str, compute: _Compute
 ) -> Recommendation:
     """Return the gains of a rule, and the properties of their loop."""
     found = Recommendation(rule=rule, controller=controller, source=source)
@@ -263,6 +258,16 @@ _KINDS: Final = ("P", "PI", "PD")
 _INTEGRAL: Final = 8.0  # SIMC's tau_I = 4 (tau_c + theta) as a multiple of theta, for tau_c = theta
 
 
+def _list_published(design: LoopDesign) -> list[_Rule]:
+    def halve_ultimate_gain() -> PidGains:  # which gives a gain margin of 2
+        return PidGains(kp=0.5 * design.find_ultimate_gain())
+
+    return [
+        *(("simc", kind, _SKOGESTAD, partial(_compute_simc, design, kind)) for kind in _KINDS),
+        ("ziegler-nichols", "P", _ZIEGLER_NICHOLS, halve_ultimate_gain),
+    ]
+
+
 def _compute_simc(design: LoopDesign, kind: str) -> PidGains | str:
     """Return the gains of the SIMC rule, without integral: Kp = 1 / (K (tau_c + theta)).
 
@@ -292,8 +297,6 @@ def _reduce(design: LoopDesign, *, kept: int) -> tuple[float, float]:
     return theta_s, left + half if kept else 0.0
 
 
-_STEP: Final = 1.25  # factor from one gain to the next while the overshoot is too small
-
 _PARTS: Final = 8
 """Number of PD gains tried between the crossovers of P and of the PD that cancels the lag."""
 
@@ -316,8 +319,8 @@ def _find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     start = find_p_without_any_overshoot(design)
     if percent == 0.0:
         return PidGains(kp=start)
-    ends = start, _STEP * start
-    kp = _find_first(
+    ends = start, GAIN_STEP * start
+    kp = find_first_gain(
         lambda kp: design.measure_overshoot(PidGains(kp=kp)), *ends, percent, design.close
     )
     return PidGains(kp=kp)
@@ -339,7 +342,7 @@ def _find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     def measure(ki: float) -> float:
         return design.measure_overshoot(PidGains(kp=kp, ki=ki))
 
-    ki = _find_first(measure, 0.0, start, percent, design.close)
+    ki = find_first_gain(measure, 0.0, start, percent, design.close)
     return PidGains(kp=kp, ki=ki)
 
 
@@ -352,9 +355,8 @@ def _find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float)
     if design.is_slow:
         return TOO_SLOW
     shape = design.build_shape(PidGains(kp=design.unit_gain))
-    keep, rate = PidGains(kp=1.0, kd=1.0, filter_s=design.filter_s).weigh_derivative(
-        design.period_s
-    )
+    unit = PidGains(kp=1.0, kd=1.0, filter_s=design.filter_s)
+    keep, rate = unit.weigh_derivative(design.period_s)
 
     def follow(angle: float) -> PidGains:
         """Return the only PD whose open loop has the phase margin at an angle w T."""
@@ -376,7 +378,8 @@ def _find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float)
     for low in np.linspace(high, lowest, _PARTS + 1)[1:].tolist():
         below = measure(low)
         if below > percent + CLOSE_PERCENT:
-            gains = follow(_solve(measure, (high, value), (low, below), percent, design.close))
+            ends = (high, value), (low, below)
+            gains = follow(solve_between(measure, *ends, percent, design.close))
             return gains if design.has_margin(gains, margin_rad) else _tell_no_margin(margin_rad)
         high, value = low, below
     return f"{words} overshoots less"
@@ -445,43 +448,3 @@ def _tell_no_margin(margin_rad: float) -> str:
     if margin_rad >= 0.5 * math.pi:
         return "the integrator alone lags by 90 deg, so a phase margin is below 90 deg"
     return f"no gains have a phase margin of {math.degrees(margin_rad):g} deg"
-
-
-def _find_first(
-    measure: Callable[[float], float], none: float, first: float, percent: float, close: float
-) -> float:
-    """Return the first gain with an overshoot, searching upward from a gain without it.
-
-    At the limit of stability the overshoot is 100 %, so every smaller overshoot occurs below it.
-    """
-    low, below, high = none, 0.0, first
-    while (value := measure(high)) < percent:
-        low, below, high = high, value, _STEP * high
-    return _solve(measure, (low, below), (high, value), percent, close)
-
-
-def _solve(
-    measure: Callable[[float], float],
-    start: tuple[float, float],
-    end: tuple[float, float],
-    target: float,
-    close: float,
-) -> float:
-    """Return the point at which a measure meets its target, between two points on either side.
-
-    The method is regula falsi in the Illinois variant, which halves the value at an end that does
-    not move (M. Dowell and P. Jarratt, BIT 11 (1971) 168-174). If a step gets no nearer, bisection
-    follows.
-    """
-    (at, value), (other, far) = (start[0], start[1] - target), (end[0], end[1] - target)
-    for _ in range(80):
-        middle = other - far * (other - at) / (far - value)
-        found = measure(middle) - target
-        if abs(found) < close or abs(other - at) <= 1e-13 * abs(other):
-            return middle
-        if (found > 0.0) == (far > 0.0):
-            value *= 0.5
-        else:
-            at, value = other, far
-        other, far = middle, found
-    return middle

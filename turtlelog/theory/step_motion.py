@@ -8,6 +8,7 @@ is that of one step:
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 from turtlelog.arithmetic import clip
 from turtlelog.effects.acceleration import Follower, follow_with_acceleration, follow_with_jerk
+from turtlelog.run import Parameter
+from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
 from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import (
     INTEGRATOR,
@@ -100,6 +103,70 @@ class StepLimits:
         slope = min(self.acceleration, self.rate_acceleration)
         ramp_s = min(most / slope, math.sqrt(self.step / slope)) if slope < math.inf else 0.0
         return self.step / most + 2.0 * (ramp_s + math.cbrt(self.step / self.jerk))
+
+
+SLOPE_KEYS: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_acceleration_rad_s2",
+    "speed": "limits.acceleration_m_s2",
+}
+"""Keys of the limits on the rate of change, by command."""
+
+JERK_KEYS: Final[Mapping[str, str]] = {
+    "turn_rate": "limits.turn_jerk_rad_s3",
+    "speed": "limits.jerk_m_s3",
+}
+"""Keys of the limits on the change of the acceleration, by command."""
+
+
+def find_step_limits(loop: ControlLoop, parameters: Mapping[str, Parameter]) -> StepLimits | None:
+    """Return the limits of a loop with its largest step; None if nothing limits the acceleration.
+
+    A limit within the robot's loop has no effect on rates that change more slowly by the lag. The
+    largest step is the step from start to goal, or the step in which the rate reaches its largest
+    value and overshoots most, if that step is larger.
+    """
+    key = PLANT_KEYS[loop.command]
+    inf = math.inf
+    step = _find_step(loop, parameters)
+    found = StepLimits(
+        step=step,
+        command=read_number(parameters, loop.limit_key, inf),
+        acceleration=read_number(parameters, SLOPE_KEYS[loop.command], inf),
+        jerk=read_number(parameters, JERK_KEYS[loop.command], inf),
+        bound=read_number(parameters, f"{key}bound", inf),
+        rate_acceleration=read_number(parameters, f"{key}acceleration", inf),
+    )
+    most = min(read_number(parameters, f"{key}gain", 1.0) * found.command, found.bound)
+    is_own = most > found.rate_acceleration * read_number(parameters, f"{key}lag_s")
+    if not is_own and min(found.acceleration, found.jerk) == inf:
+        return None
+    gain = read_number(parameters, f"{key}gain", 1.0)
+    reach = found.find_reach(gain)
+    if loop.signal == "heading":
+        reach = min(reach, math.pi)
+    return replace(found, step=reach, also=step) if step < reach < inf else found
+
+
+def _find_step(loop: ControlLoop, parameters: Mapping[str, Parameter]) -> float:
+    """Return the size of a loop's step from start to goal [m or rad].
+
+    Without such a step, the size is 1 m or a quarter turn.
+    """
+    names = ("start.x_m", "start.y_m", "goal.x_m", "goal.y_m", "start.heading_rad")
+    x_m, y_m, goal_x_m, goal_y_m, heading_rad = (
+        read_number(parameters, name, math.nan) for name in names
+    )
+    step = math.nan
+    if loop.signal == "heading" and loop.reference in {"goal_bearing", "bearing_now"}:
+        step = math.atan2(goal_y_m - y_m, goal_x_m - x_m) - heading_rad
+    elif loop.reference == "goal_heading":
+        step = read_number(parameters, "goal.heading_rad", math.nan) - heading_rad
+    elif loop.reference == "goal_distance" or loop.signal == "distance":
+        step = math.hypot(goal_x_m - x_m, goal_y_m - y_m)
+    if loop.signal == "heading":
+        step = abs(math.remainder(step, math.tau))
+    usual = 0.5 * math.pi if loop.signal == "heading" else 1.0
+    return step if step > 0.0 else usual
 
 
 class _Limiter:

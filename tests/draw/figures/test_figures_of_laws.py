@@ -204,7 +204,7 @@ def test_the_goal_bearing_is_drawn_beside_the_heading_from_when_it_was_given(
         speed=(way, way),
         turn=(way, heading_rad),
         goal_xy_m=(20.0, 0.0),
-        notes={"goal_set_ns": str(row * 100_000_000)} if row else {},
+        origin=tl.run.Origin(goal_given_ns=row * 100_000_000 if row else None),
     )
     levels, aims = list_levels(driven, "heading"), list_aims(driven, "heading")
     bearing_deg = 2.0 * np.degrees(turns_rad)

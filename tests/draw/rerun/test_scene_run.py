@@ -15,8 +15,10 @@ from tests.draw.rerun.rrds import (
     simulate_preset,
     verify,
 )
+from turtlelog.display import parse_utc
 from turtlelog.draw import write_run_rrd
 from turtlelog.measure import measure_run
+from turtlelog.run import Origin
 
 RUN = simulate_preset("paper-kp10")
 
@@ -80,7 +82,7 @@ def test_ticks_count_the_poses(run_rrd: Path) -> None:
 
 def test_an_imported_run_has_wall_time(tmp_path: Path) -> None:
     path, stamp = tmp_path / "run.rrd", "2026-01-22T12:20:06.020038001Z"
-    write_run_rrd(replace(RUN, notes={"original_timestamp": stamp}), path)
+    write_run_rrd(replace(RUN, origin=Origin(began_ns=parse_utc(stamp))), path)
     times_ns = read_times(path, "/distance", "wall_time")
     start_ns = int(np.datetime64(stamp.rstrip("Z"), "ns").astype(np.int64))
     np.testing.assert_array_equal(times_ns - start_ns, RUN.poses.time_ns)

@@ -19,7 +19,7 @@ from tests.log.ros2.stamped_poses import (
 from tests.log.runs import find_shared
 from turtlelog import read_run
 from turtlelog.errors import LogError
-from turtlelog.log.ros2.bag_rows import CLOCK, CLOSE_ROWS
+from turtlelog.log.ros2.bag_rows import CLOCK
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock
 from turtlelog.run import Clock
 
@@ -248,7 +248,7 @@ def test_a_real_robots_clock_is_found_and_taken_out() -> None:
     assert len(run.poses) == 1254
     assert np.diff(run.poses.time_ns).min() > 37 * MS
     # The recorder received some poses in bursts; two of them 0.126 ms apart.
-    assert (len(as_logged.poses), as_logged.notes[CLOSE_ROWS]) == (1244, "10")
+    assert (len(as_logged.poses), as_logged.notes["close_rows"]) == (1244, "10")
     assert "as given" in as_logged.notes[CLOCK]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.log.ros2.stamped_poses import MS, make_stamps, make_times, read_clock, time_poses
-from turtlelog.log.ros2.bag_rows import CLOCK, CLOSE_ROWS
+from turtlelog.log.ros2.bag_rows import CLOCK
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock
 
 
@@ -78,7 +78,7 @@ def test_a_stall_of_the_recorder_is_mended() -> None:
     poses.log_ns[stalled] = true_ns[660]
     times = time_poses(poses)
     assert np.abs(times.poses.time_ns - true_ns - 2 * MS).max() < 0.1 * MS
-    assert CLOSE_ROWS not in times.notes
+    assert "close_rows" not in times.notes
 
 
 def test_poses_in_disorder_are_sorted_and_counted() -> None:
@@ -106,7 +106,7 @@ def test_a_pose_a_moment_before_another_is_left_out(step_us: int, close: int) ->
     true_ns[101] = true_ns[100] + step_us * 1000
     times = time_poses(Stamps(log_ns=true_ns + 3 * MS, stamp_ns=true_ns))
     assert len(times.poses.rows) == len(true_ns) - close
-    assert times.notes.get(CLOSE_ROWS, "0") == str(close)
+    assert times.notes.get("close_rows", "0") == str(close)
     assert (100 in times.poses.rows) == (close == 0)
 
 

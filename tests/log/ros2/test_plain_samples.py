@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests.log.runs import assert_same, simulate_short_run
+from turtlelog.errors import ReplayError
 from turtlelog.log import TopicColumns, read_bag, read_columns, read_run, write_columns
 from turtlelog.log.recording.run_writer import write_recording
 
@@ -98,6 +100,9 @@ def test_samples_that_do_not_fit_the_poses_are_left_out(
     assert reason in run.notes["samples"]
     assert CONTROL in run.notes["not_read"]
     assert "samples" in run.absent
+    for notes in (run.notes, {}):  # of a recording, anybody may have removed the notes
+        with pytest.raises(ReplayError, match=rf"{CONTROL}.* are not read as samples"):
+            tl.replay_law(replace(run, notes=notes))
 
 
 def test_what_a_robot_measured_is_no_command(tmp_path: Path) -> None:

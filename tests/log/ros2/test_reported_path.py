@@ -14,7 +14,6 @@ from tests.log.ros2.robots import describe_head, describe_place, turn, write_rob
 from tests.log.runs import find_shared
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
-    PATH_NOTE,
     SPEED,
     describe_paths,
     describe_small_leaps,
@@ -144,7 +143,7 @@ def test_other_poses_are_offered_where_the_poses_may_be_wrong() -> None:
 
 def test_real_robots_agree_with_themselves() -> None:
     for name in ("tb3", "neato_wall", "sim_time"):
-        assert PATH_NOTE not in tl.read_run(find_shared("robots", name)).notes
+        assert "path_by_speed" not in tl.read_run(find_shared("robots", name)).notes
 
 
 def test_of_two_odometries_that_which_moves_is_read(call: Call, tmp_path: Path) -> None:

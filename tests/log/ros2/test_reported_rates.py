@@ -8,7 +8,6 @@ from turtlelog.log import read_run
 from turtlelog.log.planar_poses import MOVED_M, Values
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
-    REPORTED_RATES,
     SPEED,
     TURN_RATE,
     TURNED_RAD,
@@ -38,7 +37,7 @@ def test_twists_that_were_never_set_report_no_rates() -> None:
     columns, notes = judge_rates(TIME_NS, drive())
 
     assert {SPEED, TURN_RATE, LATERAL}.isdisjoint(columns)
-    assert "taken as not reported" in notes[REPORTED_RATES]
+    assert "taken as not reported" in notes["reported_rates"]
 
 
 @pytest.mark.parametrize(("share", "is_kept"), [(0.9, True), (1.1, False)])
@@ -71,7 +70,7 @@ def test_one_rate_that_was_never_set_leaves_the_other() -> None:
 
     assert SPEED in no_turn
     assert TURN_RATE not in no_turn
-    assert notes[REPORTED_RATES].startswith("turn rate of all twists")
+    assert notes["reported_rates"].startswith("turn rate of all twists")
     assert TURN_RATE in no_speed
     assert SPEED not in no_speed
 
@@ -103,7 +102,7 @@ def test_twists_along_the_axes_of_the_world_are_turned_into_the_robots() -> None
 
     assert columns[SPEED] == pytest.approx(way_m_s)
     assert LATERAL not in columns
-    assert "along the axes of the world" in notes[REPORTED_RATES]
+    assert "along the axes of the world" in notes["reported_rates"]
 
 
 @pytest.mark.parametrize(("missing", "is_turned"), [(0.29, True), (0.30, False)])
@@ -145,4 +144,4 @@ def test_a_filter_without_rates_is_measured_by_its_poses() -> None:
 
     assert run.poses.measured_speed_m_s is None
     assert run.poses.measured_turn_rate_rad_s is None
-    assert "though the poses move" in run.notes[REPORTED_RATES]
+    assert "though the poses move" in run.notes["reported_rates"]

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, get_args
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from turtlelog.charts import curves
+from turtlelog.charts import curves, plane_scene
 from turtlelog.charts.plotted_curves import Scale, group_states, has_own
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import NamedValues, fit_line
@@ -126,7 +126,7 @@ class FigureKind:
 
     def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
         """Draw the figure for several runs; ShowError if a pose is too far away for axes."""
-        curves.require_near(runs)
+        plane_scene.require_near(runs)
         if self.draw is not None:
             self.draw(figure, runs)
         else:

@@ -34,7 +34,7 @@ from turtlelog.draw.figures.time_panels import shade_gaps
 from turtlelog.errors import ShowError
 from turtlelog.identify.axis_motion import measure_axis_steps
 from turtlelog.run import Run
-from turtlelog.run.columns import Trajectory
+from turtlelog.run.angles import Trajectory
 from turtlelog.run.loops import COMMAND_UNITS, COMMAND_WORDS
 
 _ROW_INCH: Final = 1.25
@@ -60,9 +60,7 @@ _DEAD: Final = fix_style(color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6,
 _INTERVAL: Final = fix_style(
     color=to_hex(darken(DEAD_TIME)), lw=0.9, marker="|", ms=5.0, label="dead time: interval"
 )
-_LAG: Final = fix_style(
-    color="#56b4e9", alpha=0.25, linewidth=0.0, zorder=0.6, label="time constant"
-)
+_LAG: Final = fix_style(color="#56b4e9", alpha=0.25, lw=0.0, zorder=0.6, label="time constant")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,13 +188,13 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
 
 def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     """Draw all large changes of the command over each other, with robot and model."""
-    dead_s, lag_s = _read(one.model.dead_time_s), _read(one.model.lag_s)
-    longest_s = 0.0 if one.model.dead_time_s is None else max(one.model.dead_time_s.high, 0.0)
+    found = one.model.dead_time_s
+    dead_s, lag_s = _read(found), _read(one.model.lag_s)
+    longest_s = 0.0 if found is None else max(found.high, 0.0)
     after_s = max(_LENGTHS * (dead_s + lag_s), _LEAST_AFTER_S)
     if one.model.is_known:
         if dead_s > 0.0:
             axes.axvspan(0.0, dead_s, **_DEAD)
-        found = one.model.dead_time_s
         if found is not None and 1e3 * (found.high - found.low) >= _SHOWN_MS:
             edge = axes.get_xaxis_transform()
             axes.plot([found.low, found.high], [0.96, 0.96], transform=edge, **_INTERVAL)
@@ -277,16 +275,10 @@ def _tell_ms(found: identify.Estimate) -> str:
 def write_robot_figure(
     model: identify.RobotModel, run: Run, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write the figure `rates` of a run with a given model, and return its path.
+    """Write the figure `rates` of a run with a model by `identify_robot`, and return its path.
 
-    Args:
-        model: Result of `turtlelog.identify_robot`.
-        run: Run whose motion is drawn: an identified run, or another run.
-        path: File name with the suffix .pdf, .png or .svg.
-        page: Page format.
-
-    Raises:
-        ShowError: If no axis is known, or the file cannot be written.
+    The run may be an identified run or another run. The file name ends in .pdf, .png or .svg.
+    ShowError if no axis is known, or the file cannot be written.
     """
     path = pages.require_figure_path(path)
     if not any(axis.is_known for axis in model.axes):
@@ -300,9 +292,7 @@ def write_robot_figure(
     return pages.write_figure(figure, path, page)
 
 
-_HEIGHT: Final = 1.0
-
-_STACKED_HEIGHT: Final = 2.6
+_HEIGHT, _STACKED_HEIGHT = 1.0, 2.6
 """Height of the figure as a share of its width, for panels side by side and stacked."""
 
 _BAND: Final = fix_style(alpha=0.25, linewidth=0.0, label="central 95 % of simulated errors")
@@ -314,15 +304,9 @@ _SIMULATED: Final = fix_style(**MODELLED, label="simulated")
 def write_prediction_figure(
     found: RobotComparison, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write a figure of a recorded robot and a simulated one, and return its path.
+    """Write a figure of a comparison by `compare_robot`, and return its path.
 
-    Args:
-        found: Result of `turtlelog.compare.compare_robot`.
-        path: File name with the suffix .pdf, .png or .svg.
-        page: Page format.
-
-    Raises:
-        ShowError: If the file cannot be written.
+    The file name ends in .pdf, .png or .svg. ShowError if the file cannot be written.
     """
     path = pages.require_figure_path(path)
     page = page or Page(kind="page")
@@ -333,11 +317,12 @@ def write_prediction_figure(
         ratios = (1.2, 1.2, 1.0, 1.0) if is_wide else (1.0,) * 6
         grid = figure.add_gridspec(len(ratios), 2, height_ratios=ratios)
         _draw_predicted(figure.add_subplot(grid[:2, 0] if is_wide else grid[:2, :]), found)
-        above = figure.add_subplot(grid[0, 1] if is_wide else grid[2, :])
-        _draw_growth(above, found.growth[0])
-        below = figure.add_subplot(grid[1, 1] if is_wide else grid[3, :], sharex=above)
-        _draw_growth(below, found.growth[1])
-        below.set_xlabel("time since the recorded pose [s]")
+        first, column = (0, 1) if is_wide else (2, slice(None))
+        axes = figure.add_subplot(grid[first, column])
+        _draw_growth(axes, found.growth[0])
+        axes = figure.add_subplot(grid[first + 1, column], sharex=axes)
+        _draw_growth(axes, found.growth[1])
+        axes.set_xlabel("time since the recorded pose [s]")
         shared: Axes | None = None
         for row, traces in enumerate(found.traces, start=2 if is_wide else 4):
             shared = figure.add_subplot(grid[row, :], sharex=shared)
@@ -387,15 +372,9 @@ _ROW_HEIGHT: Final = 0.26  # height of a panel over time, as a share of the figu
 def write_trajectory_figure(
     found: TrajectoryComparison, path: str | Path, *, page: Page | None = None
 ) -> Path:
-    """Write a figure of an aligned trajectory and its reference, and return its path.
+    """Write a figure of a comparison by `compare_trajectories`, and return its path.
 
-    Args:
-        found: Result of `turtlelog.compare.compare_trajectories`.
-        path: File name with the suffix .pdf, .png or .svg.
-        page: Page format.
-
-    Raises:
-        ShowError: If the file cannot be written.
+    The file name ends in .pdf, .png or .svg. ShowError if the file cannot be written.
     """
     path = pages.require_figure_path(path)
     page = page or Page(kind="page")

@@ -1,7 +1,6 @@
 """Figures of theory: the plant, ideal loops, and the sampled loops of runs.
 
-All curves of sampled loops belong to the exact discretisation including dead time, and end at
-pi / T.
+Curves of sampled loops are exact, with their dead time, and end at pi / T.
 """
 
 import math
@@ -38,25 +37,18 @@ with an integrator, and an unstable response, have no bound."""
 
 _BESIDE: Final = 0.4  # smallest visible part of Nyquist's plane above 0 and to the right of 0
 _NO_OVERSHOOT: Final = 0.05  # smallest overshoot in the shown digits [%]
+_DECADES_BELOW: Final = 2.0  # decades below the crossover at which a frequency response begins
 
-_DECADES_BELOW: Final = 2.0
-"""Number of decades below the crossover at which a frequency response begins."""
-
-_WIDER: Final = 1.2
-"""Additional width of each lower loop [points], which stays visible if two loops coincide."""
-
+_WIDER: Final = 1.2  # additional width of each lower loop [points], visible if two coincide
 _DASH_POINTS: Final = 1.6  # width of a line to which dashes are scaled [points]
 _LARGER: Final = 2.2  # additional size of the lower loops' marks [points]
-
 _MOST_TOLD: Final = 6
 
 _PLANE_INCH: Final = 2.1
 """Smallest width of a plane of poles with its text [inch]; three fit into a page's row."""
 _LINE_SHARE: Final = 0.45  # height of the axis of ideal poles, as a share of the height of a plane
 _ROOM_INCH: Final = 0.42  # height of the text above and below a plane [inch]
-
 _MIRRORED: Final = fix_style(linewidth=0.5, linestyle=":")
-
 _MOST_SAMPLES: Final = 20_000  # samples of a step response: more than a page resolves
 
 _LONGEST: Final = 5.0
@@ -80,13 +72,16 @@ class _LoopCurve:
     def looks(self) -> dict[str, Any]:
         """Colour and marker of the run, dashes and width of the loop."""
         width = (0.8 if self.is_many else 1.1) + _WIDER * self.layer
-        order = 2.6 - 0.3 * self.layer
         dashes = STROKES[LOOP_DASHES[self.layer % len(LOOP_DASHES)]]
         if self.layer % len(LOOP_DASHES):
             # matplotlib scales dashes by the line's width: two dashes must fit into a legend.
             dashes = (0, tuple(_DASH_POINTS / width * part for part in dashes[1]))
-        own = {"linestyle": dashes, "linewidth": width, "zorder": order}
-        return {**self.run_looks, **own}
+        return {
+            **self.run_looks,
+            "linestyle": dashes,
+            "linewidth": width,
+            "zorder": 2.6 - 0.3 * self.layer,
+        }
 
     @property
     def mark(self) -> dict[str, Any]:
@@ -96,19 +91,16 @@ class _LoopCurve:
 
     def label(self, tell: Callable[[theory.PidLoop], str]) -> str:
         """Return a legend entry: the run, the loop, and the text of `tell`."""
-        if self.is_many:
-            return self.run
-        return f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
+        told = f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
+        return self.run if self.is_many else told
 
 
 def find_lack_of_theory(run: Run) -> str:
     """Return why theory has no loop of a run; empty if it has one."""
     models = model_run_loops(run)
-    if theory.list_known(models):
-        return ""
-    return (
-        f"a loop that theory knows ({models[0].reason})" if models else "a law that declares a loop"
-    )
+    if not models:
+        return "a law that declares a loop"
+    return "" if theory.list_known(models) else f"a loop that theory knows ({models[0].reason})"
 
 
 def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
@@ -175,8 +167,7 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the poles of the closed loops against Kp, with those of the runs marked.
 
-    The first panel shows the ideal loop in the s plane, if the plant is 1/s and the law
-    proportional. The others show the sampled loops in the z plane.
+    A first panel shows ideal proportional loops of 1/s in the s plane, others sampled loops in z.
     """
     curves = _style_loops(runs)
     names = _name_poles(runs, curves)
@@ -216,9 +207,10 @@ def _name_poles(runs: Sequence[Run], curves: Sequence[_LoopCurve]) -> dict[str, 
     """Return the legend text of each run's poles by the name of the run: its gains."""
     found: dict[str, str] = {}
     for name in _name_styled(runs):
-        told = []
-        for loop, own in ((one.model.loop.name, one.found) for one in curves if one.run == name):
-            told.append((loop, f"Kp = {own.gains.kp:g}{'' if own.stable else ' (unstable)'}"))
+        own = ((one.model.loop.name, one.found) for one in curves if one.run == name)
+        told = [
+            (loop, f"Kp = {a.gains.kp:g}{'' if a.stable else ' (unstable)'}") for loop, a in own
+        ]
         gains = {gain for _, gain in told}
         words = ", ".join([*gains] if len(gains) == 1 else [f"{loop} {kp}" for loop, kp in told])
         is_short = len(runs) > MANY or not words
@@ -293,11 +285,9 @@ def _tell_margins(found: theory.PidLoop) -> str:
     margins = found.margins
     if margins is None:
         return "unstable"
-    words = []
-    if margins.gain_margin is not None:
-        words.append(f"GM {_to_db(margins.gain_margin):.1f} dB")
-    if margins.phase_margin_rad is not None:
-        words.append(f"PM {math.degrees(margins.phase_margin_rad):.1f}°")
+    factor, phase_rad = margins.gain_margin, margins.phase_margin_rad
+    words = [] if factor is None else [f"GM {_to_db(factor):.1f} dB"]
+    words += [] if phase_rad is None else [f"PM {math.degrees(phase_rad):.1f}°"]
     return ", ".join(words) or "stable"
 
 
@@ -314,9 +304,8 @@ def _tell_step(found: theory.PidLoop) -> str:
 def _respond(curve: _LoopCurve) -> tuple[Values, NDArray[np.complex128]]:
     """Return frequencies around the crossover, up to pi / T [rad/s], and the open loop at them."""
     found, (gains, settings) = curve.found, curve.model.require()
-    highest, crossover = math.pi / found.period_s, found.gains.kp * found.process.gain
-    if found.margins is not None and found.margins.crossover_rad_s is not None:
-        crossover = found.margins.crossover_rad_s
+    margins, highest = found.margins, math.pi / found.period_s
+    crossover = (margins and margins.crossover_rad_s) or found.gains.kp * found.process.gain
     lowest = min(crossover, highest) / 10.0**_DECADES_BELOW
     frequencies = np.geomspace(lowest, highest, _POINTS)
     return frequencies, theory.compute_open_loop(gains, frequencies, **settings)
@@ -360,10 +349,8 @@ def _group_loci(curves: Sequence[_LoopCurve]) -> list[list[_LoopCurve]]:
     """Return groups of loops that differ only in Kp."""
     groups: dict[Any, list[_LoopCurve]] = {}
     for curve in curves:
-        found = curve.found
-        held = replace(found.gains, kp=1.0)
-        key = (held, found.process, found.period_s, curve.model.loop.name)
-        groups.setdefault(key, []).append(curve)
+        held = replace(curve.found.gains, kp=1.0), curve.found.process, curve.found.period_s
+        groups.setdefault((held, curve.model.loop.name), []).append(curve)
     return list(groups.values())
 
 
@@ -386,15 +373,10 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve], names: Mapping[str, str
     axes.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
 
 
-_RING_POINTS: Final = 2.4
-"""Half the width of rings, for poles of several loops at one place [points]."""
-
+_RING_POINTS: Final = 2.4  # half the width of rings, for poles at one place [points]
 _MOST_RINGS: Final = 4
-
 _POLE_LARGER: Final = 1.0  # additional size of poles over the markers of curves [points]
-
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
-
 
 _Poles = tuple[NDArray[np.complex128], Mapping[str, Any], str]
 """Poles of a closed loop in the s plane [1/s] or the z plane, shape (n,), their style and label."""
@@ -462,10 +444,6 @@ def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
     """Return the gains of loops known to theory, increasing; without runs, the paper's gains."""
     if not runs:
         return PAPER_GAINS
-    found = {
-        loop.read_gain(run.parameters)
-        for run in runs
-        for loop in run.declaration.loops
-        if loop.has_theory
-    }
+    loops = ((loop, run) for run in runs for loop in run.declaration.loops if loop.has_theory)
+    found = {loop.read_gain(run.parameters) for loop, run in loops}
     return tuple(sorted(gain for gain in found if gain is not None))

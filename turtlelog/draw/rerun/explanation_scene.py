@@ -21,8 +21,9 @@ from turtlelog.draw.written_tables import format_markdown
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_markdown
 from turtlelog.explain import Attribution, Luck, write_sentences
-from turtlelog.measure import Metric, measure_run
+from turtlelog.measure import Metric, find_first_stretch, measure_run
 from turtlelog.run import Run
+from turtlelog.run.loops import PAUSE
 
 _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
@@ -70,9 +71,9 @@ def write_explanation_rrd(
     texts = {"Contributions": _describe_contributions(found), **(documents or {})}
     texts = {**recording_stream.add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
-    dead_times = plots.list_dead_time_spans(recorded, metrics[0])
+    dead_times = _list_dead_time_spans(recorded, metrics[0])
     marked = {
-        "pause": (palette.PAUSED, plots.list_pause_times(recorded)),
+        "pause": (palette.PAUSED, _list_pause_times(recorded)),
         "dead_time": (palette.DEAD_TIME, [end_ns for _, end_ns in dead_times]),
     }
     lines = {name: line for name, line in marked.items() if line[1]}
@@ -107,7 +108,7 @@ def write_explanation_rrd(
             plots.draw_lines(
                 run_stream, entity, label, color, times_ns, largest=content.find_largest_shown()
             )
-        plots.draw_dead_times(run_stream, dead_times)
+        _draw_dead_times(run_stream, dead_times)
         recording_stream.draw_documents(stream, texts)
 
 
@@ -180,7 +181,7 @@ def _name_briefly(lacks: str, found: Attribution) -> str:
     """Return a short name for the close-up; the key of the plane has the complete name."""
     if lacks in found.causes:
         return f"no {lacks}"
-    return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
+    return "neither" if len(found.deciding) == 2 else "none of these"
 
 
 def _draw_scene(
@@ -279,3 +280,40 @@ def _describe_contributions(found: Attribution) -> str:
     )
     sentences = "\n\n".join(escape_markdown(text) for text in write_sentences(found))
     return f"{format_markdown(table)}\n{sentences}\n"
+
+
+def _list_dead_time_spans(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
+    """Return the intervals of known dead times at the start of each loop, in order of time.
+
+    Each interval has a start and an end in the run's own time [ns], from a loop's first sample
+    until its command acts. If loops begin together, the longest interval is returned.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return sorted(ends_ns.items())
+
+
+def _draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
+    """Draw dead times as a separate bar below the bar of phases."""
+    if not spans_ns:
+        return
+    style = rr.StateConfiguration(
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.DEAD_TIME])
+    )
+    prefix = entities.locate_dead_times(run_stream.prefix)
+    dead_times = RunStream(run_stream.stream, prefix, run_stream.timelines)
+    dead_times.log("", style)
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
+    dead_times.send_few("", times_ns, columns)
+
+
+def _list_pause_times(run: Run) -> list[int]:
+    """Return start and end of each pause [ns]."""
+    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
+    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]

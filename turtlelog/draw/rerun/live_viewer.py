@@ -1,13 +1,12 @@
 """Growing runs in a viewer or a notebook: a running loop, or a recording that grows."""
 
-import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any, Final
 
 import rerun as rr
@@ -22,7 +21,7 @@ from turtlelog.draw.rerun.content import Content, describe_content, name_legends
 from turtlelog.draw.rerun.entities import APPLICATION_ID, join_path
 from turtlelog.draw.rerun.layout import build_run_layout, is_small
 from turtlelog.draw.rerun.recording_stream import RunStream
-from turtlelog.draw.rerun.run_scene import build_run_scene, write_run_rrd
+from turtlelog.draw.rerun.run_scene import build_run_scene
 from turtlelog.draw.rerun.viewer import open_window, require_recordings, require_viewer
 from turtlelog.errors import ShowError
 from turtlelog.libraries import load_library
@@ -118,9 +117,8 @@ class GrowingStream(rr.RecordingStream):
             return
         first = self._seen.get(entity_path, 0)
         self._seen[entity_path] = first + count
-        sent = self._sent.get(entity_path, 0)
-        held = 1 if entity_path == _UNSETTLED and not self._is_last else 0
-        start, end = max(sent - first, 0), count - held
+        held = entity_path == _UNSETTLED and not self._is_last
+        start, end = max(self._sent.get(entity_path, 0) - first, 0), count - held
         if start < end:
             self._sent[entity_path] = first + end
 
@@ -240,9 +238,8 @@ def _flush(stream: rr.RecordingStream) -> None:
         stream.flush(timeout_sec=_FLUSH_S)
     except Exception as err:
         hangs = "timed out" in str(err)
-        raise ConnectionError(
-            f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
-        ) from err
+        told = f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
+        raise ConnectionError(told) from err
 
 
 class LiveViewer:
@@ -283,9 +280,7 @@ class LiveViewer:
         self.lost = ""
         self._collector = RunCollector(scenario)
         self._ticks: SimpleQueue[Tick | None] = SimpleQueue()
-        self._thread = threading.Thread(
-            target=self._show, args=(scene,), name="viewer", daemon=True
-        )
+        self._thread = Thread(target=self._show, args=(scene,), name="viewer", daemon=True)
         self._thread.start()
 
     def receive(self, tick: Tick) -> None:
@@ -416,24 +411,6 @@ _READY_S: Final = 30.0
 """Time for the page to load the viewer, 17 MB at 5 Mbit/s [s]; later data are kept and shown."""
 
 
-def build_run_widget(run: Run, size: tuple[int, int]) -> Viewer:
-    """Return a notebook widget of this width and height [pixels] with the recording of a run.
-
-    The page gets the recording in one message. Rerun itself would send one message per part; a
-    browser without a graphics card often shows nothing after hundreds of messages.
-    """
-    with TemporaryDirectory(prefix="turtlelog-") as folder:
-        file = Path(folder, "run.rrd")
-        try:
-            write_run_rrd(run, file, size=size)
-        except ShowError as err:
-            raise ShowError(str(err).replace(str(file), run.name)) from err
-        data = file.read_bytes()
-    viewer = _build_viewer(size)
-    viewer._viewer.send_rrd(data)
-    return viewer
-
-
 class WidgetStream(GrowingStream):
     """Stream of a growing run into a widget below the present cell, one message per round."""
 
@@ -455,7 +432,7 @@ class WidgetStream(GrowingStream):
                 "LiveViewer: there is no notebook here that could show a widget; give the address"
                 " of a viewer, for example rerun+http://127.0.0.1:9876/proxy"
             )
-        self._memory, self._viewer = self.memory_recording(), _build_viewer(size)
+        self._memory, self._viewer = self.memory_recording(), build_viewer(size)
         # From version 7.4 on, ipykernel passes the page's message that it is ready to the thread
         # that used the widget last, but this thread is waiting here. Without a last user, it stays
         # in the thread in which JupyterLab handles messages of widgets.
@@ -468,6 +445,6 @@ class WidgetStream(GrowingStream):
         self._viewer._viewer.send_rrd(self._memory.drain_as_bytes())
 
 
-def _build_viewer(size: tuple[int, int]) -> Viewer:
-    width, height = size
-    return Viewer(width=width, height=height, use_global_recording=False)
+def build_viewer(size: tuple[int, int]) -> Viewer:
+    """Return an empty widget of this width and height [pixels]."""
+    return Viewer(width=size[0], height=size[1], use_global_recording=False)

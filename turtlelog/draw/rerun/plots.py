@@ -16,7 +16,7 @@ from turtlelog.charts.time_plots import find_marked, find_plot
 from turtlelog.draw.rerun import entities
 from turtlelog.draw.rerun.entities import join_path
 from turtlelog.draw.rerun.recording_stream import RunStream, Times, build_index
-from turtlelog.measure import Metric, find_first_stretch
+from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.run.loops import DONE, PAUSE
 from turtlelog.theory import compute_sampled_step_response
@@ -399,43 +399,6 @@ def list_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
         level=["INFO" if event.kind == "stop" else "WARN" for event in run.events],
     )
     run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
-
-
-def list_dead_time_spans(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
-    """Return the intervals of known dead times at the start of each loop, in order of time.
-
-    Each interval has a start and an end in the run's own time [ns], from a loop's first sample
-    until its command acts. If loops begin together, the longest interval is returned.
-    """
-    ends_ns: dict[int, int] = {}
-    for loop in run.declaration.loops:
-        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
-        if stretch and metric is not None and metric.value:
-            start_ns = stretch[0].start_ns
-            end_ns = start_ns + round(metric.value * 1e9)
-            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
-    return sorted(ends_ns.items())
-
-
-def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
-    """Draw dead times as a separate bar below the bar of phases."""
-    if not spans_ns:
-        return
-    style = rr.StateConfiguration(
-        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.DEAD_TIME])
-    )
-    prefix = entities.locate_dead_times(run_stream.prefix)
-    dead_times = RunStream(run_stream.stream, prefix, run_stream.timelines)
-    dead_times.log("", style)
-    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
-    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
-    dead_times.send_few("", times_ns, columns)
-
-
-def list_pause_times(run: Run) -> list[int]:
-    """Return start and end of each pause [ns]."""
-    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
-    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
 
 
 def _compute_sampled(

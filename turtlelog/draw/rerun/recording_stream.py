@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.time_plots import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.compare import name_runs
-from turtlelog.display import join_words, parse_utc
+from turtlelog.display import join_words
 from turtlelog.draw.rerun.entities import APPLICATION_ID, TICKS, join_path, name_document
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
@@ -283,11 +283,10 @@ class Timelines:
 
 def build_run_timelines(run: Run) -> Timelines:
     """Return the timelines of a single run, including ticks; for an import, also wall time."""
-    stamp = run.notes.get("original_timestamp")
     return Timelines(
         zero_ns=run.start_ns,
         tick_ns=run.poses.time_ns,
-        epoch_ns=None if stamp is None else parse_utc(stamp),
+        epoch_ns=run.origin.began_ns,
         borders_ns=_find_borders(run),
     )
 

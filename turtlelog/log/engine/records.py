@@ -430,6 +430,15 @@ START_SIZE: Final = len(SQLITE_MAGIC)
 """Number of bytes at the start of a file that determine its kind."""
 
 
+_OTHERS: Final = {
+    b"\x89PNG": "a picture",
+    b"%PDF": "a PDF",
+    b"PK\x03\x04": "a ZIP archive, to be unpacked first",
+    b"\x1f\x8b": "compressed by gzip, to be unpacked first",
+}
+"""Files that are often taken for logs, by their first bytes, with advice."""
+
+
 def check_start(stream: BinaryIO) -> None:
     """Check the magic bytes at the start."""
     stream.seek(0)
@@ -449,6 +458,8 @@ def find_wrong_start(start: bytes) -> str | None:
         found = "it is a Rerun recording, which turtlelog view shows"
     elif start.startswith(_BAG_DESCRIPTION):
         found = "it is the metadata.yaml of a bag: name the folder that it is in"
+    elif kind := next((kind for magic, kind in _OTHERS.items() if start.startswith(magic)), None):
+        found = f"it is {kind}"
     elif start and set(start.removeprefix(_BYTE_ORDER_MARK)) <= _LETTERS:
         found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
     return f"not an MCAP file: {found}"

@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,13 +11,13 @@ import numpy as np
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
-from turtlelog.errors import LogError, ScenarioError
+from turtlelog.display import describe_count, parse_utc
+from turtlelog.errors import LogError, RunError, ScenarioError
 from turtlelog.files.text_files import format_toml, parse_known_toml
 from turtlelog.libraries import __version__
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import name_place
-from turtlelog.run import Clock
+from turtlelog.run import Clock, Lost, Origin
 from turtlelog.run.loops import Declaration, format_declaration, parse_declaration
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
 
@@ -77,6 +77,7 @@ class Head:
         declaration: Declaration, as in `Run`; None in format 1.
         notes: Notes, as in `Run`.
         clock: Clock, as in `Run`.
+        origin: Origin, as in `Run`.
         simulated_by: Software, as in `Run`.
     """
 
@@ -91,6 +92,7 @@ class Head:
     declaration: Declaration | None
     notes: Mapping[str, str]
     clock: Clock | None = None
+    origin: Origin = field(default_factory=Origin)
     simulated_by: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -114,6 +116,7 @@ def format_head(head: Head) -> dict[str, str]:
     rest = {
         "more_topics": sorted(head.more_topics),
         "clock": head.clock,
+        "origin": None if head.origin == Origin() else head.origin,
         "simulated_by": dict(head.simulated_by),
     }
     record |= {name: _encode(value) for name, value in rest.items() if value}
@@ -142,7 +145,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         with name_place(f"metadata {HEAD}: declaration"):
             parse = _keep_declaration if len(text) <= _USUAL else parse_declaration
             declaration = parse(text)
-    return Head(
+    head = Head(
         format_version=version,
         source=_get(record, "source"),
         name=_get(record, "name"),
@@ -154,8 +157,14 @@ def parse_head(record: Mapping[str, str]) -> Head:
         declaration=declaration,
         notes=_decode(record, "notes", dict[str, str]),
         clock=_decode(record, "clock", Clock, None),
+        origin=_decode(record, "origin", Origin, Origin()),
         simulated_by=_decode(record, "simulated_by", dict[str, str], {}),
     )
+    if version > 1:
+        return head
+    # Format 1 has the date of a log only in a note.
+    began_ns = parse_utc(head.notes.get("original_timestamp", ""))
+    return replace(head, origin=Origin(began_ns=began_ns))
 
 
 _COLUMNS: Final = ("poses", "commands", "samples", "goal_xy_m", "parameters")
@@ -229,7 +238,7 @@ def _decode(
     text = _get(record, key, of)
     try:
         return msgspec.json.decode(text, type=kind)
-    except msgspec.MsgspecError as err:
+    except (msgspec.MsgspecError, RunError) as err:
         raise LogError(f"metadata {of}: {key}: {err}, found {text[:60]!r}") from err
 
 
@@ -253,16 +262,9 @@ RECOVERY: Final = "turtlelog_recovery"
 LOSS_NOTES: Final = ("partial", "recovered")
 """Notes of a run on the losses of its recording."""
 
-_FROM_DAMAGED: Final = "from a damaged or unfinished file: "
-_NO_MESSAGE: Final = "no message is lost"
-
 SUMMARY_LOST: Final = "the summary is damaged or missing"
 SUMMARY_ALONE: Final = "no loss is found, only the summary is damaged"
 """A summary and a checksum would show that there is none."""
-
-NO_LOSS: Final = (SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
-"""Beginnings of notes on files that lost only their summary. Text after a semicolon is another
-loss."""
 
 
 def describe_damages(damages: Sequence[Loss]) -> str:
@@ -284,14 +286,21 @@ def format_recovery(
     return {**record, CHECKSUM: sum_up_record(record)}
 
 
-def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
-    """Return the note `recovered` for a file with these records; empty if it was not recovered."""
+def describe_recovery(records: Iterable[Any]) -> tuple[dict[str, str], Lost]:
+    """Return the note `recovered` for a file with these records, and what it has lost.
+
+    If the file was not recovered, there is no note, and nothing is lost.
+    """
     notes = [found for found in records if isinstance(found, Metadata) and found.name == RECOVERY]
-    losses = "; ".join(dict.fromkeys(_describe(note.metadata) for note in notes))
-    return {"recovered": f"{_FROM_DAMAGED}{losses}"} if notes else {}
+    if not notes:
+        return {}, "nothing"
+    losses = dict(_describe(note.metadata) for note in notes)
+    lost: Lost = "rows" if any(losses.values()) else "summary"
+    return {"recovered": f"from a damaged or unfinished file: {'; '.join(losses)}"}, lost
 
 
-def _describe(record: Mapping[str, str]) -> str:
+def _describe(record: Mapping[str, str]) -> tuple[str, bool]:
+    """Return a clause on the losses, and whether messages may be among them."""
     if record.get(CHECKSUM) != sum_up_record(record):
         raise LogError(f"metadata {RECOVERY}: damaged, its checksum does not match")
     lost = _decode(record, "lost", tuple[Loss, ...], of=RECOVERY)
@@ -301,8 +310,8 @@ def _describe(record: Mapping[str, str]) -> str:
     elif missing:
         count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
     else:
-        count = _NO_MESSAGE
+        count = "no message is lost"
     places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
     if len(lost) > 1:
         places.append(describe_count(len(lost) - 1, "more place"))
-    return f"{count} ({', and '.join(places)})" if places else count
+    return f"{count} ({', and '.join(places)})" if places else count, missing != {}

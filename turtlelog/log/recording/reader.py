@@ -42,7 +42,15 @@ from turtlelog.log.recording.topics import (
     read_contents,
     salvage_contents,
 )
-from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run import (
+    CommandColumns,
+    Event,
+    Lost,
+    PoseColumns,
+    Run,
+    SampleColumns,
+    find_greatest_loss,
+)
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import flatten_tables
 
@@ -95,11 +103,14 @@ def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -
             raise LogError(f"{damage}: {_NOTHING_LEFT if is_empty else advice}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
-            run, lost = _build_part(contents), describe_damages(contents.damages) + dropped
+            lost: Lost = "rows" if contents.damages or dropped else "summary"
+            lost = find_greatest_loss(contents.lost, lost)
+            run = _build_part(replace(contents, lost=lost))
+            said = describe_damages(contents.damages) + dropped
         except LogError as err:
             raise LogError(f"{damage}; in what it still holds: {err}") from err
-    warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=3)
-    return replace(run, notes={**run.notes, "partial": lost})
+    warnings.warn(f"{path}: {said}", PartialRecordingWarning, stacklevel=3)
+    return replace(run, notes={**run.notes, "partial": said})
 
 
 def _build_whole_run(contents: Contents) -> Run:
@@ -108,7 +119,8 @@ def _build_whole_run(contents: Contents) -> Run:
         return build_run(contents)
     reconciled, dropped = reconcile_contents(contents)
     notes = {name: text + dropped for name, text in contents.recovered.items()}
-    return _build_part(replace(reconciled, recovered=notes))
+    lost: Lost = "rows" if dropped else contents.lost
+    return _build_part(replace(reconciled, recovered=notes, lost=lost))
 
 
 def _build_part(contents: Contents) -> Run:
@@ -164,6 +176,7 @@ def build_run(contents: Contents) -> Run:
         events=events,
         simulated_by=head.simulated_by,
         absent=head.absent,
+        origin=replace(head.origin, lost=find_greatest_loss(head.origin.lost, contents.lost)),
         notes={**head.notes, **contents.recovered},
     )
 

@@ -16,7 +16,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import create_folder, name_write_error
 from turtlelog.log.file_info import METADATA_FILE, describe_bag
 from turtlelog.log.mcap_writer import write_columns
-from turtlelog.log.read_choice import CHOSEN, UNUSED
+from turtlelog.log.read_choice import NOTES
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (
     FORMAT_VERSION,
@@ -125,6 +125,9 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     return tuple(of_topic for of_topic in messages if len(of_topic))
 
 
+_NOT_RECORDED: Final = frozenset(name for name, kind in NOTES.items() if not kind.is_recorded)
+
+
 def describe_run(run: Run) -> Head:
     """Return the metadata for the recording of a run."""
     poses, samples = ["speed_m_s", "turn_rate_rad_s"], [*MAY_BE_ABSENT]
@@ -151,8 +154,9 @@ def describe_run(run: Run) -> Head:
         more_topics=frozenset(name for name, is_there in more_topics.items() if is_there),
         declaration=run.declaration,
         clock=run.clock,
+        origin=run.origin,
         simulated_by=run.simulated_by,
-        notes={name: text for name, text in run.notes.items() if name not in {CHOSEN, UNUSED}},
+        notes={name: text for name, text in run.notes.items() if name not in _NOT_RECORDED},
     )
 
 

@@ -30,6 +30,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, coll
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.file_access import DamageError
 from turtlelog.log.recording.head import HEAD, Head, describe_recovery, parse_head
+from turtlelog.run import Lost
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW
 
@@ -299,6 +300,7 @@ class Contents:
             fields that no run needs are omitted, and log times replace publish times.
         damages: Segments that could not be read; empty if the file is complete.
         recovered: Note on earlier losses, if the file was recovered.
+        lost: What the file has lost.
     """
 
     head: Head
@@ -306,6 +308,7 @@ class Contents:
     topics: dict[str, TopicColumns]
     damages: tuple[Loss, ...] = ()
     recovered: Mapping[str, str] = field(default_factory=dict)
+    lost: Lost = "nothing"
 
 
 class ForeignFileError(LogError):
@@ -399,12 +402,14 @@ def build_contents(
             _check_type(_plan(topic, own), catalogue.find_plan(topic.name))
         rows = parts.get(topic.name) or [dict(_make_empty_rows(topic, own))]
         tables |= build_columns({topic.name: rows}, {topic.name: topic.schema})
+    recovered, lost = describe_recovery(records)
     return Contents(
         head=head,
         attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
         topics=tables,
         damages=tuple(damages),
-        recovered=describe_recovery(records),
+        recovered=recovered,
+        lost=lost,
     )
 
 

@@ -25,6 +25,7 @@ from turtlelog.log.file_info import (
     merge_topics,
     read_info,
 )
+from turtlelog.run import find_greatest_loss
 
 _LARGEST: Final = 2**24
 """Largest size of metadata.yaml [bytes]; a file with 2,000 topics has 2 MB."""
@@ -433,7 +434,7 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
     duration_ns = found.duration_ns
     if duration_ns is None and (spans := [info.span_ns for info in infos if info.span_ns]):
         duration_ns = max(end for _, end in spans) - min(start for start, _ in spans)
-    name = path.resolve().name
+    name, all_notes = path.resolve().name, [*(info.notes for info in infos), found.notes]
     return RecordingInfo(
         file=str(path),
         format_version=None,
@@ -444,8 +445,6 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
         topics=topics,
         absent=list_absent(topics),
         not_understood=tuple(dict.fromkeys(text for info in infos for text in info.not_understood)),
-        notes={
-            **{name: text for info in infos for name, text in info.notes.items()},
-            **found.notes,
-        },
+        notes={name: text for notes in all_notes for name, text in notes.items()},
+        lost=find_greatest_loss(*(info.lost for info in infos)),
     )

@@ -19,11 +19,11 @@ from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame, rotate
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame
 from turtlelog.log.ros2.stamps import TimesNs
 from turtlelog.run import CommandColumns, Run
+from turtlelog.run.angles import rotate_vectors
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
-from turtlelog.run.run import GOAL_SET, PATH_SET
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
 """Topics of a turtlelog recording that have the type of commands but contain none."""
@@ -83,10 +83,10 @@ def choose_commands(
     types = bag_topics.COMMAND_TYPES if asked is not None else bag_topics.TWIST_TYPES
     pick = choose(asked, types=types)
     if pick is not None and pick.topic.type in steering:
-        raise LogError(f"command_topic {pick.describe()}: {bag_topics.NEEDS_WHEELBASE}")
+        raise LogError(f"command_topic {pick.source.describe()}: {bag_topics.NEEDS_WHEELBASE}")
     if pick is not None or (steered := choose(None, types=steering)) is None:
         return pick, ""
-    return None, f"commands on {steered.describe()}: {bag_topics.NEEDS_WHEELBASE}"
+    return None, f"commands on {steered.source.describe()}: {bag_topics.NEEDS_WHEELBASE}"
 
 
 def choose_command_topic(
@@ -211,17 +211,20 @@ def add_references(
     if track.frame and not track.tree and named - {track.frame, ""}:
         track = replace(track, tree=read_tree(bag, topics, source.home))
     notes, changes, since_ns = dict[str, str](), dict[str, Any](), 0
+    goal_given_ns, path_given_ns = None, None
     if given is not None:
         xy_m, heading_rad = parse_goal_option(given)
         changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
     if goal_topic is not None:
         changes, notes["goal"], since_ns = _find_goal(goals, goal_topic.topic, track)
-        notes |= {GOAL_SET: str(track.locate_time(run, since_ns))} if changes else {}
+        goal_given_ns = track.locate_time(run, since_ns) if changes else None
+        notes |= {} if goal_given_ns is None else {"goal_set_ns": str(goal_given_ns)}
     if paths:
         points, notes["path"], given_ns = find_path(
             paths, plans[0].topic, track, since_ns=since_ns, is_asked=choice.path_topic is not None
         )
-        notes |= {PATH_SET: str(track.locate_time(run, given_ns))} if points else {}
+        path_given_ns = track.locate_time(run, given_ns) if points else None
+        notes |= {} if path_given_ns is None else {"path_set_ns": str(path_given_ns)}
         others = bag_topics.list_first_names([topic.topic for topic in plans[1:]])
         notes |= {"other_path_topics": others} if others else {}
         if points is not None:
@@ -233,7 +236,8 @@ def add_references(
         notes["path"] = f"{plans[0].topic}: left out: {said}"
     known = {name for name, value in changes.items() if value is not None}
     absent = tuple(name for name in run.absent if name not in known)
-    return replace(run, absent=absent, notes={**run.notes, **notes}, **changes)
+    origin = replace(run.origin, goal_given_ns=goal_given_ns, path_given_ns=path_given_ns)
+    return replace(run, absent=absent, origin=origin, notes={**run.notes, **notes}, **changes)
 
 
 def _choose_path_topics(
@@ -327,7 +331,7 @@ def _bring_over(
     track: RobotTrack, frame: str, place_m: Values, turn: Values, time_ns: int
 ) -> tuple[Values, Values, str] | str:
     """Return positions and forward directions in the poses' frame, and the method; or why not."""
-    frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
+    frame, ahead = frame.lstrip("/"), rotate_vectors(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
     if frame == track.frame:
         return place_m, ahead, ""
     if not frame or not track.frame:
@@ -338,7 +342,7 @@ def _bring_over(
         return f"it is in {frame}, the poses in {track.frame}, and no transform joins the two then"
     how = f", brought from {frame} to {track.frame} by the transforms of that time"
     by = np.tile(found[1], (len(place_m), 1))
-    return found[0] + rotate(by, place_m), rotate(by, ahead), how
+    return found[0] + rotate_vectors(by, place_m), rotate_vectors(by, ahead), how
 
 
 def find_path(

@@ -21,15 +21,18 @@ from turtlelog.log.planar_poses import (
     Fields,
     PoseShape,
     Values,
+    extract_poses,
     find_pose_shape,
 )
 from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
+from turtlelog.log.recording.topics import SENSED
 from turtlelog.log.ros2 import bag_topics, bag_transforms
-from turtlelog.log.ros2.bag_rows import Bag
+from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
 from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
+from turtlelog.log.ros2.reported_motion import LATERAL
 from turtlelog.log.ros2.set_clocks import undo_clock_steps
-from turtlelog.log.ros2.stamps import Stamps, join_arrays, join_stamps, read_stamp_clock
-from turtlelog.run import Trajectory, build_trajectory, turn_headings
+from turtlelog.log.ros2.stamps import Stamps, TimesNs, join_arrays, join_stamps, read_stamp_clock
+from turtlelog.run import Origin, Trajectory, build_trajectory, turn_headings
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
@@ -43,7 +46,7 @@ class PoseSource:
         topic: Name of the topic, with the type of the messages in `found`.
         found: The messages, by file.
         home: Topic or frame whose namespace is the robot's.
-        frame: Frame of the poses; empty if unknown.
+        origin: Topic and frame of the poses, and whether headings are courses.
         tree: Transforms, if they were read.
         notes: Chosen topics or frames, and the alternatives.
     """
@@ -51,7 +54,7 @@ class PoseSource:
     topic: TopicInfo
     found: Found
     home: str
-    frame: str
+    origin: Origin
     tree: bag_transforms.Tree = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
 
@@ -77,7 +80,7 @@ def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> P
                 raise
             pick = bag_topics.Pick(topic=fixes[0])
     if asked:
-        found_instead = f"found {pick.describe()}, which are not"
+        found_instead = f"found {pick.source.describe()}, which are not"
         raise LogError(f"{asked[0]}: expected poses from transforms, {found_instead}")
     return _read_poses(bag, pick, found)
 
@@ -86,10 +89,10 @@ def _read_poses(bag: Bag, pick: bag_topics.Pick, found: Found | None) -> PoseSou
     """Return the messages of a topic of poses; `found` contains them if they were read before."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
-        raise LogError(f"pose_topic {pick.describe()}: {bag_topics.NEEDS_WHEELS}")
+        raise LogError(f"pose_topic {pick.source.describe()}: {bag_topics.NEEDS_WHEELS}")
     found = [*bag.read({name})] if found is None else found
     messages = [file[name] for file in found if name in file]
-    notes = note_pick("pose_topic", pick)
+    notes, origin = note_pick("pose_topic", pick), Origin(poses=pick.source)
     if pick.topic.type != FIX:
         frames = (
             str(columns.fields[place][0]).lstrip("/")
@@ -97,14 +100,14 @@ def _read_poses(bag: Bag, pick: bag_topics.Pick, found: Found | None) -> PoseSou
             for place in ("header.frame_id", "frame_id")
             if place in columns.fields and len(columns)
         )
-        frame = next(frames, "")
-        return PoseSource(topic=pick.topic, found=found, home=name, frame=frame, notes=notes)
+        origin = replace(origin, frame=next(frames, ""))
+        return PoseSource(topic=pick.topic, found=found, home=name, origin=origin, notes=notes)
     columns, more = locate_fixes(messages)
     return PoseSource(
         topic=replace(pick.topic, count=len(columns)),
         found=[{name: columns}],
         home=name,
-        frame="",
+        origin=replace(origin, has_courses=True),
         notes={**notes, **more},
     )
 
@@ -122,20 +125,69 @@ def _integrate_wheels(
     topic = bag_topics.choose_joint_topic(topics, choice.pose_topic)
     messages = bag.read_topic(topic.topic, is_flat=False)
     columns, note = integrate_wheels(messages, joints, wheels_m)
+    pick = bag_topics.Pick(topic=topic)
     return PoseSource(
         topic=replace(topic, count=len(columns)),
         found=[{topic.topic: columns}],
         home=topic.topic,
-        frame="",
-        notes={**note_pick("pose_topic", bag_topics.Pick(topic=topic)), "wheels": note},
+        origin=Origin(poses=pick.source),
+        notes={**note_pick("pose_topic", pick), "wheels": note},
     )
 
 
-def note_pick(name: str, pick: bag_topics.Pick, more: str = "") -> dict[str, str]:
+_RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
+"""Rates in messages of poses. In a topic of sensed poses, all rates are NaN."""
+
+
+def order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
+    """Return the finite poses in order of time, and the numbers of three kinds of dropped ones.
+
+    These are all, those at a place without a heading, and of these those that point up or down.
+    """
+    rows = order_topic(found, topic, extract_poses)
+    columns = rows.columns
+    is_unturned = np.isnan(columns["heading"])
+    # A quaternion that was never set has a tilt of 0.
+    is_vertical = is_unturned & (columns.get("tilt", np.zeros(1)) > 0.0)
+    has_place = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
+    speeds = [name for name in columns if name.removeprefix("measured_") in _RATES]
+    unknown = [name for name in speeds if not np.isfinite(columns[name]).any()]
+    columns = {name: column for name, column in columns.items() if name not in unknown}
+    # Height and tilt are only described, and few robots move sideways.
+    needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
+    kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
+    if not len(kept.time_ns) and is_vertical.sum() == dropped:
+        raise LogError(
+            f"topic {topic.topic}: the forward axis points up or down in all {dropped} poses: there"
+            " is no heading"
+        )
+    if not len(kept.time_ns):
+        raise LogError(
+            f"topic {topic.topic}: expected numbers in x, y and heading, found nan or infinity in"
+            f" all {dropped} poses"
+        )
+    return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
+
+
+def match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
+    """Return sensed positions and headings, NaN if not sensed; empty if times fit no poses."""
+    if moved or not any(SENSED.name in of_file for of_file in found):
+        return {}
+    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
+    sensed = order_topic(found, kind, extract_poses)
+    rows = np.searchsorted(time_ns, sensed.time_ns)
+    if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
+        return {}
+    values = np.full((len(time_ns), 3), np.nan)
+    values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
+    return {"sensed_xy_m": values[:, :2].copy(), "sensed_heading_rad": values[:, 2].copy()}
+
+
+def note_pick(name: str, pick: bag_topics.Pick) -> dict[str, str]:
     """Return notes on a chosen topic and its alternatives."""
     others = {f"other_{name}s": bag_topics.list_first_names(pick.others)} if pick.others else {}
     still = {"still": f"{pick.still} never moves and was left out"} if pick.still else {}
-    return {name: pick.describe() + more, **others, **still}
+    return {name: pick.source.describe(), **others, **still}
 
 
 def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> bag_transforms.Tree:
@@ -238,7 +290,8 @@ def _trace_poses(
     for one in held:
         unheld |= link.time_ns < one.time_ns[0]
     columns = bag_transforms.build_link_columns(link, topic).select(~unheld)
-    notes = note_pick("pose_topic", pick, f": {chosen.world} -> {chosen.robot}")
+    source = replace(pick.source, frames=(chosen.world, chosen.robot))
+    notes = note_pick("pose_topic", pick) | {"pose_topic": source.describe()}
     if chosen.others:
         notes["other_frames"] = bag_topics.list_first_names(chosen.others)
     if held:
@@ -259,7 +312,7 @@ def _trace_poses(
         topic=TopicInfo(topic=topic, type=bag_transforms.TRANSFORM, count=len(columns)),
         found=[{topic: columns}],
         home=f"/{prefix}/tf" if prefix else topic,
-        frame=chosen.world,
+        origin=Origin(poses=source, frame=chosen.world),
         tree=tree,
         notes=notes,
     )

@@ -18,9 +18,9 @@ from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
-    Values,
-    extract_poses,
     lift_poses,
+    note_changes,
+    note_crowded,
     separate_times,
     wrap_far_headings,
 )
@@ -37,14 +37,18 @@ from turtlelog.log.recording.topics import (
     SHAPED,
 )
 from turtlelog.log.ros2 import bag_inputs
-from turtlelog.log.ros2.bag_poses import PoseSource, find_poses, note_pick
+from turtlelog.log.ros2.bag_poses import (
+    PoseSource,
+    find_poses,
+    match_sensed,
+    note_pick,
+    order_poses,
+)
 from turtlelog.log.ros2.bag_rows import (
     Bag,
     Held,
     OrderedRows,
-    drop_not_finite,
     open_bag,
-    order_topic,
     time_rows,
 )
 from turtlelog.log.ros2.bag_topics import (
@@ -55,26 +59,24 @@ from turtlelog.log.ros2.bag_topics import (
     describe_unread_topics,
     select_robot,
 )
-from turtlelog.log.ros2.reported_motion import LATERAL, judge_rates, note_crowded, note_motion
+from turtlelog.log.ros2.reported_motion import judge_rates, note_motion
 from turtlelog.log.ros2.set_clocks import (
-    SILENCE,
     describe_clock_steps,
     describe_silence,
 )
 from turtlelog.log.ros2.stamps import TimesNs
-from turtlelog.run import Clock, PoseColumns, Run, SampleColumns
+from turtlelog.run import (
+    Clock,
+    CommandColumns,
+    Origin,
+    PoseColumns,
+    Run,
+    SampleColumns,
+    find_greatest_loss,
+)
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 
-NOT_READ: Final = "not_read"
-"""Name of the note on messages that were not read."""
-
-NOT_UNDERSTOOD: Final = "not_understood"
-"""Name of the note on topics of poses, commands, goals or paths that cannot be read."""
-
 _SENSED: Final = (SENSED.name, SENSED.schema)
-
-_RATES: Final = frozenset({"speed", "turn_rate", "lateral_speed"})
-"""Rates in messages of poses. In a topic of sensed poses, all rates are NaN."""
 
 
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
@@ -102,7 +104,8 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             source = find_poses(bag, distinct, choice)
         except NoPosesError as err:
             run, topic = _read_commands_alone(bag, distinct, choice, err)
-            return _note_rest(run, bag, distinct, describe_robots(robots, topic, choice.robot))
+            named = describe_robots(robots, topic, choice.robot)
+            return _note_rest(run, bag, distinct, choice, named)
         commands, lack = bag_inputs.choose_commands(distinct, choice, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
@@ -120,39 +123,49 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     has_frames = any((one.topic, one.type) == (source.topic.topic, TRANSFORMS) for one in distinct)
     asked = None if has_frames else choice.robot
     named = describe_robots(robots, source.topic.topic, asked)
-    return _note_rest(run, bag, distinct, named)
+    return _note_rest(run, bag, distinct, choice, named)
 
 
 def _note_steps(run: Run, bag: Bag) -> Run:
     """Return a run with notes on the steps of the recorder's clock, or on a long silence."""
     if bag.steps:
-        return replace(run, notes={**run.notes, CLOCK_SET: describe_clock_steps(bag.steps)})
+        notes = {**run.notes, CLOCK_SET: describe_clock_steps(bag.steps)}
+        return replace(run, notes=notes, origin=replace(run.origin, was_clock_set=True))
     silence = describe_silence(run.poses.time_ns, run.commands.time_ns)
-    return replace(run, notes={**run.notes, SILENCE: silence}) if silence else run
+    return replace(run, notes={**run.notes, "silence": silence}) if silence else run
 
 
-def _note_rest(run: Run, bag: Bag, topics: Sequence[TopicInfo], robots: str) -> Run:
+def _note_rest(
+    run: Run, bag: Bag, topics: Sequence[TopicInfo], choice: ReadChoice, robots: str
+) -> Run:
     """Return a run with notes on its bag's robots and other contents, and on the choices made."""
     # turtlelog's own topics are read only from its recordings.
     sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
     control = () if len(run.samples) else (CONTROL,)
     own = {topic.name: topic.schema for topic in (*control, REFERENCE64, SHAPED, *sensed)}
     rest = [
-        f"{topic.count} of {topic.topic}"
+        topic
         for topic in topics
         if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
     ]
-    found = {"robots": robots, NOT_READ: ", ".join(rest)}
+    unread = ", ".join(f"{topic.count} of {topic.topic}" for topic in rest)
+    found = {"robots": robots, "not_read": unread}
     notes = {**run.notes, **{name: text for name, text in found.items() if text}}
     for info in bag.infos.values():
         notes |= info.notes
-    if unread := describe_unread_topics(topics):
-        notes[NOT_UNDERSTOOD] = unread
-    poses, commands = notes.get("pose_topic"), notes.get("command_topic")
-    line = f"poses from {poses}" if poses else "no poses"
-    line += f", commands from {commands}" if commands else ", no commands"
+    if unreadable := describe_unread_topics(topics):
+        notes["not_understood"] = unreadable
+    origin = replace(
+        run.origin,
+        robot=choice.robot,
+        unread_topics=tuple(topic.topic for topic in rest),
+        lost=find_greatest_loss(*(info.lost for info in bag.infos.values())),
+    )
+    poses, commands = origin.poses, origin.commands
+    line = f"poses from {poses.describe()}" if poses else "no poses"
+    line += f", commands from {commands.describe()}" if commands else ", no commands"
     more = [f"; {text.format(notes[name])}" for name, text in _MORE.items() if name in notes]
-    return replace(run, notes={**notes, CHOSEN: "".join([line, *more])})
+    return replace(run, notes={**notes, CHOSEN: "".join([line, *more])}, origin=origin)
 
 
 @contextmanager
@@ -174,7 +187,7 @@ _MORE: Final = {
     "robots": "robots {}",
     "path": "path {}",
     "goal": "goal {}",
-    NOT_UNDERSTOOD: "{}",
+    "not_understood": "{}",
     "other_pose_topics": "also there: {}: --pose-topic",
     "other_frames": "also there: {}: --pose-frame and --world-frame",
     "other_command_topics": "also there: {}: --command-topic",
@@ -187,7 +200,7 @@ def _build_run(
     path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
 ) -> tuple[Run, bag_inputs.RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
-    poses, dropped, unturned, vertical = _order_poses(found, source.topic)
+    poses, dropped, unturned, vertical = order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
         commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
@@ -195,7 +208,7 @@ def _build_run(
         time_ns=poses.time_ns,
         received_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
-        frame=source.frame,
+        frame=source.origin.frame,
         tree=source.tree,
     )
     # Views: a second copy of x and y would take 16 bytes per pose.
@@ -213,15 +226,22 @@ def _build_run(
     changes = {"moved_rows": str(moved), "wrapped_headings": str(wrapped)}
     changes |= _note_lost({"pose": dropped, "command": lost}, unturned)
     others = source.notes.get("other_pose_topics")
+    motion = note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others)
+    origin = replace(
+        _add_rows(source.origin, tables, start_ns),
+        commands=None if command_pick is None else command_pick.source,
+        has_leaps="leaps" in motion,
+    )
     notes = {
+        "original_timestamp": format_utc(start_ns),
         **source.notes,
-        **({"frame": source.frame} if source.frame else {}),
-        **_count_changes(tables),
+        **({"frame": origin.frame} if origin.frame else {}),
+        **note_changes(origin),
         **changes,
         **times.notes,
         **rate_notes,
         **note_crowded(time_ns),
-        **note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others),
+        **motion,
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
     pose_columns = PoseColumns(
@@ -232,21 +252,22 @@ def _build_run(
         turn_rate_rad_s=columns.get("turn_rate"),
         measured_speed_m_s=columns.get("measured_speed"),
         measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
-        **_match_sensed(found, track.time_ns, moved),
+        **match_sensed(found, track.time_ns, moved),
         **lift_poses(columns.get("z"), columns.get("tilt")),
     )
-    return _join_run(path, pose_columns, commands, start_ns, times.clock, notes), track
+    command_columns = bag_inputs.build_bag_commands(commands, start_ns)
+    return _join_run(path, pose_columns, command_columns, times.clock, origin, notes), track
 
 
 def _join_run(
     path: Path,
     poses: PoseColumns,
-    commands: OrderedRows | None,
-    start_ns: int,
+    commands: CommandColumns,
     clock: Clock | None,
+    origin: Origin,
     notes: Mapping[str, str],
 ) -> Run:
-    """Return the run of a bag from a time on the recorder's clock, perhaps without poses."""
+    """Return the run of a bag, perhaps without poses."""
     name = path.resolve().name
     storage = {".mcap": "mcap", ".bag": "rosbag1"}.get(path.suffix, "rosbag2")
     absent: tuple[str, ...] = () if len(poses) else ("poses",)
@@ -255,19 +276,24 @@ def _join_run(
         name=name if path.is_dir() else strip_suffixes(path),
         source=f"{storage}: {name}",
         poses=poses,
-        commands=bag_inputs.build_bag_commands(commands, start_ns),
+        commands=commands,
         samples=SampleColumns.build_empty(),
         clock=clock,
-        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
-        notes={"original_timestamp": format_utc(start_ns), **notes},
+        absent=(*absent, *(() if len(commands) else ("commands",)), *_NEVER_IN_BAGS),
+        origin=origin,
+        notes=notes,
     )
 
 
-def _count_changes(tables: Sequence[OrderedRows]) -> dict[str, str]:
-    return {
-        "sorted_rows": str(sum(rows.late for rows in tables)),
-        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
-    }
+def _add_rows(origin: Origin, tables: Sequence[OrderedRows], start_ns: int) -> Origin:
+    """Return an origin with the start of its rows, and the numbers of sorted and dropped ones."""
+    return replace(
+        origin,
+        began_ns=start_ns,
+        start_ns=start_ns,
+        sorted_rows=sum(rows.late for rows in tables),
+        dropped_duplicates=sum(rows.duplicates for rows in tables),
+    )
 
 
 def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
@@ -275,50 +301,6 @@ def _note_lost(lost: Mapping[str, int], unturned: int = 0) -> dict[str, str]:
     counts = [describe_count(count, kind) for kind, count in lost.items() if count]
     without = f", {unturned} of the poses without a heading" if unturned else ""
     return {"dropped_nan": f"{' and '.join(counts)}{without}"} if counts else {}
-
-
-def _order_poses(found: Held, topic: TopicInfo) -> tuple[OrderedRows, int, int, int]:
-    """Return the finite poses in order of time, and the numbers of three kinds of dropped ones.
-
-    These are all, those at a place without a heading, and of these those that point up or down.
-    """
-    rows = order_topic(found, topic, extract_poses)
-    columns = rows.columns
-    is_unturned = np.isnan(columns["heading"])
-    # A quaternion that was never set has a tilt of 0.
-    is_vertical = is_unturned & (columns.get("tilt", np.zeros(1)) > 0.0)
-    has_place = np.isfinite(columns["x"]) & np.isfinite(columns["y"])
-    speeds = [name for name in columns if name.removeprefix("measured_") in _RATES]
-    unknown = [name for name in speeds if not np.isfinite(columns[name]).any()]
-    columns = {name: column for name, column in columns.items() if name not in unknown}
-    # Height and tilt are only described, and few robots move sideways.
-    needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
-    kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
-    if not len(kept.time_ns) and is_vertical.sum() == dropped:
-        raise LogError(
-            f"topic {topic.topic}: the forward axis points up or down in all {dropped} poses: there"
-            " is no heading"
-        )
-    if not len(kept.time_ns):
-        raise LogError(
-            f"topic {topic.topic}: expected numbers in x, y and heading, found nan or infinity in"
-            f" all {dropped} poses"
-        )
-    return kept, dropped, int((has_place & is_unturned).sum()), int((has_place & is_vertical).sum())
-
-
-def _match_sensed(found: Held, time_ns: TimesNs, moved: int) -> dict[str, Values]:
-    """Return sensed positions and headings, NaN if not sensed; empty if times fit no poses."""
-    if moved or not any(SENSED.name in of_file for of_file in found):
-        return {}
-    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
-    sensed = order_topic(found, kind, extract_poses)
-    rows = np.searchsorted(time_ns, sensed.time_ns)
-    if not np.isin(sensed.time_ns, time_ns).all() or (np.diff(sensed.time_ns) == 0).any():
-        return {}
-    values = np.full((len(time_ns), 3), np.nan)
-    values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
-    return {"sensed_xy_m": values[:, :2].copy(), "sensed_heading_rad": values[:, 2].copy()}
 
 
 _NEVER_IN_BAGS: Final = (
@@ -338,8 +320,8 @@ def _read_commands_alone(
         if err.is_unread:  # the reason of unreadable poses is more helpful
             raise err
         raise NoPosesError(
-            f"no poses, only commands on {pick.describe()}: info, metrics, check, plot and replay"
-            " take commands alone, and what was asked for needs poses"
+            f"no poses, only commands on {pick.source.describe()}: info, metrics, check, plot and"
+            " replay take commands alone, and what was asked for needs poses"
         )
     for name in ("goal", "path_topic"):
         if getattr(choice, name) is not None:
@@ -354,10 +336,18 @@ def _read_commands_alone(
         )
     times = time_rows(rows.stamps, None, choice.time, noun="commands")
     rows = rows.take(times.poses.rows, times.poses.time_ns)
-    notes = {**_count_changes([rows]), **_note_lost({"command": dropped}), **times.notes}
-    notes |= describe_other_poses(topics) | note_pick("command_topic", pick)
     poses, start_ns = PoseColumns.build_empty(), int(rows.time_ns[0])
-    run = _join_run(bag.path, poses, rows, start_ns, times.clock, notes)
+    origin = _add_rows(Origin(commands=pick.source), [rows], start_ns)
+    notes = {
+        "original_timestamp": format_utc(start_ns),
+        **note_changes(origin),
+        **_note_lost({"command": dropped}),
+        **times.notes,
+        **describe_other_poses(topics),
+        **note_pick("command_topic", pick),
+    }
+    commands = bag_inputs.build_bag_commands(rows, start_ns)
+    run = _join_run(bag.path, poses, commands, times.clock, origin, notes)
     return _note_steps(run, bag), pick.topic.topic
 
 

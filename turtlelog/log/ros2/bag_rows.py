@@ -242,9 +242,6 @@ def _find_duplicates(time_ns: TimesNs, contents: Sequence[NDArray[Any]]) -> NDAr
 CLOCK: Final = "clock"
 """Name of the note on the clock of a run's poses."""
 
-CLOSE_ROWS: Final = "close_rows"
-"""Name of the note on dropped poses at nearly equal times."""
-
 _CLOSEST_NS: Final = 1_000_000
 """Smallest time between two poses that gives a usable rate [ns]: 0.2 mm of noise become 0.2 m/s."""
 
@@ -323,7 +320,7 @@ def time_rows(
         kept = _find_apart(rows.time_ns)
         if close := int(len(kept) - kept.sum()):
             closest = f"{describe_count(close, 'pose')} less than 1 ms before another left out"
-            notes |= {CLOCK: f"{notes[CLOCK]}; {closest}", CLOSE_ROWS: str(close)}
+            notes |= {CLOCK: f"{notes[CLOCK]}; {closest}", "close_rows": str(close)}
         rows = _TimedRows(rows=rows.rows[kept], time_ns=rows.time_ns[kept])
     offset_s, jitter_s = (
         None if time_ns is None else time_ns / 1e9 for time_ns in (found.offset_ns, found.jitter_ns)

@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, parse_utc
+from turtlelog.display import describe_count
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import Values
-from turtlelog.log.read_choice import CLOCK_SET
 from turtlelog.log.ros2.bag_poses import read_tree
 from turtlelog.log.ros2.bag_rows import Bag, open_bag
 from turtlelog.log.ros2.bag_topics import list_first_names
@@ -23,11 +22,10 @@ from turtlelog.log.ros2.bag_transforms import (
     is_robot_frame,
     locate_frame,
     name_frame,
-    place_points,
 )
 from turtlelog.log.ros2.stamps import Stamps, TimesNs, read_stamp_clock, read_stamps
 from turtlelog.run import Run
-from turtlelog.run.angles import wrap_angle
+from turtlelog.run.angles import place_points, wrap_angle
 
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 
@@ -145,14 +143,14 @@ def read_surroundings(path: str | Path, run: Run) -> Surroundings | None:
         LogError: If the bag cannot be read.
     """
     bag = open_bag(path)
-    start_ns = parse_utc(run.notes.get("original_timestamp", ""))
-    poses = run.notes.get("pose_topic", "").partition(" ")[0]
+    start_ns = run.origin.began_ns
+    poses = "" if run.origin.poses is None else run.origin.poses.name
     home = poses.rpartition("/")[0]
     scan, grids = _pick_scan(bag.topics, home), _pick_maps(bag.topics, home)
     if start_ns is None or not (scan or grids):
         return None
     with name_file(bag.path, expected="a bag"):
-        if CLOCK_SET in run.notes and any(one.topic == poses for one in bag.topics):
+        if run.origin.was_clock_set and any(one.topic == poses for one in bag.topics):
             bag = bag.find_steps(bag.read({poses}), poses)
         return _read(bag, run, start_ns, scan, grids)
 
@@ -334,7 +332,7 @@ def _place_map(
     if places is None:
         notes.append(f"The map of {topic} is left out: its origin has nan or infinity.")
         return None
-    frame, home = name_frame(columns, row), run.notes.get("frame", "")
+    frame, home = name_frame(columns, row), run.origin.frame
     if frame and home and frame != home:
         at = locate_frame(tree, home, frame, columns.log_time_ns[row : row + 1])
         if at is None:

@@ -11,6 +11,7 @@ from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
 from turtlelog.log.read_choice import match_topic
 from turtlelog.log.recording.topics import POSE64
+from turtlelog.run import SourceTopic
 
 PATH: Final = "nav_msgs/msg/Path"
 
@@ -86,9 +87,10 @@ class Pick:
     others: tuple[str, ...] = ()
     still: str = ""
 
-    def describe(self) -> str:
-        """Return name and type of the topic."""
-        return f"{self.topic.topic} ({self.topic.type})"
+    @property
+    def source(self) -> SourceTopic:
+        """Name and type of the topic."""
+        return SourceTopic(name=self.topic.topic, type=self.topic.type)
 
 
 def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
@@ -399,9 +401,8 @@ def select_robot(
         if not any(robot.poses for robot in robots) and any(map(_tells_poses, topics)):
             return topics, ()  # the robot of the poses is unknown
         if len({_NUMBER.sub("#", one) for one in names}) > 1:
-            raise LogError(
-                f"{len(names)} robots, {list_first_names(names)}: choose with --robot NAME"
-            )
+            several = f"{len(names)} robots, {list_first_names(names)}"
+            raise LogError(f"{several}: choose with --robot NAME")
         posed = [robot.name for robot in robots if robot.poses and robot.poses.count > 1]
         name = min(posed or names, key=list_numbers)
     if name not in names:

@@ -15,6 +15,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import FRAME_TRANSFORM, TRANSFORMS, Values
 from turtlelog.log.ros2.bag_topics import list_numbers
 from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.run.angles import compose_transforms, interpolate_rotation, invert_transform
 
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 
@@ -88,7 +89,7 @@ class Link:
         span_ns = int(self.stamp_ns[last] - self.stamp_ns[first])
         share = float(np.clip((stamp_ns - int(self.stamp_ns[first])) / max(span_ns, 1), 0.0, 1.0))
         place_m = (1.0 - share) * self.place_m[first] + share * self.place_m[last]
-        turn = turn_between(self.turn[first], self.turn[last], share)
+        turn = interpolate_rotation(self.turn[first], self.turn[last], share)
         return place_m[np.newaxis], turn[np.newaxis]
 
     def describe(self) -> str:
@@ -393,10 +394,10 @@ def _compose_way(
     for link, is_down in steps:
         found = link.interpolate(stamp_ns) if stamp_ns is not None and link.moves else None
         place_m, turn = link.hold(time_ns) if found is None else found
-        parts.append((place_m, turn) if is_down else invert(place_m, turn))
+        parts.append((place_m, turn) if is_down else invert_transform(place_m, turn))
     if len(parts) == 1:
         return parts[0]  # exact, whatever the length of its quaternions
-    return reduce(lambda left, right: compose(*left, *right), parts, none)
+    return reduce(lambda left, right: compose_transforms(*left, *right), parts, none)
 
 
 def build_link_columns(link: Link, topic: str) -> TopicColumns:
@@ -417,54 +418,3 @@ def build_link_columns(link: Link, topic: str) -> TopicColumns:
             **{name: np.ascontiguousarray(values) for name, values in numbers},
         },
     )
-
-
-def compose(
-    place_m: Values, turn: Values, next_m: Values, next_turn: Values
-) -> tuple[Values, Values]:
-    """Return a transform followed by another. Positions have shape (n, 3), rotations (n, 4)."""
-    parts = (np.split(_normalise(one), [3], axis=1) for one in (turn, next_turn))
-    (a, v), (b, w) = parts
-    vector = v * b + w * a + np.cross(a, b)
-    both = np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
-    return place_m + rotate(turn, next_m), both
-
-
-def place_points(place_m: Values, turn: Values, points_m: Values) -> Values:
-    """Return points of a frame, given the place and rotation of the frame, shape (n, 3)."""
-    return np.asarray(place_m + rotate(np.tile(turn, (len(points_m), 1)), points_m))
-
-
-def rotate(turn: Values, vector: Values) -> Values:
-    """Return vectors rotated by quaternions of any length except 0."""
-    axis, w = np.split(_normalise(turn), [3], axis=1)
-    across = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * across + np.cross(axis, across))
-
-
-def invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
-    """Return the inverse transform."""
-    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
-    return -rotate(back, place_m), back
-
-
-def _normalise(turn: Values) -> Values:
-    length = np.linalg.norm(turn, axis=1, keepdims=True)
-    # Quaternions that were never set stay 0; the computation of headings reports them.
-    return np.asarray(turn / np.where(length == 0.0, 1.0, length))
-
-
-def turn_between(first: Values, last: Values, share: float) -> Values:
-    """Return a rotation on the shortest arc between two quaternions."""
-    first, last = _normalise(np.stack([first, last]))
-    cosine = float(first @ last)
-    last, cosine = (-last, -cosine) if cosine < 0.0 else (last, cosine)
-    angle = float(np.arccos(min(cosine, 1.0)))
-    if angle < _SMALL_RAD:
-        return np.asarray((1.0 - share) * first + share * last)
-    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
-    return np.asarray(weights[0] * first + weights[1] * last)
-
-
-_SMALL_RAD: Final = 1e-6
-"""Angle below which an arc equals a line to the last bit [rad]."""

@@ -13,12 +13,6 @@ from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describ
 from turtlelog.log.ros2.bag_rows import OrderedRows
 from turtlelog.log.ros2.stamps import TimesNs
 
-PATH_NOTE: Final = "path_by_speed"
-"""Name of the note on poses and reported speeds with different path lengths."""
-
-RATE_NOTE: Final = "turning_by_rate"
-"""Name of the note on headings and reported turn rates that turn differently."""
-
 _APART: Final = 0.2
 """Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
 within 5 %; odometry of a camera or a filter is within 10 %."""
@@ -251,9 +245,6 @@ def describe_small_leaps(xy_m: Values) -> str | None:
     )
 
 
-REPORTED_RATES: Final = "reported_rates"
-"""Name of the note on odometry rates that are left out or rotated."""
-
 SPEED: Final = "measured_speed"
 LATERAL: Final = "measured_lateral_speed"
 TURN_RATE: Final = "measured_turn_rate"
@@ -298,7 +289,7 @@ def judge_rates(
                 "twists are along the axes of the world, not the robot's, as the poses tell: the"
                 " speed is turned into the robot's axis"
             )
-    return left, {REPORTED_RATES: "; ".join(notes)} if notes else {}
+    return left, {"reported_rates": "; ".join(notes)} if notes else {}
 
 
 def _find_unset(columns: Mapping[str, Values], lateral: Values | None) -> list[str]:
@@ -414,20 +405,6 @@ def _propose(field: str, column: str, ratio: float) -> str:
     return ""
 
 
-_CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
-
-
-def note_crowded(time_ns: TimesNs) -> dict[str, str]:
-    """Return a note on poses that are too close in time for a sensor, if they are."""
-    steps_ns = np.diff(time_ns)
-    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
-        return {}
-    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
-    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
-    return {"crowded": text}
-
-
 def note_motion(
     poses: OrderedRows,
     columns: Mapping[str, Values],
@@ -461,5 +438,5 @@ def note_motion(
         driven = commands.time_ns, np.hypot(speed, lateral)
     reported = poses.columns if SPEED in columns else columns
     if paths := describe_paths(measure_paths(poses.time_ns, reported, driven), others):
-        notes[PATH_NOTE] = paths
+        notes["path_by_speed"] = paths
     return notes

@@ -29,9 +29,6 @@ from turtlelog.log.ros2.stamps import (
 )
 from turtlelog.run.angles import subtract_headings
 
-SILENCE: Final = "silence"
-"""Name of the note on a silence that lasts most of a bag."""
-
 _RIM_M: Final = 0.2
 """Distance of a point of the robot from its centre [m]: its way shows turning on the spot, too."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy import hypot
 
 from turtlelog.arithmetic import compiled_as
+from turtlelog.measure.loop_segment import project
 from turtlelog.measure.metric import (
     FOUND,
     GOAL_UNKNOWN,
@@ -242,10 +243,9 @@ def _compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
 def _project(course: Any) -> Values:
     if len(course.offset_m) > 0:
         return course.offset_m  # type: ignore[no-any-return]
-    (at_x_m, at_y_m, cos, sin), offset_m = course.line, course.memory.numbers[PIECES]
+    offset_m = course.memory.numbers[PIECES]
     for row in range(len(course.x_m)):
-        x_m, y_m = course.x_m[row] - at_x_m, course.y_m[row] - at_y_m
-        offset_m[row] = y_m * cos - x_m * sin
+        offset_m[row] = project(course.x_m[row], course.y_m[row], course.aim, False)  # noqa: FBT003
     return offset_m[: len(course.x_m)]  # type: ignore[no-any-return]
 
 

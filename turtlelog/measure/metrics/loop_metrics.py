@@ -7,6 +7,7 @@ moving reference: the delay, and the overshoot at corners.
 import math
 from typing import Final
 
+from turtlelog.measure.loop_segment import count_answered, find_clipped
 from turtlelog.measure.metric import FOUND, Outcome, Status, add_reason
 from turtlelog.measure.metric_kinds import curve_metric, has_sides, has_step, step_metric
 from turtlelog.measure.reductions import (
@@ -187,11 +188,12 @@ def _measure_decay_ratio(curve: Response) -> Outcome:
 )
 def _judge_stability(curve: Response) -> Outcome:
     """See `judge_swings`; poses after the last answered one are ignored."""
-    error = curve.error[: curve.answered]
+    error = curve.error[: count_answered(curve)]
     if len(error) < 2:
         return math.nan, math.nan, _ONE_ANSWER
     rows = find_crossing_rows(error, 0.0, curve.memory)
-    verdict = judge_swings(error, rows, curve.clipped, TURN_RAD if curve.is_angle else math.inf)
+    most = TURN_RAD if curve.is_angle else math.inf
+    verdict = judge_swings(error, rows, find_clipped(curve), most)
     if _UNDECIDED[verdict] != FOUND:
         return math.nan, math.nan, _UNDECIDED[verdict]
     return 1.0 if verdict == RESTS else 0.0, curve.start_s + curve.time_s[-1], FOUND

@@ -216,24 +216,23 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
     return Found(float(periods_s[row]), float(context.pose_time_s[row]))
 
 
-def _read_note(name: str) -> Callable[[RunContext], Result]:
-    def read(context: RunContext) -> Result:
-        note = context.run.notes.get(name, "0")
-        if not (note.isascii() and note.isdecimal()):
-            return Missing(Status.ABSENT, f"the note {name} is no number")
-        return Found(float(note))
+@run_metric(
+    "run.duplicates",
+    "1",
+    "Number of duplicate rows of the imported file, which were dropped.",
+    grows=True,
+    needs_poses=False,
+)
+def _count_duplicates(context: RunContext) -> Result:
+    return Found(float(context.run.origin.dropped_duplicates))
 
-    return read
 
-
-for _name, _note, _what in (
-    ("duplicates", "dropped_duplicates", "duplicate rows of the imported file, which were dropped"),
-    (
-        "disorder",
-        "sorted_rows",
-        "rows of the imported file that were out of order, and were sorted",
-    ),
-):
-    run_metric(f"run.{_name}", "1", f"Number of {_what}.", grows=True, needs_poses=False)(
-        _read_note(_note)
-    )
+@run_metric(
+    "run.disorder",
+    "1",
+    "Number of rows of the imported file that were out of order, and were sorted.",
+    grows=True,
+    needs_poses=False,
+)
+def _count_disorder(context: RunContext) -> Result:
+    return Found(float(context.run.origin.sorted_rows))
