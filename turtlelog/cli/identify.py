@@ -352,7 +352,8 @@ def _list_axes(model: "tl.RobotModel", *, shows_details: bool) -> Iterator[str]:
     for axis in model.axes:
         if not axis.is_known:
             end = "" if axis.reason.endswith("?") else "."
-            yield f"{_name(axis)}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
+            advice = f" To know it, {axis.advice}." if axis.advice else ""
+            yield f"{_name(axis)}: not identifiable: {axis.reason}{end}{advice}"
     for axis in model.axes if shows_details else ():
         name, delay = _name(axis), axis.correlation_delay_s
         if not axis.is_known or axis.explained is None:

@@ -20,7 +20,7 @@ from turtlelog.identify.axis_motion import (
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.fit_values import cover_waiting, describe_fit
+from turtlelog.identify.fit_values import cover_waiting, describe_fit, find_differing_parts
 from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
 from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S
@@ -193,7 +193,7 @@ def refuse_fit(
         return opposite
     if refused is None and (repetition := find_repetition(motions)):
         refused = _refuse_twin(axis, motions, fit, *repetition)
-    if refused is None or not (found.gain and found.bound and _is_wide(found.gain)):
+    if not (refused and refused.advice and found.gain and found.bound and _is_wide(found.gain)):
         return refused
     # Commands at the bound show no gain: any larger one leads there, too.
     most = found.bound.value / found.gain.value
@@ -236,7 +236,12 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
     if moving < _FEWEST_MOVING:
         count = describe_count(moving, "step")
         return refuse_axis(found.axis, "jump", count=count, steps=len(size))
-    return _refuse_wide(found, float(np.median(fit.model.duration_s)))
+    refused = _refuse_wide(found, float(np.median(fit.model.duration_s)))
+    if refused is None or not (differing := find_differing_parts(found.axis, fit)):
+        return refused
+    told = f"{refused.reason}, as the response differs between {', and between '.join(differing)}"
+    # No model has such a response, so that no drive would show its values.
+    return replace(refused, reason=told, advice="")
 
 
 def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> AxisModel | None:

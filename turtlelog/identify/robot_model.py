@@ -91,7 +91,7 @@ class AxisModel:
         status: Whether the values of the axis are known.
         refusal: Cause why the values are unknown.
         reason: The same in a sentence.
-        advice: Test drive that would identify the values.
+        advice: Test drive that would identify the values; empty if no drive would.
         model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
             lag s + 1).
         gain: Steady-state rate per command [1].
