@@ -194,6 +194,7 @@ def describe_gain(axis: "tl.identify.AxisModel") -> str:
     """
     gain, does, drift = axis.gain, _DOES[axis.axis], axis.drift
     bound = "" if axis.bound is None else f" up to {axis.bound.value:.3g} {axis.bound.unit}"
+    bound = axis.exceptions + bound
     if drift is not None:
         sign = "minus" if drift.value < 0.0 else "plus"
         bound += f" {sign} {abs(drift.value):.3g} {drift.unit}"
