@@ -388,6 +388,18 @@ def test_a_jump_is_further_than_twice_what_the_largest_command_leads_to(
     assert sum(note.startswith("Jump: the pose at") for note in found.notes) == jumps
 
 
+@pytest.mark.parametrize("gain", [0.2, 0.95])
+@pytest.mark.parametrize("faster", [1.0, 4.0])
+def test_a_motion_that_lasts_is_no_jump_however_wrong_the_gain_of_the_scenario(
+    gain: float, faster: float
+) -> None:
+    run = make_run(QUIET, 2)
+    slower = replace(run.commands, turn_rate_rad_s=run.commands.turn_rate_rad_s / faster)
+    scenario = make_scenario(plant__turn_gain=gain, plant__speed_gain=gain)
+    found = tl.compare.compare_robot(replace(run, commands=slower), scenario)
+    assert not any("Jump:" in note or "outlier" in note for note in found.notes)
+
+
 @pytest.mark.parametrize(("share", "begins_s"), [(0.015, 0.0), (0.025, 1.3)])
 def test_a_robot_stands_before_its_first_command_below_2_percent_of_the_largest(
     share: float, begins_s: float

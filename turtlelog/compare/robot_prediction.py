@@ -27,7 +27,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.identify import axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
-from turtlelog.identify.robot_noise import NORMAL_MAD
+from turtlelog.identify.robot_noise import NORMAL_MAD, find_short_runs
 from turtlelog.measure.reductions import Rows, Values
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
@@ -443,7 +443,9 @@ def _find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario)
     gains = scenario.plant.speed_gain, scenario.plant.turn_gain
     jumps = np.zeros(len(errors[0]), dtype=bool)
     for error, axis, gain in zip(errors, AXES, gains, strict=True):
-        most = abs(1.0 if gain is None else gain) * float(np.abs(get_commands(run, axis)).max())
+        # A gain of the scenario that is too small leaves a motion that lasts.
+        most = max(abs(gain or 1.0), 1.0) * float(np.abs(get_commands(run, axis)).max())
         noise = NORMAL_MAD * float(np.median(error))
-        jumps |= error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
+        is_off = error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
+        jumps |= find_short_runs(is_off.astype(float))
     return np.flatnonzero(jumps) + 1

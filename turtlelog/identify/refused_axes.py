@@ -193,7 +193,7 @@ def refuse_fit(
         return opposite
     if refused is None and (repetition := find_repetition(motions)):
         refused = _refuse_twin(axis, motions, fit, *repetition)
-    if not (refused and refused.advice and found.gain and found.bound and _is_wide(found.gain)):
+    if refused is None or not (found.gain and found.bound and _is_wide(found.gain)):
         return refused
     # Commands at the bound show no gain: any larger one leads there, too.
     most = found.bound.value / found.gain.value
@@ -236,12 +236,14 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
     if moving < _FEWEST_MOVING:
         count = describe_count(moving, "step")
         return refuse_axis(found.axis, "jump", count=count, steps=len(size))
-    refused = _refuse_wide(found, float(np.median(fit.model.duration_s)))
-    if refused is None or not (differing := find_differing_parts(found.axis, fit)):
+    fine_s = float(np.median(fit.model.duration_s))
+    refused = _refuse_wide(found, fine_s)
+    if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
         return refused
-    told = f"{refused.reason}, as the response differs between {', and between '.join(differing)}"
+    differing = find_differing_parts(found.axis, fit)
+    told = f", as the response differs between {', and between '.join(differing)}"
     # No model has such a response, so that no drive would show its values.
-    return replace(refused, reason=told, advice="")
+    return replace(refused, reason=f"{refused.reason}{told}", advice="") if differing else refused
 
 
 def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> AxisModel | None:
