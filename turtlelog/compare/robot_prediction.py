@@ -444,9 +444,9 @@ def _find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario)
     gains = scenario.plant.speed_gain, scenario.plant.turn_gain
     jumps = np.zeros(len(errors[0]), dtype=bool)
     for error, axis, gain in zip(errors, AXES, gains, strict=True):
-        # A gain of the scenario that is too small leaves a motion that lasts.
-        most = max(abs(gain or 1.0), 1.0) * float(np.abs(get_commands(run, axis)).max())
+        most = abs(1.0 if gain is None else gain) * float(np.abs(get_commands(run, axis)).max())
         noise = NORMAL_MAD * float(np.median(error))
         is_off = error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
+        # Steps that are off for long are a motion that the scenario lacks.
         jumps |= find_short_runs(is_off.astype(float))
     return np.flatnonzero(jumps) + 1
