@@ -302,7 +302,7 @@ def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
     """Return the time from which all curves stay within 1 % of a height of their last values [s].
 
     Each curve has its times [s] and values. A robot may move in a gap, so the rest of a curve
-    begins after its gaps.
+    begins after its gaps. Values are joined by lines, so it rests from the end of the last one.
     """
     ends_s = [0.0]
     for time_s, values in curves:
@@ -310,8 +310,8 @@ def find_rest(curves: Iterable[tuple[Values, Values]], height: float) -> float:
         if len(known):
             time_s, values = time_s[: known[-1] + 1], values[: known[-1] + 1]
             is_near = np.abs(values - values[-1]) <= _AT_REST * height
-            away = np.flatnonzero(~is_near)
-            ends_s.append(float(time_s[away[-1]]) if len(away) else 0.0)
+            for away in np.flatnonzero(~is_near)[-1:]:
+                ends_s.append(float(time_s[away + bool(np.isfinite(values[away]))]))
     return max(ends_s)
 
 

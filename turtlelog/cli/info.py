@@ -93,6 +93,8 @@ class InfoAnswer:
         file: Name of the file as given.
         summary: Description of the file, in one sentence.
         ending: How the run ended at its goal, as text; None if unknown.
+        verdict: Whether the run `reached` or `missed` its goal, or `ended` elsewhere within the
+            tolerances (`allowed`) or without any; None if unknown.
         format_version: Format version of the recording; None if turtlelog did not write it.
         source: Origin of the data.
         name: Name of the run.
@@ -118,6 +120,7 @@ class InfoAnswer:
     file: str
     summary: str
     ending: str | None
+    verdict: str | None
     format_version: int | None
     source: str
     name: str
@@ -201,7 +204,8 @@ def _read(
         recording,
         file=str(path),
         summary=summary.text,
-        ending=summary.ending,
+        ending=None if summary.end is None else summary.end.describe(),
+        verdict=None if summary.end is None else summary.end.verdict,
         run_duration_s=None if summary.run is None else summary.run.duration_s,
         absent=_list_absent(recording, summary),
         missing=summary.missing,
@@ -276,7 +280,10 @@ def _format_answers(answers: Sequence[InfoAnswer]) -> str:
     kinds = Counter(_name_kind(answer) for answer in answers)
     counts = [describe_count(count, kind) for kind, count in kinds.most_common()]
     broken = sum(not answer.complete for answer in answers)
+    judged = [one.verdict for one in answers if one.verdict is not None]
+    reached = f"{judged.count('reached')} of {len(judged)}" if len(judged) > 1 else ""
     state = f"; {broken} not complete" if broken else ""
+    state += f"; {reached} runs with a goal reached it" if reached else ""
     rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
     table = console.build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
     head = f"{len(answers)} files: {join_words(counts)}{state}."
@@ -389,7 +396,11 @@ def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     elif answer.source:
         yield "source", answer.source
     if "law.kind" in known:
-        yield "controller", f"{known['law.kind']}{_write_gains(known)}"
+        over = known.get("law.schedule.over")
+        schedule = (
+            "" if over is None else f", with gains scheduled over the {over.replace('_', ' ')}"
+        )
+        yield "controller", f"{known['law.kind']}{_write_gains(known)}{schedule}"
     has_goal = "goal.x_m" in known and "goal_xy_m" not in answer.absent
     if has_goal and "path.kind" not in known:
         yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"

@@ -12,7 +12,7 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.files.urls import RemotePath
 from turtlelog.processes import count_bytes
-from turtlelog.run.stop_reasons import find_goal_end
+from turtlelog.run.stop_reasons import GoalEnd, find_goal_end
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,7 +98,7 @@ class Summary:
 
     Attributes:
         text: One sentence without a full stop.
-        ending: How the run ended at its goal, as text; None if unknown.
+        end: How the run ended at its goal; None if unknown.
         run: Summary of the run in the file; None if the run was not read.
         missing: Missing data, each with its use.
         clock: Clock that times the poses; None if there is only one clock, or poses were not read.
@@ -106,7 +106,7 @@ class Summary:
     """
 
     text: str
-    ending: str | None = None
+    end: GoalEnd | None = None
     run: ReadRun | None = None
     missing: tuple[str, ...] = ()
     clock: "tl.run.Clock | None" = None
@@ -120,7 +120,7 @@ def summarise(
     is_lost = holds_nothing(info)
     if info.format_version is not None:
         text = f"a recording of turtlelog's, {NOTHING_LEFT}" if is_lost else _summarise_own(info)
-        return Summary(text=text, ending=_find_ending(path, info, is_asked=is_asked))
+        return Summary(text=text, end=_find_end(path, info, is_asked=is_asked))
     if not info.complete and (is_lost or not choice.allow_partial):
         text = NOTHING_LEFT if is_lost else _summarise_topics(info, "it is not complete")
         return Summary(text=text)
@@ -165,7 +165,7 @@ def _summarise_own(info: "tl.log.RecordingInfo") -> str:
     return f"a recording of turtlelog's{state}{origin}: {', '.join(filter(None, parts)) or 'empty'}"
 
 
-def _find_ending(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) -> str | None:
+def _find_end(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) -> GoalEnd | None:
     """Return how a turtlelog recording's run ended at its goal, unless the file is large."""
     if not info.complete or (not is_asked and _find_large(path, info)):
         return None
@@ -173,12 +173,7 @@ def _find_ending(path: Path, info: "tl.log.RecordingInfo", *, is_asked: bool) ->
         run = tl.log.read_run(path)
     except TurtlelogError:
         return None  # the readable part is described, and `metrics` reports the rest
-    return _describe_ending(run)
-
-
-def _describe_ending(run: "tl.Run") -> str | None:
-    end = find_goal_end(run)
-    return None if end is None else end.describe()
+    return find_goal_end(run)
 
 
 def _find_large(path: Path, info: "tl.log.RecordingInfo") -> str:
@@ -303,7 +298,7 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
     )
     return Summary(
         text=_describe_run(run, read),
-        ending=_describe_ending(run),
+        end=find_goal_end(run),
         run=read,
         missing=tuple(_list_missing(run, info)),
         clock=run.clock,

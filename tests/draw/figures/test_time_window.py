@@ -30,7 +30,7 @@ def test_time_axes_are_cut_and_curves_have_the_height_that_they_have_there() -> 
 def test_an_axis_ends_where_its_curves_rest_from_the_first_part_on_and_says_until_when() -> None:
     (axes,) = draw_figure("heading", [RUN]).axes
     assert 2.5 < axes.get_xlim()[1] < 0.6 * float(RUN.duration_s)
-    assert axes.get_xlabel() == "time from the first sample [s]\nunchanged until 12.6 s"
+    assert axes.get_xlabel() == "time from the first sample [s]\nwithin 1 % until 12.6 s"
     for name in ("along-track", "wanted-turn-rate", "panel"):
         *_, axes = draw_figure(name, [RUN]).axes
         assert axes.get_xlim()[1] > float(RUN.duration_s)
@@ -46,17 +46,26 @@ def test_only_a_robot_whose_position_rests_too_is_called_at_rest() -> None:
     assert axes.get_xlabel() == "time from the first sample [s]\nat rest until 12.6 s"
     turned = replace(RUN.poses, heading_rad=heading_rad)
     (axes,) = draw_figure("heading", [replace(RUN, poses=turned)]).axes
-    assert axes.get_xlabel() == "time from the first sample [s]\nunchanged until 12.6 s"
+    assert axes.get_xlabel() == "time from the first sample [s]\nwithin 1 % until 12.6 s"
 
 
 @pytest.mark.parametrize(("at_s", "is_cut"), [(5.9, True), (6.1, False)])
 def test_curves_rest_where_they_stay_within_a_hundredth(at_s: float, *, is_cut: bool) -> None:
     figure = Figure()
     axes = figure.subplots()
-    axes.plot([0.0, at_s, at_s + 0.1, 10.0], [0.0, 0.0, 0.991, 1.0])
+    axes.plot([0.0, at_s - 0.1, at_s, 10.0], [0.0, 0.0, 0.991, 1.0])
     axes.set(xlim=(0.0, 10.0), ylim=(0.0, 1.0), xlabel="time from the first sample [s]")
     cut_time_axes(figure, [RUN], Page())
     assert axes.get_xlim()[1] == pytest.approx(1.15 * at_s if is_cut else 10.0)
+
+
+def test_a_line_between_two_far_poses_is_drawn_to_its_end() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    axes.plot([0.0, 4.0, 9.0, 10.0], [0.0, 0.5, 1.0, 1.0])
+    axes.set(xlim=(0.0, 10.0), ylim=(0.0, 1.0), xlabel="time from the first sample [s]")
+    cut_time_axes(figure, [RUN], Page())
+    assert axes.get_xlim()[1] == 10.0
 
 
 def test_an_axis_does_not_end_before_a_gap_in_its_curves() -> None:

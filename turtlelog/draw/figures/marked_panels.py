@@ -369,8 +369,8 @@ def _end_at_rest(found: Sequence[Axes], runs: Sequence[Run]) -> None:
     if not 0.0 < rest_s < _MOST_AT_REST * min(lengths_s):
         return
     shown_s = (1.0 + _AFTER_REST) * rest_s
-    # A robot that drives straight ahead leaves its heading and its commands unchanged.
-    state = "at rest" if all(_find_standstill(run) <= shown_s for run in runs) else "unchanged"
+    # A robot that drives straight ahead leaves its heading and its commands nearly unchanged.
+    state = "at rest" if all(_find_standstill(run) <= shown_s for run in runs) else "within 1 %"
     for axes in found:
         axes.set_xlim(right=shown_s)
         if label := axes.get_xlabel():
