@@ -94,6 +94,31 @@ def test_what_the_intervals_of_two_robots_allow_is_not_called_different(
     assert found.idle == idle
 
 
+@pytest.mark.parametrize(
+    ("metric", "name", "told"),
+    [
+        ("final.position_error", "goal", "the goal adds 0.5"),
+        ("run.cross_track_max", "goal and path", "the goal and path add 0.2"),
+    ],
+)
+def test_a_goal_and_a_path_are_named_only_if_the_metric_depends_on_them(
+    metric: str, name: str, told: str
+) -> None:
+    """Takes some 2 s: two robots are identified, and driven with 32 draws of their parameters."""
+    run = draw_robot_pair("noise", 3, has_same_commands=True).first
+    paths = [
+        {"path.kind": "waypoints", "path.points": ((0.0, aside_m), (2.0, aside_m))}
+        for aside_m in (0.1, 0.3)
+    ]
+    logs = [
+        replace(run, goal_xy_m=goal_xy_m, parameters=path)
+        for goal_xy_m, path in zip([(1.0, 0.0), (1.5, 0.0)], paths, strict=True)
+    ]
+    found = explain_difference(*logs, metric=metric)
+    assert name_told(found) == [name]
+    assert told in found.sentences[0]
+
+
 def test_equal_logs_do_not_differ() -> None:
     run = draw_robot_pair("noise", 3, has_same_commands=True).first
     found = explain_difference(run, run, metric=METRIC)

@@ -14,7 +14,7 @@ from turtlelog.explain.answers import (
     DividedDifference,
     Side,
 )
-from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES
+from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES, is_place
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
@@ -164,7 +164,7 @@ def write_difference_headline(found: DividedDifference) -> str:
 def _write_parts(found: DividedDifference) -> str:
     """Return the contributions of the changes; those not in the headline are added up."""
     parts = [
-        f"{name_change(one)} {_write_move(found, one.size, is_many=one.name in _PLURALS)}"
+        f"{name_change(one)} {_write_move(found, one.size, is_many=_is_plural(one))}"
         for one in choose_told(found)
     ]
     if found.unexplained is not None:
@@ -175,6 +175,10 @@ def _write_parts(found: DividedDifference) -> str:
         parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
     told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
     return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
+
+
+def _is_plural(one: Change) -> bool:
+    return one.name in _PLURALS or (is_place(one.keys) and len(one.keys) > 1)
 
 
 def _list_divided(found: DividedDifference) -> list[Change]:
