@@ -359,10 +359,16 @@ def _format_pair(key: str, before: Any, after: Any) -> str:
     return f"{' -> '.join(shown)}{unit}"
 
 
+def write_side_notes(found: DividedDifference) -> list[str]:
+    """Return what is to know of each robot's log: that its law is known, that its poses jump."""
+    sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
+    return [f"{side.name}: {side.note}." for side in sides if side.note]
+
+
 def _write_robot_basis(found: DividedDifference) -> list[str]:
     """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
     sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
-    said = [f"{side.name}: {side.note}." for side in sides if side.note]
+    said = write_side_notes(found)
     for side in sides:
         if side.unknown:
             names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])

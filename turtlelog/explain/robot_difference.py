@@ -20,6 +20,7 @@ from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.measure import measure_run
+from turtlelog.measure.pose_quality import describe_breaks
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.columns import take_rows
@@ -52,7 +53,9 @@ def explain_robots(
     runs = _leave_paths([_leave_controller(run) for run in (first, second)], metric)
     left = [not given.is_lawless for given in (first, second)]
     logged = [measure_run(run, only=[metric])[metric] for run in runs]
-    notes = [_LAW_ACTS if is_left and not all(left) else "" for is_left in left]
+    laws = [_LAW_ACTS if is_left and not all(left) else "" for is_left in left]
+    jumps = [describe_breaks(run).get("jumps", "") for run in runs]  # which no model explains
+    notes = ["; ".join(filter(None, pair)) for pair in zip(laws, jumps, strict=True)]
     sides = [
         Side(name=run.name, as_logged=one.value, reason=one.reason, basis=ROBOT, note=note)
         for run, one, note in zip(runs, logged, notes, strict=True)
