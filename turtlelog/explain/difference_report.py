@@ -353,7 +353,10 @@ def _format_pair(key: str, before: Any, after: Any) -> str:
     of_axis = UNITS["speed" if axis == "speed" else "turn_rate"]
     factor, unit = (1e3, " ms") if name in _MS else (1.0, f" {of_axis}")
     unit = _AFTER[name] if name.endswith("gain") else unit + _AFTER.get(name, "")
-    shown = ["none" if one is None else f"{factor * one:.3g}" for one in (before, after)]
+    for digits in (3, 4, 5, 6):  # as many as show that they differ
+        shown = ["none" if one is None else f"{factor * one:.{digits}g}" for one in (before, after)]
+        if shown[0] != shown[1]:
+            break
     if after is None:
         return f"{shown[0]}{unit} -> none"
     return f"{' -> '.join(shown)}{unit}"
