@@ -283,7 +283,10 @@ def _advise(failed: "CheckResult", spec: "Spec", reading: Sequence[str]) -> str 
     formulas = (check.formula for check in spec.checks if check.name == failed.check)
     is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)
     if spec.reference is not None and is_error:
-        words = console.quote_file(failed.file, "--reference", spec.reference, "--ate", *reading)
+        from turtlelog.cli.compare_trajectories import list_setting_words
+
+        settings = list_setting_words(spec.trajectory)
+        words = console.quote_file(failed.file, "--reference", spec.reference, *settings, *reading)
         return f"turtlelog compare {words} --plot FILE.pdf"
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
