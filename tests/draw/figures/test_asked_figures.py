@@ -429,6 +429,44 @@ def test_the_motion_after_every_change_lies_under_its_model_and_shows_the_spread
     assert min(halves_s[1:]) > 0.07
 
 
+def test_responses_end_at_the_gain_and_commands_where_the_next_change_begins() -> None:
+    """The turn rate changes between -0.5 and 0.5 rad/s, and back 0.1 s before the robot arrives."""
+    log = Log(duration_s=24.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0)
+    log = replace(log, turn_rate=replace(log.turn_rate, gain=0.9))
+    time_s = np.arange(0.5, 23.5, 0.1)
+    values = np.where(np.floor(time_s / 3.0) % 2.0, -0.5, 0.5)
+    run, figure = make_run(log, 1, turn=(time_s, values), speed=(time_s, values)), make_figure()
+    draw_rates(figure, [run])
+    (axes,) = [one for one in figure.axes if "turn rate: " in one.get_title("right")]
+    lines = {
+        color: [one.get_xydata() for one in axes.get_lines() if one.get_color() == color]
+        for color in ("0.3", "0.6")
+    }
+    models = [one.get_xydata() for one in axes.get_lines() if one.get_zorder() == 2.4]
+    ends = [float(np.asarray(line)[-1, 1]) for line in (*models[1:], *lines["0.6"][1:])]
+    assert ends == pytest.approx([0.9] * len(ends), abs=5e-3)
+    assert len(ends) == 2 * (len(models) - 1) > 8
+    commands = np.concatenate([np.asarray(line) for line in lines["0.3"]])
+    assert commands[commands[:, 0] >= 0.0, 1] == pytest.approx(1.0)
+
+
+def test_rates_over_the_whole_run_are_drawn_as_the_means_that_they_are() -> None:
+    """Lines between the middles of means would begin a tenth of a second before the command."""
+    figure = make_figure()
+    draw_rates(figure, [read(10)])
+    means = [
+        line
+        for axes in figure.axes
+        for line in axes.get_lines()
+        if line.get_drawstyle() == "steps-mid"
+    ]
+    assert len(means) == 6
+    assert {*map(str, (line.get_label() for line in means[:2]))} == {
+        "motion, means of 0.1 s",
+        "model, means of 0.1 s",
+    }
+
+
 def test_without_commands_there_are_no_rates(robot: tl.Run) -> None:
     still = {name: 0.0 * getattr(robot.commands, name) for name in ("speed_m_s", "turn_rate_rad_s")}
     silent = replace(robot, commands=replace(robot.commands, **still))
