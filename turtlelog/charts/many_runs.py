@@ -139,14 +139,22 @@ def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
 
 
 def find_color_scale(runs: Sequence[Run]) -> GainScale | None:
-    """Return the number that the colours of many runs show: the differing number, or the gain."""
+    """Return the number that the colours of many runs show.
+
+    It is the only differing number, the gain, or of a few keys the first whose numbers are in the
+    runs' order. In runs that differ in more keys, it would show a difference among many.
+    """
     if len(runs) <= MANY:
         return None
     found, groups = find_gain_scale(runs), group_by_gain(runs)
-    if found is not None or len(groups) < 2:
+    if found is not None:
         return found
-    gains = {number: gain for gain, numbers in groups.items() for number in numbers}
-    return GainScale(word="Kp", values=tuple(gains[number] for number in range(len(runs))))
+    if len(groups) > 1:
+        gains = {number: gain for gain, numbers in groups.items() for number in numbers}
+        return GainScale(word="Kp", values=tuple(gains[number] for number in range(len(runs))))
+    keys = [key for key in list_differing(runs) if not key.endswith("seed")]
+    scales = (_scale(runs, key, "") for key in keys if len(keys) <= _MOST_KEYS)
+    return next((one for one in scales if one and [*one.values] == sorted(one.values)), None)
 
 
 def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
@@ -162,16 +170,17 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     is_apart = is_of_gain and len({run.parameters.get(min(gains)) for run in runs}) == len(runs)
     if is_of_gain and ({*differing} <= gains or is_apart):
         word, differing = "Kp", [min(gains)]
-    elif len(differing) == 1:
-        word = _WORDS.get(differing[0], differing[0].rpartition(".")[2])
-    if not word:
-        return None
-    values = [run.parameters.get(differing[0]) for run in runs]
+    return _scale(runs, differing[0], word) if len(differing) == 1 else None
+
+
+def _scale(runs: Sequence[Run], key: str, word: str) -> GainScale | None:
+    """Return the values of a key; None if a run has no number."""
+    values = [run.parameters.get(key) for run in runs]
     numbers = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
     if len(numbers) < len(runs) or not all(np.isfinite(numbers)):
         return None
-    unit = find_gain_unit(runs, differing[0])
-    return GainScale(word=word, values=tuple(numbers), unit=unit)
+    word = word or _WORDS.get(key, key.rpartition(".")[2])
+    return GainScale(word=word, values=tuple(numbers), unit=find_gain_unit(runs, key))
 
 
 def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:
