@@ -1,6 +1,7 @@
 """Figures that are drawn only where they are asked for: what they show is what was measured."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -226,6 +227,28 @@ def test_a_run_without_a_value_is_a_cross() -> None:
     draw_gains(figure, [*RUNS, tl.simulate_run(wild)], metrics=["rotate.settling_time"])
     crosses = [line for line in figure.axes[0].get_lines() if line.get_label() == "no value"]
     assert [line.get_xdata()[0] for line in crosses] == [50.0]  # type: ignore[index]
+
+
+def test_metrics_stand_over_the_gain_that_differs() -> None:
+    def set_gains(rotate: float, translate: float) -> tl.Run:
+        gains = {"law.kp_angular": rotate, "law.kp_linear": translate}
+        return replace(read(4), parameters={**read(4).parameters, **gains})
+
+    def list_titles(*runs: tl.Run, metrics: Sequence[str] | None = None) -> set[str]:
+        figure = make_figure()
+        draw_gains(figure, runs, metrics=metrics)
+        return {axes.get_xlabel() for axes in figure.axes} - {""}
+
+    one = set_gains(4.0, 1.0), set_gains(4.0, 2.0)
+    assert list_titles(*one) == {"Kp of translate [1/s]"}
+    figure = make_figure()
+    draw_gains(figure, one)
+    assert figure.get_supxlabel() == "Kp of rotate is always 4 1/s"
+    assert any("final position error" in axes.get_ylabel() for axes in figure.axes)
+    both = {"Kp of rotate [1/s]", "Kp of translate [1/s]"}
+    assert list_titles(*one, metrics=["overshoot"]) == both
+    assert list_titles(*one, set_gains(4.1, 2.0)) == both
+    assert list_titles(one[0]) == both
 
 
 def test_without_a_gain_there_is_nothing_to_draw_it_against() -> None:

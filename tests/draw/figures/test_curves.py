@@ -319,3 +319,18 @@ def test_marks_of_a_curve_that_swings_stand_at_equal_times() -> None:
         every.append(axes.get_lines()[0].get_markevery())
     # Each swing goes its height up and down: eight heights are four swings.
     assert every == [(0.1, 0.3), (100, 300)]
+
+
+def test_runs_that_do_not_settle_are_named_once_and_their_commands_are_in_view() -> None:
+    calm = tl.simulate_run(get_preset("paper-kp4"))
+    gains = {"law.kp_angular": 25.0, "law.kp_linear": 25.0}
+    swinging = tl.simulate_run(override_scenario(get_preset("paper-kp1"), gains, source="test"))
+    long = replace(swinging, name="swinging law.kp_angular=25 law.kp_linear=25 run.long=name")
+    figure = tl.draw.draw_figure("panel", [calm, replace(calm, name="again"), long])
+    told = [axes.get_title("right") for axes in figure.axes if "settled" in axes.get_title("right")]
+    assert told == ["pale: swinging l...n.long=name,\nnot settled"]
+    figure.draw_without_rendering()
+    (rate,) = [axes for axes in figure.axes if axes.get_ylabel().startswith("turn rate")]
+    low, high = rate.get_ylim()
+    turning = long.samples.turn_rate_rad_s
+    assert low < turning.min() < turning.max() < high

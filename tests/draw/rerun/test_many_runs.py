@@ -319,6 +319,13 @@ def test_many_runs_that_differ_in_a_few_numbers_show_one_that_is_in_their_order(
     assert scale is not None
     assert (scale.word, scale.unit, scale.values) == ("kp_linear", "1/s", (*[1.0] * 4, *[2.0] * 4))
     assert find_color_scale(sweep()[::-1]) is None
+    paused = [
+        set_gain(run, 4.0, **{KEYS[1]: 4.0 + number, "law.pause_ticks": 3 + number // 4, "seed": 1})
+        for number in range(8)
+    ]
+    finest = find_color_scale(paused)
+    assert finest is not None
+    assert finest.word == "kp_linear"
     third, fourth = (
         {f"start.{name}": float(number) for name in names}
         for number, names in enumerate((["x_m"], ["x_m", "y_m"]), 1)

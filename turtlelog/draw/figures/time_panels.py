@@ -93,12 +93,16 @@ def draw_time_plot(
     label = label_coordinate(name, origin_m) if origin_m else label
     _finish(axes, runs, re.sub(r"Kp e(\w)", r"$K_p e_\1$", label))
     calm = [run for number, run in enumerate(runs) if number not in restless]
-    _fit(axes, calm, plot, scale, is_forced=bool(restless))
+    is_left_out = plotted_curves.leaves_out(len(runs), plot)
+    # Commands have limits: pale ones fit, too.
+    fitted = calm if plot.command is None or is_left_out else runs
+    _fit(axes, fitted, plot, scale, is_forced=bool(restless))
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
-        how = "without" if plotted_curves.leaves_out(len(runs), plot) else "pale:"
-        words = f"{how} {many_runs.describe_restless(runs, restless)}, not settled"
-        axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
+        how = "without" if is_left_out else "pale:"
+        words = f"{how} {many_runs.describe_restless(runs, restless)},\nnot settled"
+        if all(words != other.get_title("right") for other in axes.figure.axes):
+            axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
     if plot.command is not None:

@@ -116,7 +116,8 @@ class _Overlay:
             self.runs, self.prefixes, self.series, self.references, documents, names=self.names
         )
         if content.legend_names:
-            content = replace(content, legend_names=self.name_briefly())
+            brief = many_runs.cut_names(self.name_briefly())
+            content = replace(content, legend_names=brief)
         calm = [number for number in range(len(self.runs)) if number not in self.restless]
         if (scale := self.scale) is not None:
             span = f"{min(scale.values):g} to {max(scale.values):g}"
