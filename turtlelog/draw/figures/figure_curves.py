@@ -85,7 +85,6 @@ _OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, curves.REFERENCE, curves.B
 _ALIKE: Final = (
     ("goal bearing", "goal heading", "goal", "zero"),
     ("tolerance", "limit"),
-    ("applied", "|applied|"),
 )
 """Labels that share a style in different panels; each panel shows its own label."""
 
