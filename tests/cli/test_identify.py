@@ -198,6 +198,11 @@ def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     assert text.splitlines()[-1] == f"Why? turtlelog explain {kp10}"
 
 
+def test_a_bag_of_turtlesim_without_samples_has_no_command_that_explains_it(call: Call) -> None:
+    lines = call("identify", find_shared("ros2", "turtlesim_jazzy")).out.splitlines()
+    assert lines[-1].startswith("  model_delay_wz: ")
+
+
 def test_without_files_and_with_none_that_can_be_read_it_says_so(call: Call) -> None:
     answer = call("identify")
     assert (answer.code, answer.out) == (2, "")

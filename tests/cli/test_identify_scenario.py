@@ -67,7 +67,7 @@ def test_what_is_no_robot_is_one_line_and_no_file(call: Call, tmp_path: Path) ->
     target = tmp_path / "robot.toml"
     for file, expected in (
         (poses, "speed: not identifiable: no commands were recorded; to know it, record the"),
-        (turtle, "found turtlesim, whose plant is known; `turtlelog explain FILE --scenario"),
+        (turtle, "found turtlesim, whose plant is that of the preset textbook; `turtlelog explain"),
     ):
         answer = call("identify", file, "--scenario", target)
         assert (answer.code, answer.out) == (2, "")

@@ -125,6 +125,14 @@ def test_commands_that_come_unsteadily_have_no_rate(
     assert words in answer["summary"].partition(", ")[2]
 
 
+def test_scheduled_gains_are_told_beside_the_constant_ones(call: Call, tmp_path: Path) -> None:
+    file, table = tmp_path / "a.mcap", "law.schedule."
+    keys = (f"{table}over=heading_error", f"{table}at=[0, 1]", f"{table}kp_linear=[4, 2]")
+    call("run", "paper-kp4", *(word for key in keys for word in ("--set", key)), "-o", file)
+    told = "sequential-p, Kp = 4 1/s (turning and driving), with gains scheduled over the heading"
+    assert told in " ".join(call("info", file).out.split())
+
+
 def test_a_recording_of_ours_is_told_from_its_summary(
     call: Call, kp4: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -206,7 +206,7 @@ def test_the_first_line_says_which_run_is_best() -> None:
     )
     assert tl.tabulate_runs(pair, only=["run.duration"]).title == f"{title} run.duration"
     both = ["run.duration", "final.position_error"]
-    assert tl.tabulate_runs(pair, only=both).title == f"{title} everything"
+    assert tl.tabulate_runs(pair, only=both).title == f"{title} every metric shown"
 
 
 def test_a_report_ranks_as_the_table_does() -> None:

@@ -7,6 +7,7 @@ import turtlelog as tl
 from tests.measure.test_breaks import make_robot, move
 from turtlelog.compare.run_selection import list_usual_metrics
 from turtlelog.errors import CompareError
+from turtlelog.measure import Status
 from turtlelog.measure.breaks import find_jumps
 
 RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]
@@ -50,6 +51,9 @@ def test_a_parameter_that_files_leave_out_by_default_is_shown_where_it_differs()
     table = tl.tabulate_runs([tl.summarise_run(run) for run in runs])
     assert read_column(table, "law.timeout_s") == [30.0, 20.0, 30.0]
     assert read_column(table, "start.precision") == ["float32", "float32", "float64"]
+    heads = {one.title: (one.lines, one.unit) for one in table.columns}
+    assert heads["law.timeout_s"] == (("law", "timeout"), "s")
+    assert heads["start.precision"] == (("start", "precision"), "")
     assert tl.compare.name_runs(runs[:2]) == ("paper-kp4 timeout_s 30", "paper-kp4 timeout_s 20")
 
 
@@ -67,6 +71,23 @@ def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.Monk
         kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
         monkeypatch.setattr(ranking, "find_metric_kind", lambda _, kind=kind: kind)
         assert tl.compare.mark_metric(SUMMARIES, "run.duration") == marks
+
+
+def test_a_loop_that_never_settles_is_worse_than_each_that_does() -> None:
+    name = "translate.settling_time"
+    never = dataclasses.replace(SUMMARIES[0].metrics[name], value=None, status=Status.NOT_REACHED)
+    metrics = {**SUMMARIES[0].metrics, name: never}
+    lost = dataclasses.replace(SUMMARIES[0], metrics=metrics)
+    assert tl.compare.mark_metric([*SUMMARIES[2:0:-1], lost], name) == {0: "best", 2: "worst"}
+    assert tl.compare.mark_metric([SUMMARIES[1], lost], name) == {0: "best", 1: "worst"}
+
+
+def test_a_key_that_the_same_law_omits_differs() -> None:
+    schedule = {"law.schedule.over": "distance", "law.schedule.at": [0.0, 1.0]}
+    schedule["law.schedule.kp_linear"] = [4.0, 2.0]
+    scenario = tl.override_scenario(tl.load_scenario("paper-kp4"), schedule)
+    runs = [SUMMARIES[2], tl.summarise_run(tl.simulate_run(scenario))]
+    assert read_column(tl.tabulate_runs(runs), "law.schedule.over") == [None, "distance"]
 
 
 def test_equal_runs_and_runs_without_a_value_have_no_marks() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.any_file import read_run, read_trajectory
 from turtlelog.log.planar_poses import find_travel
-from turtlelog.log.table_columns import find_runs
+from turtlelog.log.ros2.set_clocks import find_runs
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]

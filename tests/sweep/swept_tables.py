@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import turtlelog as tl
+from turtlelog.scenario.model import split_key_unit
 from turtlelog.sweep import ResultColumn, ResultTable, SweepPlan, build_plan, write_result_table
 from turtlelog.sweep.result_table import choose_type
-from turtlelog.sweep.sweep_rows import find_key_unit
 
 Compute = Callable[..., float | str]
 """Of the values of the keys: a value, or the status that there is none."""
@@ -29,7 +29,7 @@ def write_table(
     rows = [plan.find_values(row) for row in range(plan.row_count)]
     columns = [ResultColumn(name="row", type="whole", cells=range(len(rows)))]
     for key, cells in zip(plan.keys, zip(*rows, strict=True), strict=True):
-        unit = find_key_unit(key)
+        unit = split_key_unit(key)[1] or None
         columns.append(ResultColumn(name=key, type=choose_type(cells), cells=cells, unit=unit))
     for name, compute in metrics.items():
         found = [compute(*values) for values in rows]

@@ -7,6 +7,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.scenario import resolve_scenario
+from turtlelog.scenario.model import split_key_unit
 from turtlelog.simulate.many import find_loop
 from turtlelog.sweep import (
     ResultTable,
@@ -18,7 +19,7 @@ from turtlelog.sweep import (
     read_result_table,
     run_sweep,
 )
-from turtlelog.sweep.sweep_rows import find_key_unit, is_batch
+from turtlelog.sweep.sweep_rows import is_batch
 
 NOISY = {"sensing.noise_position_m": 0.01, "loop.loss_probability": 0.05, "seed": 3}
 
@@ -214,7 +215,7 @@ def test_columns_have_the_type_that_the_scenario_has_and_units(tmp_path: Path) -
     ],
 )
 def test_unit_of_a_key_is_that_of_its_name(key: str, unit: str | None) -> None:
-    assert find_key_unit(key) == unit
+    assert (split_key_unit(key)[1] or None) == unit
 
 
 def test_metrics_of_every_kind_are_kept(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """`turtlelog compare` of runs side by side: which is best at what."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -261,16 +262,20 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
     kind = tl.measure.find_metric_kind(name)
     # A robot that stays short of its target has no overshoot, however far it stays short.
     is_none = kind is not None and kind.floor == 0.0 and least <= 0.0
-    least_text, most_text = format_range(least, most, unit)
+    is_reached = math.isfinite(most)
+    least_text, most_text = format_range(least, most if is_reached else least, unit)
     value = "none" if is_none else least_text
+    most_text = most_text if is_reached else tl.measure.Status.NOT_REACHED.words
     return label, best, name, value, f"worst: {worst}, {most_text}"
 
 
 def _find_end(table: "Table", place: int, mark: str) -> tuple[str, float]:
+    """Return who has a mark, and the value; infinite if a loop never reaches it."""
     rows = [row for (row, column), found in table.marks.items() if (column, found) == (place, mark)]
     names = [str(table.rows[row][0]) for row in rows]
     who = join_words(names) if len(names) <= 2 else describe_count(len(names), "run")
-    return who, float(table.rows[rows[0]][place] or 0.0)
+    cell = table.rows[rows[0]][place] or 0.0
+    return who, math.inf if isinstance(cell, str) else float(cell)
 
 
 def _list_next(

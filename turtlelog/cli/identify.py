@@ -410,7 +410,8 @@ def _list_next(
         yield f"Test it on a bag that it has not seen: turtlelog compare OTHER {compared}"
     elif model.tick_delays is not None:
         # `explain` takes one recording.
-        yield f"Why? {console.advise_explain(files[0], reading)}"
+        if command := console.advise_explain(files[0], reading):
+            yield f"Why? {command}"
     elif any(axis.is_known for axis in model.axes) and all(
         axis.is_known or axis.is_idle for axis in model.axes
     ):  # a scenario needs every commanded axis

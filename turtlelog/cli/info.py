@@ -396,7 +396,11 @@ def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     elif answer.source:
         yield "source", answer.source
     if "law.kind" in known:
-        yield "controller", f"{known['law.kind']}{_write_gains(known)}"
+        over = known.get("law.schedule.over")
+        schedule = (
+            "" if over is None else f", with gains scheduled over the {over.replace('_', ' ')}"
+        )
+        yield "controller", f"{known['law.kind']}{_write_gains(known)}{schedule}"
     has_goal = "goal.x_m" in known and "goal_xy_m" not in answer.absent
     if has_goal and "path.kind" not in known:
         yield "goal", f"({known['goal.x_m']:g}, {known['goal.y_m']:g}) m"

@@ -6,15 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from turtlelog.compare.table import Mark
-from turtlelog.display import (
-    describe_count,
-    format_number,
-    format_range,
-    join_words,
-    show_list,
-)
+from turtlelog.display import describe_count, format_number, format_range, join_words, show_list
 from turtlelog.errors import CompareError, describe_unknown
-from turtlelog.measure import Metric, find_metric_kind
+from turtlelog.measure import Metric, Status, find_metric_kind
 from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
@@ -98,8 +92,7 @@ class Ranking:
     Attributes:
         varied: Keys that were varied intentionally and differ: gains, and named keys.
         differences: Conditions that prevent a ranking, in order of `CONDITIONS`.
-        unknown: Conditions that are unknown for all runs and therefore prevent nothing, with the
-            runs.
+        unknown: Conditions that are unknown for all runs, which prevent nothing, with the runs.
     """
 
     varied: tuple[str, ...]
@@ -130,8 +123,7 @@ class Ranking:
     def list_notes(self, names: Sequence[str]) -> list[str]:
         """Return each difference with its values, and unknown conditions, as sentences.
 
-        Args:
-            names: Names of the runs, in order.
+        `names` are those of the runs, in order.
         """
         notes = [_describe_values(found, names) for found in self.differences]
         by_runs: dict[str, list[str]] = {}
@@ -371,9 +363,8 @@ def _describe_values(found: ConditionDifference, names: Sequence[str]) -> str:
         key = str(value) if isinstance(value, list) else shown
         groups.setdefault(key, (shown, []))[1].append(name)
     parts = [f"{value} of {name_few(who)}" for value, who in groups.values()]
-    more = len(parts) - _MOST_NAMED
-    if more > 0:
-        parts = [*parts[:_MOST_NAMED], f"{describe_count(more, 'other value')}"]
+    if (more := len(parts) - _MOST_NAMED) > 0:
+        parts = [*parts[:_MOST_NAMED], describe_count(more, "other value")]
     hint = ""
     if found.is_unknown and found.condition == "goal":
         is_of_all = all(value is None for value in found.values)  # as the option applies to all
@@ -435,14 +426,21 @@ def mark_metric(
     # Values below the floor of a metric are equally good.
     floor = -math.inf if kind is None or kind.floor is None else kind.floor
     known = {row: max(value, floor) for row, value in values.items() if value is not None}
-    low, high = min(known.values(), default=0.0), max(known.values(), default=0.0)
-    # Values that the answer prints alike are equally good: nobody reads a difference between them.
-    unit = list_summary_units(summaries, name)[0] if known else ""
-    if len({*format_range(low, high, unit)}) == 1:
+    if not known:
         return {}
-    best, worst = (low, high) if better == "lower" else (high, low)
-    marks: dict[int, Mark] = {row: "best" for row, value in known.items() if value == best}
-    return marks | {row: "worst" for row, value in known.items() if value == worst}
+    # A loop that never settles is worse than each one that does.
+    statuses = [None if metric is None else metric.status for metric in found]
+    never = [row for row, status in enumerate(statuses) if status is Status.NOT_REACHED]
+    low, high = min(known.values()), max(known.values())
+    # Values that the answer prints alike are equally good: nobody reads a difference between them.
+    if len({*format_range(low, high, list_summary_units(summaries, name)[0])}) == 1:
+        best, worse = [*known], never
+    else:
+        ends = (low, high) if better == "lower" else (high, low)
+        best, worst = ([row for row, one in known.items() if one == end] for end in ends)
+        worse = never or worst
+    marks: dict[int, Mark] = dict.fromkeys(worse, "worst")
+    return marks | dict.fromkeys(best, "best") if worse else {}
 
 
 def name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
@@ -454,6 +452,6 @@ def name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> 
     common = set.intersection(*best)
     if not common:
         return "no run is best at everything"
-    what = next(iter(marked)) if len(best) == 1 else "everything"
+    what = next(iter(marked)) if len(best) == 1 else "every metric shown"
     who = join_words([names[row] for row in sorted(common)])
     return f"{who} {'is' if len(common) == 1 else 'are'} best at {what}"

@@ -25,7 +25,7 @@ from turtlelog.compare.robot_comparison import (
 )
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
-from turtlelog.identify import axis_motion
+from turtlelog.identify import AxisTraces, axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
 from turtlelog.identify.robot_noise import NORMAL_MAD
 from turtlelog.measure.reductions import Rows, Values
@@ -110,10 +110,6 @@ def compare_robot(
         ]
     )
     stack = _Stack(recorded, states, rows, worlds)
-    rates = [
-        [axis_motion.measure_axis_steps(poses, axis) for poses in (recorded, simulated)]
-        for axis in AXES
-    ]
     return RobotComparison(
         name=run.name,
         scenario=scenario.name,
@@ -130,13 +126,18 @@ def compare_robot(
         simulated=simulated,
         begins=longest[0],
         ends=longest[1],
-        traces=tuple(
-            axis_motion.join_rates(axis, motions[axis], time_s, measured, modelled)
-            for axis, ((time_s, measured, _), (_, modelled, _)) in zip(AXES, rates, strict=True)
-        ),
+        traces=tuple(_trace_axis(axis, motions[axis], recorded, simulated) for axis in AXES),
         start_s=zero_ns / 1e9,
         notes=(*notes, *_list_cuts(found), *_list_notes(run, motions, zero_ns, known_ns, jumps)),
     )
+
+
+def _trace_axis(
+    axis: Axis, motion: AxisMotion, recorded: PoseColumns, simulated: PoseColumns
+) -> AxisTraces:
+    time_s, measured, _ = axis_motion.measure_axis_steps(recorded, axis)
+    _, modelled, _ = axis_motion.measure_axis_steps(simulated, axis)
+    return axis_motion.join_rates(axis, motion, time_s, measured, modelled)
 
 
 def _cut_sound(

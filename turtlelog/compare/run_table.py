@@ -23,6 +23,7 @@ from turtlelog.errors import CompareError
 from turtlelog.measure import MeasureSettings, Metric, list_metrics, measure_run
 from turtlelog.run import Parameter, Run
 from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.scenario.model import split_key_unit
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
 _MOST_DIFFERING: Final = 2
@@ -213,6 +214,9 @@ def _find_differing(summaries: Sequence[RunSummary], ranking: Ranking) -> list[s
         if found.default is not MISSING
     }
     whole = [found for found in summaries if found.conditions and found.conditions.is_whole]
+    # The same law omits what it does not use, as a schedule of its gains.
+    if len({found.parameters.get("law.kind") for found in whole}) == 1:
+        defaults |= dict.fromkeys(key for key in values if key.startswith("law."))
     for key in values.keys() & defaults.keys():
         if any(key not in found.parameters for found in whole):
             values[key].add(repr(defaults[key]))
@@ -237,9 +241,10 @@ def order_parameters(
 
 
 def _head_column(name: str, units: Sequence[str]) -> Column:
-    lines = tuple(name.replace(".", "_").split("_"))
-    has_unit = len(units) == 1 and units[0] != "1"
-    return Column(title=name, unit=units[0] if has_unit else "", lines=lines)
+    title, unit = split_key_unit(name) if not units else (name, units[0])
+    lines = tuple(title.replace(".", "_").split("_"))
+    has_unit = len(units) < 2 and unit != "1"
+    return Column(title=name, unit=unit if has_unit else "", lines=lines)
 
 
 def _get_cell(summary: RunSummary, name: str, *, has_one_unit: bool) -> Cell:
@@ -439,9 +444,7 @@ def _get_gain(run: Run) -> float | None:
     keys = run.declaration.list_gains() if _list_theory_loops(run) else ()
     gains = {run.parameters.get(key) for key in keys}
     gain = gains.pop() if gains else None
-    if gains or not isinstance(gain, int | float) or gain <= 0.0:
-        return None
-    return float(gain)
+    return float(gain) if not gains and isinstance(gain, int | float) and gain > 0.0 else None
 
 
 def _name_in_order(runs: Sequence[Run]) -> list[tuple[str, Run]]:

@@ -120,7 +120,6 @@ def _divide(
     work: Work | None,
 ) -> ExplainedDifference:
     """Return the difference divided among the parts that act, or why it is withheld."""
-    difference = found.difference or 0.0
     acting = _find_acting(found, logs, parts)
     game = RobotGame(logs[0], logs[1], found.metric, acting, work)
     base = answers.AttributedValue(
@@ -139,13 +138,7 @@ def _divide(
     divided = divide_game(base, game) if is_exact else sample_game(base, game)
     played = [game.take_out_each(out) for out in (acting, ())]
     ends = [[one.value for one in side if one.value is not None] for side in played]
-    changes = []
-    for part in parts.values():
-        first, second = (
-            tuple(robot_log.list_part_values(log, part.neutral).values()) for log in logs
-        )
-        keys = tuple(part.neutral)
-        changes.append(Change(name=part.name, keys=keys, first=first, second=second))
+    changes = _list_changes(logs, parts)
     surely = tuple(one for one in changes if robot_log.differs_surely(one.name, one.keys, logs))
     idle = tuple(
         key
@@ -165,20 +158,38 @@ def _divide(
         found,
         first=replace(found.first, resimulated=fmean(ends[0])),
         second=replace(found.second, resimulated=fmean(ends[1])),
-        unexplained=difference - explained,
+        unexplained=(found.difference or 0.0) - explained,
         orders=None if is_exact else ORDERS,
     )
-    chance = _BY_CHANCE * math.hypot(*(stdev(drawn) for drawn in ends))
-    if abs(difference) <= chance:
-        reason = f"noise and the identified intervals alone make up to {chance:.2g} {found.unit}"
-        return replace(found, withheld=reason.removesuffix(" 1"))
-    share = abs(found.unexplained or 0.0) / abs(difference)
-    if share > _MOST_UNEXPLAINED:
-        reason = f"the robots' models leave {100.0 * share:.0f} % of the difference unexplained"
-        return replace(found, withheld=reason)
+    if doubt := _find_doubt(found, chance=_BY_CHANCE * math.hypot(*map(stdev, ends))):
+        return replace(found, withheld=doubt)
     return replace(
         found, contributions=contributions, changes=(), idle=idle, together=divided.together
     )
+
+
+def _list_changes(logs: Sequence[RobotLog], parts: Mapping[str, Cause]) -> list[Change]:
+    """Return the parts of the robots with their values in both logs."""
+    changes = []
+    for part in parts.values():
+        first, second = (
+            tuple(robot_log.list_part_values(log, part.neutral).values()) for log in logs
+        )
+        keys = tuple(part.neutral)
+        changes.append(Change(name=part.name, keys=keys, first=first, second=second))
+    return changes
+
+
+def _find_doubt(found: ExplainedDifference, *, chance: float) -> str:
+    """Return why the contributions to a difference mean nothing; empty if they do."""
+    difference = abs(found.difference or 0.0)
+    if difference <= chance:
+        reason = f"noise and the identified intervals alone make up to {chance:.2g} {found.unit}"
+        return reason.removesuffix(" 1")
+    share = abs(found.unexplained or 0.0) / difference
+    if share > _MOST_UNEXPLAINED:
+        return f"the robots' models leave {100.0 * share:.0f} % of the difference unexplained"
+    return ""
 
 
 def _find_acting(

@@ -156,8 +156,9 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
 def _require_robot(model: RobotModel) -> None:
     if model.tick_delays is not None:
         raise IdentifyError(
-            f"{model.files[0]}: expected a robot, found turtlesim, whose plant is known; `turtlelog"
-            " explain FILE --scenario X.toml` writes the scenario of such a log"
+            f"{model.files[0]}: expected a robot, found turtlesim, whose plant is that of the"
+            " preset textbook; `turtlelog explain FILE --scenario X.toml` writes the scenario of a"
+            " log with samples of a controller"
         )
     unknown = [axis for axis in model.axes if not axis.is_known]
     commanded = [axis for axis in unknown if not axis.is_idle]

@@ -13,43 +13,13 @@ from numpy.typing import NDArray
 from turtlelog.display import describe_count, format_seconds, format_utc, join_words
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
+from turtlelog.log import planar_poses, table_columns
 from turtlelog.log.file_access import name_file
-from turtlelog.log.planar_poses import (
-    Values,
-    compute_heading,
-    compute_tilt,
-    describe_headings,
-    describe_height,
-    describe_order,
-    fits_degrees,
-    lift_poses,
-    note_changes,
-    note_crowded,
-    separate_times,
-    sort_rows,
-    wrap_far_headings,
-)
+from turtlelog.log.planar_poses import Values
 from turtlelog.log.read_choice import CHOSEN, RESTARTS
-from turtlelog.log.ros2.reported_motion import (
-    describe_speed,
-    describe_turning,
-)
-from turtlelog.log.table_columns import (
-    DATE,
-    QUANTITIES,
-    Choice,
-    assign_columns,
-    describe_units,
-    find_robot_column,
-    find_runs,
-    find_table_robots,
-    guess_time_unit,
-    list_row_robots,
-    offer_robots,
-    read_date,
-    read_time,
-    show_column,
-)
+from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
+from turtlelog.log.ros2.set_clocks import find_runs
+from turtlelog.log.table_columns import DATE, EPOCHS, QUANTITIES, Choice, offer_robots, show_column
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -104,9 +74,9 @@ def import_plain_table(
     path = make_path(path)
     with name_file(path, expected="a table"):
         table = read_plain_table(path, allow_partial=allow_partial)
-        robots = find_table_robots(table.names)
+        robots = table_columns.find_table_robots(table.names)
         asked = {**robots.get(robot or "", {}), **(columns or {})}
-        chosen = assign_columns(table.names, asked, table.units)
+        chosen = table_columns.assign_columns(table.names, asked, table.units)
         _require_columns(table, chosen, [*robots])
         cells = Cells(table, chosen, robot)
         run = _build_run(path, cells)
@@ -149,7 +119,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **_read_rotation(cells),
         **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
     }
-    time_ns, values, changed = sort_rows(cells.time_ns, values)
+    time_ns, values, changed = planar_poses.sort_rows(cells.time_ns, values)
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -160,16 +130,16 @@ def _build_run(path: Path, cells: "Cells") -> Run:
     whole = {name: column for name, column in poses.items() if not np.isnan(column).any()}
     lacks = [f"commands.{column}" for name, column in _COMMANDS.items() if name not in values]
     absent = [*_NEVER, *(lacks if len(commands) else ("commands",))]
-    is_dated = start_ns >= _EPOCHS[0][0]
+    is_dated = start_ns >= EPOCHS[0][0]
     start = format_utc(start_ns) if is_dated else f"{format_seconds(start_ns)} s"
-    pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
-    heading_rad, wrapped = wrap_far_headings(poses["heading"])
-    plane = describe_height(poses.get("z"), poses.get("tilt"))
+    pose_time_ns, moved = planar_poses.separate_times(time_ns[has_pose] - start_ns)
+    heading_rad, wrapped = planar_poses.wrap_far_headings(poses["heading"])
+    plane = planar_poses.describe_height(poses.get("z"), poses.get("tilt"))
     notes = {
         CHOSEN: cells.describe(),
         "columns": cells.describe(),
         **({"original_timestamp": start} if start_ns else {}),
-        **note_changes(changed),
+        **planar_poses.note_changes(changed),
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
         **cells.notes,
@@ -186,7 +156,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
             heading_rad=heading_rad,
             measured_speed_m_s=whole.get("speed"),
             measured_turn_rate_rad_s=whole.get("turn_rate"),
-            **lift_poses(poses.get("z"), poses.get("tilt")),
+            **planar_poses.lift_poses(poses.get("z"), poses.get("tilt")),
         ),
         commands=replace(commands, time_ns=commands.time_ns - start_ns),
         samples=SampleColumns.build_empty(),
@@ -214,7 +184,7 @@ def _list_contradictions(
     used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
     if max(float(np.abs(column).max()) for column in used) > _LARGEST:
         return {}
-    if notes := note_crowded(time_ns):
+    if notes := planar_poses.note_crowded(time_ns):
         same = int(np.count_nonzero(np.diff(time_ns) == 1))
         text = (
             f"{same} of {len(time_ns)} poses have the time of the pose before, and all rates are"
@@ -222,14 +192,15 @@ def _list_contradictions(
         )
         return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
     xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
-    if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
+    if doubt := table_columns.describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
         return {"unlikely_units": doubt}
     column = cells.chosen["heading"].name if "heading" in cells.chosen else ""
     is_assumed = bool(cells.find_assumed("heading"))
     found = {}
     if is_flat:  # tilted robots move along their own axes
-        said = describe_headings(xy_m, heading_rad, column=column, is_assumed=is_assumed)
-        found["heading_and_travel"] = said
+        found["heading_and_travel"] = planar_poses.describe_headings(
+            xy_m, heading_rad, column=column, is_assumed=is_assumed
+        )
         assumed = cells.find_assumed("speed", "turn_rate")
         if (speed := whole.get("speed")) is not None:
             found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
@@ -246,8 +217,11 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
         return {"heading": heading}
     x, y, z, w = cells.require_turns()
     names = [cells.chosen[name].name for name in _QUATERNION]
-    cells.notes |= describe_order(x, y, z, w, names=names)
-    return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
+    cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
+    return {
+        "heading": planar_poses.compute_heading(x, y, z, w),
+        "tilt": planar_poses.compute_tilt(x, y, z, w),
+    }
 
 
 def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:
@@ -279,15 +253,9 @@ def _describe_gaps(
     return notes
 
 
-_LONGEST_STEP_S: Final = 1000.0
-"""Largest usual step between rows that is read as seconds if the unit is unknown [s]."""
-
 _WRAPS_DEG: Final = (330.0, 361.0)
 """Steps of a wrapped heading that indicate degrees if the unit is unknown: a turn, minus up to 30
 deg of rotation between two rows. In radians, these steps would be at least 52 turns."""
-
-_EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
-"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
 
 
 class Cells:
@@ -309,14 +277,16 @@ class Cells:
         self._guesses: dict[str, str] = {}
         self._assumed: set[str] = set()
         taken = [choice.column for choice in chosen.values()]
-        named = find_robot_column(table.names, {*taken})
+        named = table_columns.find_robot_column(table.names, {*taken})
         found = table.columns.read([*taken, *named])
         self._cells = dict(zip(chosen, found, strict=False))
         self._lines, self.robots = table.columns.lines, list[str]()
         time_ns = self._read_times()
         if named:
             placed = np.isfinite(self._parse(self.chosen["x"]))
-            self.robots = list_row_robots([*compress(found[-1], placed)], time_ns[placed])
+            self.robots = table_columns.list_row_robots(
+                [*compress(found[-1], placed)], time_ns[placed]
+            )
         if self.robots:
             if robot not in self.robots:
                 raise LogError(f"rows of several robots alternate: {offer_robots(self.robots)}")
@@ -443,7 +413,7 @@ class Cells:
             return "deg"
         if choice.field == "heading" and {"x", "y"} <= {*self.chosen}:
             xy_m = np.column_stack([self.require("x"), self.require("y")])
-            if fits_degrees(xy_m, numbers[self._rows]):
+            if planar_poses.fits_degrees(xy_m, numbers[self._rows]):
                 self._guesses["heading"] = "deg, as the direction of travel shows"
                 return "deg"
         self._guesses[choice.field] = f"{usual}, assumed"
@@ -456,10 +426,16 @@ class Cells:
         cells = self._cells[choice.field]
         if isinstance(cells[0], str) and DATE.match(cells[0]):
             self._guesses["t"] = "date"
-            found: Iterable[int | None] = map(read_date, cells)
+            found: Iterable[int | None] = map(table_columns.read_date, cells)
         else:
-            power = _POWERS[choice.unit or self._guess_time_unit(choice)]
-            found = (read_time(cell, power) for cell in cells)
+            unit = choice.unit
+            if unit is None:
+                unit, is_dated = table_columns.guess_time_unit(choice.name, self._parse(choice))
+                self._guesses["t"] = f"{unit} since 1970" if is_dated else f"{unit}, assumed"
+                if not is_dated:
+                    self._assumed.add("t")
+            power = _POWERS[unit]
+            found = (table_columns.read_time(cell, power) for cell in cells)
         times = np.empty(len(cells), dtype=np.int64)
         for row, time_ns in enumerate(found):
             if time_ns is None:
@@ -470,20 +446,3 @@ class Cells:
             return times
         factor = np.int64(10 ** _POWERS[more.unit or "ns"])
         return times + self._parse(more).astype(np.int64) * factor
-
-    def _guess_time_unit(self, choice: Choice) -> str:
-        numbers = self._parse(choice)
-        for least, unit in _EPOCHS:
-            if least <= numbers[0] < 10 * least:
-                self._guesses["t"] = f"{unit} since 1970"
-                return unit
-        step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
-        if step > _LONGEST_STEP_S:
-            raise LogError(
-                f"column {choice.name}: expected a time with its unit, found steps of {step:g},"
-                f" which are no seconds: --column t='{choice.name} [{guess_time_unit(step)}]' names"
-                " the unit (s, ms, us, ns)"
-            )
-        self._guesses["t"] = "s, assumed"
-        self._assumed.add("t")
-        return "s"

@@ -1,4 +1,4 @@
-"""The quantities and units of table columns, by name or as requested; times, and their restarts."""
+"""The quantities and units of table columns, by name or as requested; cells as times."""
 
 import math
 import re
@@ -104,6 +104,9 @@ _ROBOTS: Final = frozenset(
     f"{noun}{end}" for noun in ("robot", "agent", "vehicle") for end in ("", "_id", "_name")
 ) | {"id", "name", "object_id", "track_id"}
 """Names of columns that may contain the robot of each row."""
+
+_FEWEST_ROWS: Final = 10
+"""Smallest number of rows of each of several robots."""
 
 _LONGEST_NAME: Final = 512
 """Longest name that is searched for a quantity [letters]; the topic in it may take 255."""
@@ -400,10 +403,27 @@ DATE: Final = re.compile(
 )
 
 
-def guess_time_unit(step: float) -> str:
-    """Return the unit in which a usual step between rows is nearest to 0.05 s."""
-    units = UNITS["time"]
-    return min(units, key=lambda unit: abs(math.log10(step * units[unit] / 0.05)))
+EPOCHS: Final = ((1e18, "ns"), (1e15, "us"), (1e12, "ms"), (1e9, "s"))
+"""Smallest time since 1970 in each unit. The ranges last from 2001 to 2286."""
+
+_LONGEST_STEP: Final = 1000.0
+"""Largest usual step between rows that is read as seconds if the unit is unknown [s]."""
+
+
+def guess_time_unit(name: str, numbers: NDArray[np.float64]) -> tuple[str, bool]:
+    """Return the unit of the times in a column, and whether they are since 1970."""
+    for least, unit in EPOCHS:
+        if least <= numbers[0] < 10 * least:
+            return unit, True
+    step = float(np.median(np.abs(np.diff(numbers)))) if len(numbers) > 1 else 0.0
+    if step > _LONGEST_STEP:
+        units = UNITS["time"]  # the steps of most tables are near 0.05 s
+        unit = min(units, key=lambda unit: abs(math.log10(step * units[unit] / 0.05)))
+        raise LogError(
+            f"column {name}: expected a time with its unit, found steps of {step:g}, which are no"
+            f" seconds: --column t='{name} [{unit}]' names the unit (s, ms, us, ns)"
+        )
+    return "s", False
 
 
 def read_time(cell: Any, power: int) -> int | None:
@@ -420,8 +440,7 @@ def read_time(cell: Any, power: int) -> int | None:
 
 def read_date(cell: str) -> int | None:
     """Return an ISO 8601 time, by default of UTC, as nanoseconds since 1970; None for others."""
-    match = DATE.match(cell)
-    if match is None:
+    if (match := DATE.match(cell)) is None:
         return None
     try:
         at = datetime.fromisoformat(f"{match[1]}T{match[2]}{match[4] or '+00:00'}")
@@ -429,36 +448,3 @@ def read_date(cell: str) -> int | None:
         return None
     seconds = (at - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
     return seconds * 1_000_000_000 + int((match[3] or "0")[:9].ljust(9, "0"))
-
-
-_FAR_BACK: Final = 0.5
-"""Largest share of a run's time at which the next run starts; a late row goes back by few steps."""
-
-_FEWEST_ROWS: Final = 10
-"""Smallest number of rows of a run, and of rows within the times of the run above."""
-
-
-def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
-    """Return the rows of each run in a table whose times start again, in the order of the file.
-
-    Rows that are late, and parts in another order, belong to one run: sorting is right for them.
-    """
-    starts = np.append(0, np.flatnonzero(np.diff(time_ns) < 0) + 1)
-    ends = np.append(starts[1:], len(time_ns))
-    columns = (starts, ends, time_ns[starts], time_ns[ends - 1])
-    found, first, head = [], 0, None
-    low = high = int(time_ns[0])
-    for start, end, begin, last in zip(*(column.tolist() for column in columns), strict=True):
-        if not begin <= low + _FAR_BACK * (high - low):
-            head = None
-        elif head is None or start - head >= _FEWEST_ROWS:
-            head = start  # late rows may divide the first rows of a run
-        if head is not None and head - first >= _FEWEST_ROWS <= end - start:
-            part = time_ns[start:end]
-            within = np.searchsorted(part, high, "right") - np.searchsorted(part, low)
-            if within >= _FEWEST_ROWS:
-                found.append(slice(first, head))
-                first, low, high = head, int(time_ns[head:start].min(initial=begin)), last
-        head = None if end - start >= _FEWEST_ROWS else head
-        low, high = min(low, begin), max(high, last)
-    return [*found, slice(first, len(time_ns))]

@@ -5,7 +5,6 @@ process on any machine with the same version of turtlelog returns the same resul
 """
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -20,6 +19,7 @@ from turtlelog.measure.metric import Metric
 from turtlelog.run import Run
 from turtlelog.run.loops import Declaration
 from turtlelog.scenario import Scenario, parse_scenario, resolve_scenario
+from turtlelog.scenario.model import split_key_unit
 from turtlelog.simulate import ManyRuns, declare_scenario
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError
 from turtlelog.sweep.batch import is_covered, measure_rows
@@ -362,7 +362,7 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
         cells = ComputedItems(
             plan.row_count, lambda begin, end: plan.list_values(range(begin, end), key)
         )
-        unit = find_key_unit(key)
+        unit = split_key_unit(key)[1] or None
         return ResultColumn(name=key, type=plan.find_type(key), cells=cells, unit=unit)
 
     columns = [
@@ -380,20 +380,6 @@ def assemble_table(plan: SweepPlan, facts: Mapping[str, str], rows: SweptRows) -
     own = {"varied": json.dumps(plan.keys), "samples": str(rows.samples)}
     own["recorded"] = str(rows.recorded)
     return ResultTable(kind="sweep", columns=tuple(columns), facts={**facts, **own})
-
-
-def find_key_unit(key: str) -> str | None:
-    """Return the unit at the end of a key's name; None if the name has no unit."""
-    found = _UNIT.search(key)
-    if found is None:
-        return None
-    unit = found[1].replace("_s", "/s", 1) if found[1] != "s" else "s"
-    return _POWER.sub(r"^\1", unit)
-
-
-_UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
-
-_POWER: Final = re.compile(r"(\d)$")
 
 
 def list_valueless(table: StoredTable, patterns: Sequence[str]) -> dict[str, str]:

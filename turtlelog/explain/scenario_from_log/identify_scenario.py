@@ -133,12 +133,8 @@ def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identi
     )
     ends = found.findings.keys() & {"stop_reason", *RULE_KEYS}
     unseen = dict.fromkeys(ends, miss("the end of the run is not looked at"))
-    return replace(
-        found,
-        findings={**found.findings, **unseen},
-        scenario=None,
-        notes=(reason, *found.notes),
-    )
+    findings = {**found.findings, **unseen}
+    return replace(found, findings=findings, scenario=None, notes=(reason, *found.notes))
 
 
 def _identify_recorded(trace: Trace) -> Identification | None:
@@ -261,10 +257,7 @@ def _identify_samples(trace: Trace) -> Identification:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
     findings |= loop_settings.describe_start(trace, fits)
     fits = _reject_lag(fits, dead_times)
-    slack = find_lag_slack(run, dead_times)
-    findings |= loop_settings.describe_loop(trace, fits, slack)
-    if fits.is_fitted and not (fits.is_exact or fits.is_partial):
-        findings |= _describe_dead_times_again(dead_times, fits, slack)
+    findings |= _describe_fits(trace, fits, dead_times)
     if not fits.is_reproduced:
         findings |= law_identification.withhold_law(findings, turning, driving)
     if not (fits.is_reproduced or fits.is_fitted):
@@ -273,18 +266,26 @@ def _identify_samples(trace: Trace) -> Identification:
     findings |= loop_settings.describe_pause(trace, hints, fits)
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
+    notes = (*breaks, *describe_difference(trace, fits, resimulation), *list_candidates(findings))
     return Identification(
         name=run.name,
         findings=findings,
         resimulation=resimulation,
         scenario=scenario,
         tried=fits.ranges,
-        notes=(
-            *breaks,
-            *describe_difference(trace, fits, resimulation),
-            *list_candidates(findings),
-        ),
+        notes=notes,
     )
+
+
+def _describe_fits(
+    trace: Trace, fits: Fits, dead_times: Mapping[str, DeadTime | Missing]
+) -> dict[str, Finding]:
+    """Return the settings of the loop, with the dead times of those that only fit."""
+    slack = find_lag_slack(trace.run, dead_times)
+    findings = loop_settings.describe_loop(trace, fits, slack)
+    if fits.is_fitted and not (fits.is_exact or fits.is_partial):
+        findings |= _describe_dead_times_again(dead_times, fits, slack)
+    return findings
 
 
 def _describe_dead_times_again(

@@ -1,4 +1,4 @@
-"""Steps of the recorder's clock: it was set while recording, by NTP or by hand.
+"""Times that step: a recorder's clock that was set, by NTP or by hand, and tables of several runs.
 
 A small computer without a battery starts with a wrong date, and NTP sets its clock when the network
 is there. Log times and stamps jump together, but the motion goes on as if no time had passed. A
@@ -355,3 +355,36 @@ def _find_first_after(log_ns: TimesNs, first: int, step: ClockStep, topic: str) 
     if step.shift_ns > 0:
         is_after = rest_ns > step.middle_ns
     return first + int(is_after.argmax()) if is_after.any() else len(log_ns)
+
+
+_FAR_BACK: Final = 0.5
+"""Largest share of a run's time at which the next run starts; a late row goes back by few steps."""
+
+_FEWEST_ROWS: Final = 10
+"""Smallest number of rows of a run, and of rows within the times of the run above."""
+
+
+def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
+    """Return the rows of each run in a table whose times start again, in the order of the file.
+
+    Rows that are late, and parts in another order, belong to one run: sorting is right for them.
+    """
+    starts = np.append(0, np.flatnonzero(np.diff(time_ns) < 0) + 1)
+    ends = np.append(starts[1:], len(time_ns))
+    columns = (starts, ends, time_ns[starts], time_ns[ends - 1])
+    found, first, head = [], 0, None
+    low = high = int(time_ns[0])
+    for start, end, begin, last in zip(*(column.tolist() for column in columns), strict=True):
+        if not begin <= low + _FAR_BACK * (high - low):
+            head = None
+        elif head is None or start - head >= _FEWEST_ROWS:
+            head = start  # late rows may divide the first rows of a run
+        if head is not None and head - first >= _FEWEST_ROWS <= end - start:
+            part = time_ns[start:end]
+            within = np.searchsorted(part, high, "right") - np.searchsorted(part, low)
+            if within >= _FEWEST_ROWS:
+                found.append(slice(first, head))
+                first, low, high = head, int(time_ns[head:start].min(initial=begin)), last
+        head = None if end - start >= _FEWEST_ROWS else head
+        low, high = min(low, begin), max(high, last)
+    return [*found, slice(first, len(time_ns))]
