@@ -343,6 +343,7 @@ def test_the_applied_speed_is_negative_where_the_turtle_moves_backward() -> None
         find_lines(axes, label) for label in ("commanded", "applied")
     )
     assert (commanded.min(), applied.min()) == (-1.0, -1.0)
+    assert run.poses.speed_m_s is not None
     assert np.array_equal(np.abs(applied), run.poses.speed_m_s)
     # At a wall, the turtle does not move, but the speed is applied.
     still = replace(run.poses, xy_m=0.0 * run.poses.xy_m + 5.0)

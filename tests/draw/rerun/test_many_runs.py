@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -282,13 +283,9 @@ def test_names_in_a_legend_stand_in_as_many_columns_as_have_room(
 ) -> None:
     for count in (8, 100):
         names = ["x" * letters] * count
-        ((left, right), (top, bottom)) = (
-            view_legend(names)
-            .properties["VisualBounds2D"]
-            .range.as_arrow_array()
-            .to_pylist()[0]
-            .values()
-        )
+        bounds: Any = view_legend(names).properties["VisualBounds2D"]
+        ranges = bounds.range.as_arrow_array().to_pylist()[0]
+        (left, right), (top, bottom) = ranges.values()
         places = arrange_names(len(choose_names(names)), columns)
         assert len({*places[:, 0].tolist()}) == columns
         assert left < places[:, 0].min() <= places[:, 0].max() < right
@@ -300,7 +297,7 @@ def test_names_in_a_legend_stand_in_as_many_columns_as_have_room(
 def test_many_runs_that_differ_in_a_few_numbers_show_one_that_is_in_their_order() -> None:
     run = simulate_preset("paper-kp4")
 
-    def sweep(**more: object) -> list[Run]:
+    def sweep(**more: float) -> list[Run]:
         return [
             replace(
                 run,

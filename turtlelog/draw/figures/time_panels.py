@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs, palette, plotted_curves
-from turtlelog.charts.curves import find_disturbed_time, lack_samples
+from turtlelog.charts.curves import BEARING_NOW, find_disturbed_time, lack_samples
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
@@ -60,6 +60,8 @@ _OUTLIER: Final = fix_style(
 )
 
 _GAP: Final = fix_style(facecolor="0.95", edgecolor="0.8", hatch="////", linewidth=0.0, zorder=0.45)
+
+_BEARING: Final = (0, (6, 1.2, 1, 1.2, 1, 1.2))  # dash-dot-dot, in multiples of the line's width
 
 _DIMMED: Final = fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
 """Style of a run that never settles, below runs that settle."""
@@ -189,6 +191,8 @@ def _choose_looks(
     if found.kind not in ("run", "measured"):
         own["marker"] = ""
     own |= _LOOKS.get(found.kind, {})
+    if found.label == BEARING_NOW:  # another aim than a recorded reference
+        own["linestyle"] = _BEARING
     if found.kind in ("ideal", "aim") or (is_alone and found.entry.name):
         own["label"] = found.label
     if found.kind in POINTS:
