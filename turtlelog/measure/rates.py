@@ -1,9 +1,8 @@
 """Rates of a robot, their outliers, and its commands, one axis at a time.
 
 Rates are reported by the robot. turtlesim and some robots report speeds without a sign, which comes
-from the poses. If no rates are reported, they are differences of poses: the forward speed is the
-displacement along the mean heading divided by the time. Noise of 1 mm over 1 ms is 1 m/s, so only
-every n-th of fast poses is used.
+from the poses. Otherwise they are differences of poses: the forward speed is the displacement along
+the mean heading divided by the time. Of fast poses, every n-th is used: 1 mm over 1 ms is 1 m/s.
 """
 
 from collections.abc import Mapping, Sequence
