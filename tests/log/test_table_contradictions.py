@@ -237,6 +237,28 @@ def test_a_reported_speed_that_the_path_contradicts_is_told(
 @pytest.mark.parametrize(
     ("header", "scale", "told"),
     [
+        ("x,y", 123.0, "fits positions in cm: --column x='x [cm]' --column y='y [cm]'"),
+        ("x,y", 86.0, "fits positions in cm"),
+        ("x,y", 129.0, ""),
+        ("x,y", 82.0, ""),
+        ("x,y", 1000.0, "fits positions in mm"),
+        ("x [m],y [m]", 100.0, ""),
+    ],
+)
+def test_a_reported_speed_shows_the_unit_of_positions(
+    header: str, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    still = np.repeat(1.0, len(x))  # slow, as above 100 m/s the speed alone shows mm
+    columns = (TIME_S, 0.1 * scale * x, 0.1 * scale * y, heading_rad, 0.05 * still)
+    notes = read(tmp_path, f"t,{header},yaw,v [m/s]", *columns).notes
+    assert told in notes["path_by_speed"]
+    assert ("fits" in notes["path_by_speed"]) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "told"),
+    [
         ("w", 1.19, ""),
         ("w", 1.21, "the reported turn rate is 1.21 times that of the headings"),
         ("w", 0.81, ""),

@@ -201,9 +201,9 @@ def _list_contradictions(
         found["heading_and_travel"] = planar_poses.describe_headings(
             xy_m, heading_rad, column=column, is_assumed=is_assumed
         )
-        assumed = cells.find_assumed("speed", "turn_rate")
+        assumed = cells.find_assumed("x", "y", "speed", "turn_rate")
         if (speed := whole.get("speed")) is not None:
-            found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
+            found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed)
         if (rate := whole.get("turn_rate")) is not None:
             name = assumed.get("turn_rate", "")
             found["turning_by_rate"] = describe_turning(time_ns, heading_rad, rate, name)

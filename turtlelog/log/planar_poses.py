@@ -366,7 +366,7 @@ _WELL_RAD: Final = 0.2
 _TURNED_DEG: Final = 30.0
 """Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
 
-_TURNED_RAD: Final = 0.5
+CURVED_RAD: Final = 0.5
 """Smallest range of directions that shows how headings count [rad]; one direction fits any
 offset."""
 
@@ -400,7 +400,7 @@ def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assu
     ways = (("deg", 1.0), ("compass", -1.0)) if is_assumed else (("compass", -1.0),)
     scale = math.pi / 180.0 if is_assumed else 1.0
     turned_rad = float(np.ptp(np.unwrap(travel.course_rad, period=math.pi)))
-    for unit, sign in ways if column and turned_rad >= _TURNED_RAD else ():
+    for unit, sign in ways if column and turned_rad >= CURVED_RAD else ():
         other_rad = sign * scale * heading_rad + (0.0 if unit == "deg" else math.pi / 2.0)
         if _measure_misfit(travel, other_rad) <= _WELL_RAD:
             words = "degrees" if unit == "deg" else "a compass (0 is north, clockwise)"

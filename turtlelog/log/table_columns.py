@@ -375,20 +375,25 @@ _FASTEST_M_S: Final = 100.0
 
 
 def describe_units(
-    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str]
+    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
 ) -> str:
-    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt."""
+    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
+
+    The metres of a bag are doubted without columns.
+    """
     step_s = np.diff(time_ns) / 1e9
     if not len(step_s):
         return ""
     usual_s = float(np.median(step_s))
-    if "t" in columns and usual_s > _LONGEST_STEP_S:
+    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
         step = format_short(usual_s, "s")
         option = f"--column t='{columns['t']} [ms]'"
         return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
     usual_m_s = float(np.median(np.hypot(*np.diff(xy_m, axis=0).T) / step_s))
-    if {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
-        speed = format_short(usual_m_s, "m/s")
+    speed = format_short(usual_m_s, "m/s")
+    if columns is None and usual_m_s > _FASTEST_M_S:
+        return f"x and y are read in m, so {speed} is usual; they may be in mm"
+    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
         option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
         return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
     return ""
