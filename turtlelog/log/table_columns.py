@@ -443,6 +443,18 @@ def read_time(cell: Any, power: int) -> int | None:
     return time_ns if abs(time_ns) <= _LATEST_NS else None
 
 
+_CLOCK: Final = re.compile(r"\s*(\d{1,2}):([0-5]\d):([0-5]\d)(?:[.,](\d+))?\s*\Z", re.ASCII)
+"""A time of the day, `23:59:50.25`."""
+
+
+def read_clock(cell: str) -> int | None:
+    """Return a time of the day as nanoseconds since midnight; None for other texts."""
+    if (match := _CLOCK.match(cell)) is None:
+        return None
+    seconds = (int(match[1]) * 60 + int(match[2])) * 60 + int(match[3])
+    return seconds * 1_000_000_000 + int((match[4] or "0")[:9].ljust(9, "0"))
+
+
 def read_date(cell: str) -> int | None:
     """Return an ISO 8601 time, by default of UTC, as nanoseconds since 1970; None for others."""
     if (match := DATE.match(cell)) is None:
@@ -453,3 +465,7 @@ def read_date(cell: str) -> int | None:
         return None
     seconds = (at - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
     return seconds * 1_000_000_000 + int((match[3] or "0")[:9].ljust(9, "0"))
+
+
+TIMES: Final = ((DATE, read_date, "date"), (_CLOCK, read_clock, "time of the day"))
+"""Texts of times: their pattern, their reader, and what they are."""

@@ -15,7 +15,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import CURVED_RAD, Values, fits_degrees
 from turtlelog.log.ros2.bag_rows import OrderedRows
-from turtlelog.log.ros2.stamps import join_arrays, join_stamps, read_stamps
+from turtlelog.log.ros2.stamps import TimesNs, join_arrays, join_stamps, read_stamps
 from turtlelog.run.angles import wrap_angle
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
@@ -118,7 +118,7 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
         columns["z"] = place_m[:, 2]
     lost = len(messages) - len(rows)
     notes = {
-        "heading": describe_courses("a receiver has no heading", way_m, held, len(rows)),
+        "heading": _describe_courses("a receiver has no heading", way_m, held, len(rows)),
         "origin": (
             f"x is east and y north of {latitude_deg[rows[0]]:.7f} deg,"
             f" {longitude_deg[rows[0]]:.7f} deg (WGS84)"
@@ -194,7 +194,7 @@ def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
     return courses_rad, way_m, held
 
 
-def describe_courses(reason: str, way_m: float, held: int, count: int) -> str:
+def _describe_courses(reason: str, way_m: float, held: int, count: int) -> str:
     """Return a sentence on courses that stand for headings for a reason."""
     return (
         f"the course over {way_m:.2g} m, as {reason}; held at either end and where it stands, for"
@@ -204,6 +204,14 @@ def describe_courses(reason: str, way_m: float, held: int, count: int) -> str:
 
 _AROUND: Final = 2
 """Number of positions on either side in a median, which leaves out two outliers in a row."""
+
+
+def take_courses(time_ns: TimesNs, xy_m: Values, reason: str) -> tuple[Values, str]:
+    """Return courses [rad] that stand for headings for a reason, and the sentence on them."""
+    padded_m = np.pad(xy_m, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    median_m = np.median(sliding_window_view(padded_m, 2 * _AROUND + 1, axis=0), axis=-1)
+    courses_rad, way_m, held = find_courses((time_ns - time_ns[0]) / 1e9, median_m)
+    return courses_rad, _describe_courses(reason, way_m, held, len(xy_m))
 
 
 def judge_headings(
@@ -226,15 +234,12 @@ def judge_headings(
     is_aside = any(aside is not None and np.nan_to_num(aside).any() for aside in asides)
     if is_aside or "speed" in columns or (heading_rad != heading_rad[:1]).any():
         return poses, {}, False
-    padded_m = np.pad(xy_m, ((_AROUND, _AROUND), (0, 0)), mode="edge")
-    median_m = np.median(sliding_window_view(padded_m, 2 * _AROUND + 1, axis=0), axis=-1)
-    courses_rad, way_m, held = find_courses((poses.time_ns - poses.time_ns[0]) / 1e9, median_m)
+    reason = "the orientation never changes though the path turns"
+    courses_rad, told = take_courses(poses.time_ns, xy_m, reason)
     # Reversing is no turn. Unknown courses are NaN, which exceeds no limit.
     if not float(np.ptp(np.unwrap(courses_rad, period=math.pi))) > CURVED_RAD:
         return poses, {}, False
-    reason = "the orientation never changes though the path turns"
-    note = {"heading": describe_courses(reason, way_m, held, len(xy_m))}
-    return replace(poses, columns={**columns, "heading": courses_rad}), note, True
+    return replace(poses, columns={**columns, "heading": courses_rad}), {"heading": told}, True
 
 
 def _find_far(offsets_m: Values, least_m: float) -> int | None:
