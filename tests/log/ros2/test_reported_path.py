@@ -261,13 +261,13 @@ def test_a_robot_that_moves_to_the_side_keeps_its_orientation(tmp_path: Path) ->
     assert not run.origin.has_courses
 
 
-def say_pose(x_m: float, y_m: float, theta: float, row: int) -> Said:
+def say_pose(xy_m: list[float], theta: float, row: int) -> Said:
     return Said(
         topic="/pose",
         type="geometry_msgs/msg/Pose2D",
         time_ns=START_NS + round(row / HZ * 1e9),
         sequence=row,
-        values={"x": x_m, "y": y_m, "theta": theta},
+        values={"x": xy_m[0], "y": xy_m[1], "theta": theta},
     )
 
 
@@ -278,7 +278,7 @@ def test_angles_of_a_bag_are_in_degrees_where_the_travel_shows_it(
     theta = np.linspace(0.0, 3.0, 401)
     given = np.degrees(theta) if unit == "deg" else theta
     rows = zip(arc(3.0).tolist(), given.tolist(), strict=True)
-    said = [say_pose(*xy, angle, row) for row, (xy, angle) in enumerate(rows)]
+    said = [say_pose(xy, angle, row) for row, (xy, angle) in enumerate(rows)]
     run = tl.read_run(write_robot(tmp_path, said))
     assert run.poses.heading_rad == pytest.approx(theta)
     assert ("in degrees" in run.notes.get("heading", "")) == (unit == "deg")
