@@ -244,6 +244,20 @@ def test_advised_commands_repeat_the_options_for_reading(call: Call, robot: Path
     assert answer.code != 2
 
 
+def test_a_table_without_commands_names_the_option_that_reads_them(
+    call: Call, tmp_path: Path
+) -> None:
+    rows = [f"{t / 10},{t / 20},0,0,0.5" for t in range(40)]
+    table = tmp_path / "drive.csv"
+    table.write_text("\n".join(["t,x,y,yaw,v_ref", *rows, ""]))
+    words = " ".join(call("metrics", table).out.split())
+    assert "No commands: a column of set-points (--column command_speed=NAME, command_tu" in words
+    assert "--command-topic" not in words
+    words = call("metrics", table, "--column", "command_speed=v_ref").out
+    assert "No commands" not in words
+    assert "RMS error of the speed" in words
+
+
 def test_the_table_of_a_bag_without_commands_says_what_would_add_them(
     call: Call, silent: Path
 ) -> None:

@@ -258,6 +258,7 @@ def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("t,x,y\n0,0,0\n", "no column for heading; there are t, x, y: --column heading='NAME"),
+        ("t,x,y\n0,0,0\n", "or --column heading=course takes the direction of travel"),
         ("a,b\n0,0\n", "no column for t, x, y and heading; there are a, b: --column t='NAME"),
         ("t,x,pos_x,y,yaw\n0,0,0,0,0\n", "expected one for x, found x and pos_x: --column x='x'"),
         ("t,x,y,yaw\n0,0,0,0\n1,zero,0,0\n", "line 3, column x: expected a number, found 'zero'"),
@@ -283,6 +284,52 @@ def test_wrong_table_is_one_line(text: str, message: str, tmp_path: Path) -> Non
         read_run(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("t,x,y,yaw\n", "utf-16"),
+        ("t [s],x,y,yaw [°]\n", "latin-1"),
+        ("# Fahrt über den Hof\nt,x,y,yaw\n", "latin-1"),
+        ("% Log of robot 3\n%\n% t x y yaw\n", "ascii"),
+        ("// Log of robot 3\nt,x,y,yaw\n", "ascii"),
+        ("#\n\n%Log\nt,x,y,yaw\n", "ascii"),
+    ],
+)
+def test_other_comments_and_encodings_are_read(text: str, encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    rows = "0,1,2,0.5\n0.1,1.5,2.5,0.75\n"
+    path.write_bytes((text + (rows.replace(",", " ") if "% t" in text else rows)).encode(encoding))
+    run = read_run(path)
+    assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5]]
+    scale = math.pi / 180 if "°" in text else 1.0
+    assert run.poses.heading_rad == pytest.approx([0.5 * scale, 0.75 * scale])
+
+
+def test_damaged_utf16_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_bytes("t,x,y,yaw\n0,0,0,0\n".encode("utf-16")[:-1])
+    with pytest.raises(LogError, match=r"drive\.csv: expected UTF-16 text, found a damaged file"):
+        read_run(path)
+
+
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [("Objects", "Vicon"), ("Trajectories,,,", "Vicon"), ("Format Version,1.23,Ta", "OptiTrack")],
+)
+def test_headers_of_motion_capture_are_named(first: str, name: str, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=f"a table of {name} with several rows of names: keep one"):
+        read_run(write(tmp_path, first, "120", "Frame,X,Y", "1,2,3"))
+
+
+def test_texts_of_the_time_of_day_are_read(tmp_path: Path) -> None:
+    rows = [("23:59:59.5", 1, 2, 0), ("0:00:00,25", 1, 3, 0)]
+    run = read_run(write(tmp_path, "t;x;y;yaw", *rows, sign=";"))
+    assert run.poses.time_ns.tolist() == [0, 750_000_000]
+    assert run.notes["columns"].startswith("t from t [time of the day, over midnight], x")
+    with pytest.raises(LogError, match="line 3, column t: expected a time, found '0:60:00'"):
+        read_run(write(tmp_path, "t,x,y,yaw", rows[0], ("0:60:00", 1, 3, 0)))
 
 
 @pytest.mark.parametrize("last", ["0.3,7,7", "0.3", "0.3,7,7,7,7"])

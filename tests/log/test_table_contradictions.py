@@ -98,7 +98,8 @@ def test_commands_below_the_poses_belong_to_their_run(tmp_path: Path) -> None:
     ("turned_rad", "noise_m", "unit"),
     [
         (math.radians(31.0), 0.0, "deg, as the direction of travel shows"),
-        (math.radians(29.0), 0.0, "rad, assumed"),  # too few degrees to tell
+        (math.radians(1.2), 0.0, "deg, as the direction of travel shows"),
+        (math.radians(0.8), 0.0, "rad, assumed"),  # as radians, nearly along the travel
         (math.radians(191.0), 0.0, "deg, as the direction of travel shows"),
         (math.radians(191.0), 0.005, "deg, as the direction of travel shows"),
         (math.radians(191.0), 0.5, "rad, assumed"),  # nothing but noise
@@ -117,6 +118,54 @@ def test_headings_in_degrees_may_be_a_little_off(aside_rad: float, tmp_path: Pat
     x, y, heading_rad = drive()
     run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, np.degrees(heading_rad + aside_rad))
     assert ("deg, as the direction" in run.notes["columns"]) == (aside_rad < 0.2)
+
+
+@pytest.mark.parametrize(("aside_rad", "unit"), [(0.016, "deg, as"), (0.022, "rad, ass")])
+def test_few_degrees_are_told_by_headings_that_follow_the_turns(
+    aside_rad: float, unit: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive(math.radians(8.0))
+    run = read(tmp_path, "t,x,y,yaw", TIME_S, x, y, np.degrees(heading_rad + aside_rad))
+    assert f"heading from yaw [{unit}" in run.notes["columns"]
+
+
+def test_positions_without_headings_take_the_course(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    x[::20] += 4.0  # single outliers
+    read(tmp_path, "t,x,y,yaw", TIME_S, x, y, 0.0 * x)
+    run = read_run(tmp_path / "drive.csv", columns={"heading": "course"})
+    assert run.origin.has_courses
+    assert run.notes["heading"].startswith("the course over 0.5 m, as asked for; held at either")
+    assert np.abs(run.poses.heading_rad[10:-10] - heading_rad[10:-10]).max() < 0.3
+    still = read(tmp_path, "t,x,y,yaw", TIME_S, 0.0 * x, 0.0 * y, 0.0 * x)
+    assert not still.origin.has_courses
+    with pytest.raises(LogError, match=r"drive\.csv: --column heading=course: the robot moves too"):
+        read_run(tmp_path / "drive.csv", columns={"heading": "course"})
+
+
+@pytest.mark.parametrize(
+    ("before_s", "after_s", "is_over"), [(59.0, 0.9, True), (59.0, 1.1, False), (0.5, 0.5, True)]
+)
+def test_times_of_the_day_pass_midnight(
+    before_s: float, after_s: float, tmp_path: Path, *, is_over: bool
+) -> None:
+    x, y, heading_rad = drive()
+    time_s = np.concatenate([86400.0 - before_s - TIME_S[100::-1], after_s + TIME_S[:100]])
+    run = read(tmp_path, "t,x,y,yaw", time_s, x, y, heading_rad)
+    assert ("t from t [s, assumed, over midnight]" in run.notes["columns"]) == is_over
+    assert (run.poses.xy_m[0].tolist() == [x[0], y[0]]) == is_over
+
+
+def test_a_late_row_at_midnight_stays_on_its_day(tmp_path: Path) -> None:
+    x, y, heading_rad = drive()
+    time_s = (86390.0 + TIME_S) % 86400.0
+    for column in (time_s, x, y, heading_rad):
+        column[[100, 99]] = column[[99, 100]]
+    run = read(tmp_path, "t,x,y,yaw", time_s, x, y, heading_rad)
+    assert run.poses.time_ns == pytest.approx(TIME_S * 1e9, abs=10)
+    whole_day = np.where(TIME_S < 10.0, TIME_S, TIME_S + 86369.0)  # a gap, and no midnight
+    run = read(tmp_path, "t,x,y,yaw", whole_day, x, y, heading_rad)
+    assert "over midnight" not in run.notes["columns"]
 
 
 def test_noise_at_rest_is_no_travel() -> None:
@@ -232,6 +281,28 @@ def test_a_reported_speed_that_the_path_contradicts_is_told(
     run = read(tmp_path, f"t,x,y,yaw,{header}", TIME_S, x, y, heading_rad, speed)
     assert told in run.notes.get("path_by_speed", "")
     assert ("path_by_speed" in run.notes) == bool(told)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "told"),
+    [
+        ("x,y", 123.0, "fits positions in cm: --column x='x [cm]' --column y='y [cm]'"),
+        ("x,y", 86.0, "fits positions in cm"),
+        ("x,y", 129.0, ""),
+        ("x,y", 82.0, ""),
+        ("x,y", 1000.0, "fits positions in mm"),
+        ("x [m],y [m]", 100.0, ""),
+    ],
+)
+def test_a_reported_speed_shows_the_unit_of_positions(
+    header: str, scale: float, told: str, tmp_path: Path
+) -> None:
+    x, y, heading_rad = drive()
+    still = np.repeat(1.0, len(x))  # slow, as above 100 m/s the speed alone shows mm
+    columns = (TIME_S, 0.1 * scale * x, 0.1 * scale * y, heading_rad, 0.05 * still)
+    notes = read(tmp_path, f"t,{header},yaw,v [m/s]", *columns).notes
+    assert told in notes["path_by_speed"]
+    assert ("fits" in notes["path_by_speed"]) == bool(told)
 
 
 @pytest.mark.parametrize(

@@ -361,9 +361,11 @@ def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
     """Return which inputs would add metrics, if all runs are third-party bags without them."""
     if not summaries or not all(found.is_lawless for found in summaries):
         return []
+    is_table = all(found.source.startswith("table: ") for found in summaries)
+    unlocks = {**UNLOCKS, "commands": _COMMAND_COLUMN} if is_table else UNLOCKS
     return [
         f"No {unlock}."
-        for lack, unlock in UNLOCKS.items()
+        for lack, unlock in unlocks.items()
         if all(lack in one.lacks and can_unlock(lack, one.lacks) for one in summaries)
     ]
 
@@ -385,6 +387,11 @@ UNLOCKS: Final = MappingProxyType(
     }
 )
 """Inputs that a bag may lack, by `HOLDINGS`, and what adds the metrics that need them."""
+
+_COMMAND_COLUMN: Final = (
+    "commands: a column of set-points (--column command_speed=NAME, command_turn_rate=NAME) adds"
+    " lags, tracking errors and steps"
+)
 
 
 def describe_end(summary: RunSummary) -> str:

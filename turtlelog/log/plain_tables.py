@@ -17,9 +17,10 @@ from turtlelog.log import planar_poses, table_columns
 from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
 from turtlelog.log.read_choice import CHOSEN, RESTARTS
+from turtlelog.log.ros2.computed_poses import take_courses
 from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
-from turtlelog.log.ros2.set_clocks import find_runs
-from turtlelog.log.table_columns import DATE, EPOCHS, QUANTITIES, Choice, offer_robots, show_column
+from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, find_runs
+from turtlelog.log.table_columns import EPOCHS, QUANTITIES, Choice, offer_robots, show_column
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -32,6 +33,9 @@ _NEVER: Final = (
 )
 
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
+_COURSE: Final = "course"
+"""Name that asks for the direction of travel instead of a column of headings."""
+
 _NEEDED: Final = ("t", "x", "y", "heading")
 
 _SHOWN_NAMES: Final = 12
@@ -76,8 +80,13 @@ def import_plain_table(
         table = read_plain_table(path, allow_partial=allow_partial)
         robots = table_columns.find_table_robots(table.names)
         asked = {**robots.get(robot or "", {}), **(columns or {})}
+        if has_courses := asked.get("heading") == _COURSE and _COURSE not in table.names:
+            del asked["heading"]
         chosen = table_columns.assign_columns(table.names, asked, table.units)
-        _require_columns(table, chosen, [*robots])
+        if has_courses:
+            turns = {"heading", *_QUATERNION}
+            chosen = {name: choice for name, choice in chosen.items() if name not in turns}
+        _require_columns(table, chosen, [*robots], has_courses=has_courses)
         cells = Cells(table, chosen, robot)
         run = _build_run(path, cells)
         if robot not in {*robots, *cells.robots}:
@@ -88,9 +97,9 @@ def import_plain_table(
 
 
 def _require_columns(
-    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str]
+    table: PlainTable, chosen: Mapping[str, Choice], robots: Sequence[str], *, has_courses: bool
 ) -> None:
-    is_turned = {*_QUATERNION} <= {*chosen}
+    is_turned = has_courses or {*_QUATERNION} <= {*chosen}
     known = {*chosen, "heading"} if is_turned else {*chosen}
     if missing := [name for name in _NEEDED if name not in known]:
         if {"row", "failed"} <= {*table.names}:
@@ -109,6 +118,8 @@ def _require_columns(
         more = ", ..." if len(table.names) > _SHOWN_NAMES else ""
         offered = "" if missing == ["t"] else offer_robots(robots)  # all robots have the others
         options = offered or f"--column {missing[0]}='NAME [UNIT]' says which"
+        if missing == ["heading"] and not offered:
+            options += f", or --column heading={_COURSE} takes the direction of travel"
         raise LogError(f"no column for {join_words(missing)}; there are {found}{more}: {options}")
 
 
@@ -120,6 +131,9 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
     }
     time_ns, values, changed = planar_poses.sort_rows(cells.time_ns, values)
+    has_courses, courses = "heading" not in values, dict[str, str]()
+    if has_courses:
+        values["heading"], courses = _take_courses(time_ns, values["x"], values["y"])
     places = np.column_stack([values[name] for name in ("x", "y", "heading")])
     has_pose = np.asarray(np.isfinite(places).all(axis=1))
     if not has_pose.any():
@@ -143,6 +157,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
         **cells.notes,
+        **courses,
         **_describe_gaps(values, has_pose, commands),
         **({} if plane is None else {"plane": plane}),
         **_list_contradictions(cells, pose_time_ns, poses, whole, is_flat=plane is None),
@@ -167,6 +182,7 @@ def _build_run(path: Path, cells: "Cells") -> Run:
             start_ns=start_ns,
             table_run=cells.table_run,
             lost=cells.table.columns.lost,
+            has_courses=has_courses,
         ),
         notes=notes,
     )
@@ -201,9 +217,9 @@ def _list_contradictions(
         found["heading_and_travel"] = planar_poses.describe_headings(
             xy_m, heading_rad, column=column, is_assumed=is_assumed
         )
-        assumed = cells.find_assumed("speed", "turn_rate")
+        assumed = cells.find_assumed("x", "y", "speed", "turn_rate")
         if (speed := whole.get("speed")) is not None:
-            found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed.get("speed", ""))
+            found["path_by_speed"] = describe_speed(time_ns, xy_m, speed, assumed)
         if (rate := whole.get("turn_rate")) is not None:
             name = assumed.get("turn_rate", "")
             found["turning_by_rate"] = describe_turning(time_ns, heading_rad, rate, name)
@@ -211,10 +227,12 @@ def _list_contradictions(
 
 
 def _read_rotation(cells: "Cells") -> dict[str, Values]:
-    """Return headings, and the tilt if the rotations are quaternions."""
+    """Return headings, and the tilt if the rotations are quaternions; nothing for courses."""
     heading = cells.read("heading")
     if heading is not None:
         return {"heading": heading}
+    if "qw" not in cells.chosen:
+        return {}
     x, y, z, w = cells.require_turns()
     names = [cells.chosen[name].name for name in _QUATERNION]
     cells.notes |= planar_poses.describe_order(x, y, z, w, names=names)
@@ -222,6 +240,21 @@ def _read_rotation(cells: "Cells") -> dict[str, Values]:
         "heading": planar_poses.compute_heading(x, y, z, w),
         "tilt": planar_poses.compute_tilt(x, y, z, w),
     }
+
+
+def _take_courses(
+    time_ns: NDArray[np.int64], x_m: Values, y_m: Values
+) -> tuple[Values, dict[str, str]]:
+    """Return courses as headings, NaN without a place, and a note on them."""
+    heading_rad = np.full(len(x_m), np.nan)
+    placed = np.flatnonzero(np.isfinite(x_m) & np.isfinite(y_m))
+    xy_m = np.column_stack([x_m, y_m])[placed]
+    if not len(placed):
+        return heading_rad, {}
+    heading_rad[placed], told = take_courses(time_ns[placed], xy_m, "asked for")
+    if not np.isfinite(heading_rad).any():
+        raise LogError(f"--column heading={_COURSE}: the robot moves too little for a course")
+    return heading_rad, {"heading": told}
 
 
 def _build_commands(time_ns: NDArray[np.int64], values: Mapping[str, Values]) -> CommandColumns:
@@ -424,9 +457,11 @@ class Cells:
         """Return times [ns], since 1970 or from another start."""
         choice = self.chosen["t"]
         cells = self._cells[choice.field]
-        if isinstance(cells[0], str) and DATE.match(cells[0]):
-            self._guesses["t"] = "date"
-            found: Iterable[int | None] = map(table_columns.read_date, cells)
+        is_text = isinstance(cells[0], str)
+        kinds = [kind for kind in table_columns.TIMES if is_text and kind[0].match(cells[0])]
+        if kinds:
+            _, read, self._guesses["t"] = kinds[0]
+            found: Iterable[int | None] = map(read, cells)
         else:
             unit = choice.unit
             if unit is None:
@@ -441,8 +476,11 @@ class Cells:
             if time_ns is None:
                 self.refuse("t", row, "a time")
             times[row] = time_ns
-        more = self.chosen.get("t_nanosec")
-        if more is None:
-            return times
-        factor = np.int64(10 ** _POWERS[more.unit or "ns"])
-        return times + self._parse(more).astype(np.int64) * factor
+        if (more := self.chosen.get("t_nanosec")) is not None:
+            factor = np.int64(10 ** _POWERS[more.unit or "ns"])
+            times += self._parse(more).astype(np.int64) * factor
+        days = count_midnights(times)
+        if days.any():
+            unit = self._guesses.get("t", choice.unit or "ns")
+            self._guesses["t"] = f"{unit}, over midnight"
+        return times + DAY_NS * days

@@ -340,8 +340,8 @@ def find_travel(xy_m: Values) -> Travel | None:
     """Return the directions of travel; None if the robot hardly moves, or scatters."""
     with np.errstate(over="ignore", invalid="ignore"):  # lengths beyond 1e154 overflow
         along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy_m, axis=0).T))])
-    if not np.isfinite(along_m[-1] * _PIECES):
-        return None
+        if not np.isfinite(along_m[-1] * _PIECES):
+            return None
     edges = np.searchsorted(along_m, np.linspace(0.0, along_m[-1], _PIECES + 1))
     edges = np.unique(np.minimum(edges, len(along_m) - 1))
     ways_m = np.diff(xy_m[edges], axis=0)
@@ -374,9 +374,13 @@ _WELL_RAD: Final = 0.2
 _TURNED_DEG: Final = 30.0
 """Smallest range of headings that shows degrees [deg]; no path turns by so many radians."""
 
-_TURNED_RAD: Final = 0.5
+CURVED_RAD: Final = 0.5
 """Smallest range of directions that shows how headings count [rad]; one direction fits any
 offset."""
+
+_FOLLOWED: Final = 0.5
+"""Largest misfit of few degrees, as a share of that of one direction, which fits a straight path:
+headings follow the turns."""
 
 _BADLY_RAD: Final = 0.5
 """Misfit from which headings contradict the travel [rad]: no robot on wheels slips by 30 deg."""
@@ -386,13 +390,15 @@ def fits_degrees(xy_m: Values, headings: Values) -> bool:
     """Return whether the direction of travel shows that headings are in degrees, not in radians."""
     known = np.isfinite(xy_m).all(axis=1) & np.isfinite(headings)
     xy_m, headings = xy_m[known], headings[known]
-    if len(headings) < 2 or np.ptp(headings) < _TURNED_DEG:
-        return False
-    travel = find_travel(xy_m)
+    travel = find_travel(xy_m) if len(headings) > 1 else None
     if travel is None:
         return False
-    in_deg = _measure_misfit(travel, np.radians(headings))
-    return in_deg <= _WELL_RAD and in_deg < _measure_misfit(travel, headings)
+    in_deg, in_rad = (_measure_misfit(travel, one) for one in (np.radians(headings), headings))
+    if np.ptp(headings) >= _TURNED_DEG:
+        return in_deg <= _WELL_RAD and in_deg < in_rad
+    middle_rad = np.full(len(headings), np.angle(np.exp(2j * travel.course_rad).sum()) / 2.0)
+    follows = in_deg <= _FOLLOWED * _measure_misfit(travel, middle_rad)
+    return follows and in_deg <= _WELL_RAD and in_rad > _BADLY_RAD
 
 
 def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assumed: bool) -> str:
@@ -408,13 +414,14 @@ def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assu
     ways = (("deg", 1.0), ("compass", -1.0)) if is_assumed else (("compass", -1.0),)
     scale = math.pi / 180.0 if is_assumed else 1.0
     turned_rad = float(np.ptp(np.unwrap(travel.course_rad, period=math.pi)))
-    for unit, sign in ways if column and turned_rad >= _TURNED_RAD else ():
+    for unit, sign in ways if column and turned_rad >= CURVED_RAD else ():
         other_rad = sign * scale * heading_rad + (0.0 if unit == "deg" else math.pi / 2.0)
         if _measure_misfit(travel, other_rad) <= _WELL_RAD:
             words = "degrees" if unit == "deg" else "a compass (0 is north, clockwise)"
             return f"{found}, but fit {words}: --column heading='{column} [{unit}]'"
     read = " (assumed in rad)" if is_assumed else ""
-    return f"{found}: the robot drives sideways, or the headings{read} are wrong"
+    course = "; --column heading=course takes the travel instead" if column else ""
+    return f"{found}: the robot drives sideways, or the headings{read} are wrong{course}"
 
 
 _CROWDED_NS: Final = 10_000

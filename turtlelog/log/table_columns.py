@@ -375,20 +375,25 @@ _FASTEST_M_S: Final = 100.0
 
 
 def describe_units(
-    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str]
+    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
 ) -> str:
-    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt."""
+    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
+
+    The metres of a bag are doubted without columns.
+    """
     step_s = np.diff(time_ns) / 1e9
     if not len(step_s):
         return ""
     usual_s = float(np.median(step_s))
-    if "t" in columns and usual_s > _LONGEST_STEP_S:
+    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
         step = format_short(usual_s, "s")
         option = f"--column t='{columns['t']} [ms]'"
         return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
     usual_m_s = float(np.median(np.hypot(*np.diff(xy_m, axis=0).T) / step_s))
-    if {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
-        speed = format_short(usual_m_s, "m/s")
+    speed = format_short(usual_m_s, "m/s")
+    if columns is None and usual_m_s > _FASTEST_M_S:
+        return f"x and y are read in m, so {speed} is usual; they may be in mm"
+    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
         option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
         return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
     return ""
@@ -438,6 +443,18 @@ def read_time(cell: Any, power: int) -> int | None:
     return time_ns if abs(time_ns) <= _LATEST_NS else None
 
 
+_CLOCK: Final = re.compile(r"\s*(\d{1,2}):([0-5]\d):([0-5]\d)(?:[.,](\d+))?\s*\Z", re.ASCII)
+"""A time of the day, `23:59:50.25`."""
+
+
+def read_clock(cell: str) -> int | None:
+    """Return a time of the day as nanoseconds since midnight; None for other texts."""
+    if (match := _CLOCK.match(cell)) is None:
+        return None
+    seconds = (int(match[1]) * 60 + int(match[2])) * 60 + int(match[3])
+    return seconds * 1_000_000_000 + int((match[4] or "0")[:9].ljust(9, "0"))
+
+
 def read_date(cell: str) -> int | None:
     """Return an ISO 8601 time, by default of UTC, as nanoseconds since 1970; None for others."""
     if (match := DATE.match(cell)) is None:
@@ -448,3 +465,7 @@ def read_date(cell: str) -> int | None:
         return None
     seconds = (at - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(seconds=1)
     return seconds * 1_000_000_000 + int((match[3] or "0")[:9].ljust(9, "0"))
+
+
+TIMES: Final = ((DATE, read_date, "date"), (_CLOCK, read_clock, "time of the day"))
+"""Texts of times: their pattern, their reader, and what they are."""

@@ -37,6 +37,14 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan
 _SEPARATOR: Final = re.compile(r"sep=[,;\t]\s*\n", re.I)
 """First line of tables for Excel, which names the separator."""
 
+_OTHER_COMMENTS: Final = re.compile(r"(?:\s++|#[^\n]*+)*+(?:%(?!time\b)|//)")
+"""Text that begins with comments of MATLAB or C, not %time as in a header of ROS 1."""
+
+_MOTION_CAPTURE: Final = re.compile(
+    r"(?:(Objects|Segments|Trajectories|Joints|Model Outputs|Devices)[,;\t]*\s*\n|Format Version,)"
+)
+"""First line of tables by Vicon (a section) or OptiTrack."""
+
 _MOST_KNOWN: Final = 2**14
 """Number of cell texts that are stored only once: all numbers of three digits with a decimal
 point."""
@@ -97,6 +105,14 @@ def read_plain_table(path: Path, *, allow_partial: bool = False) -> PlainTable:
 def _parse_text(text: str, size: int, *, allow_partial: bool) -> PlainTable:
     if _SEPARATOR.match(text):
         text = f"#{text}"
+    if _OTHER_COMMENTS.match(text):
+        text = re.sub(r"^(?=%|//)", "#", text, flags=re.MULTILINE)
+    if motion_capture := _MOTION_CAPTURE.match(text):
+        program = "Vicon" if motion_capture[1] else "OptiTrack"
+        raise LogError(
+            f"a table of {program} with several rows of names:"
+            " keep one row of names, with a column of times and a name for each column"
+        )
     comments, (first, second, third) = _find_first_rows(text)
     if not first:
         raise LogError("expected a table, found no rows")
@@ -133,7 +149,7 @@ def _find_first_rows(text: str) -> tuple[list[str], tuple[str, str, str]]:
     first, second, third = (next(rows, (0, ""))[1].strip() for _ in range(3))
     begin = BLANKS_AND_COMMENTS.match(text).end()  # type: ignore[union-attr]  # of none, too
     above = text[max(0, begin - LONGEST_HEAD) : begin].split("\n")
-    comments = [line.strip().lstrip("#").strip() for line in above]
+    comments = [line.strip().lstrip("#%/").strip() for line in above]
     return comments, (first, second, third)
 
 
@@ -337,10 +353,19 @@ class _StoredColumns:
 
 
 def decode_text(data: bytes) -> str:
-    """Return the text of a table or log; spreadsheet programs write a byte order mark first."""
+    """Return the text of a table or log; spreadsheet programs write a byte order mark first.
+
+    Names and comments may be in Latin-1 (°) above a last row in ASCII.
+    """
+    is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-16" if is_wide else "utf-8-sig")
     except UnicodeDecodeError as err:
+        if is_wide:
+            raise LogError("expected UTF-16 text, found a damaged file") from err
+        _, _, last = data.rstrip().rpartition(b"\n")
+        if last.isascii() and b"\0" not in data:
+            return data.decode("latin-1")
         found = f"0x{err.object[err.start]:02x}"
         raise LogError(f"byte {err.start}: expected UTF-8 text, found {found}") from err
 

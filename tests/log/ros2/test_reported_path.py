@@ -1,4 +1,4 @@
-"""The path by poses beside that by the reported speed: which is wrong where they differ."""
+"""What a bag's poses contradict: reported speeds and turn rates, units, constant orientations."""
 
 from pathlib import Path
 
@@ -222,3 +222,92 @@ def test_a_step_apart_of_less_than_a_centimetre_is_not_judged() -> None:
         apart_m = xy_m.copy()
         apart_m[::2, 1] += off_m
         assert (describe_small_leaps(apart_m) is not None) == is_said
+
+
+def arc(turned_rad: float, noise_m: float = 0.0) -> Values:
+    """Return 20 s along an arc at 0.5 m/s that begins along +x."""
+    angle_rad = np.linspace(0.0, turned_rad, 401)
+    radius_m = 10.0 / turned_rad
+    xy_m = radius_m * np.column_stack([np.sin(angle_rad), 1.0 - np.cos(angle_rad)])
+    return xy_m + np.random.default_rng(0).normal(0.0, noise_m, xy_m.shape)
+
+
+@pytest.mark.parametrize(("turned_rad", "is_course"), [(0.46, False), (0.58, True), (3.0, True)])
+def test_courses_stand_for_an_orientation_that_never_changes_on_a_curve(
+    turned_rad: float, tmp_path: Path, *, is_course: bool
+) -> None:
+    # Courses are held over the first and last quarter of a metre of ten.
+    run = tl.read_run(write_robot(tmp_path, say_odometry(arc(turned_rad), speed=0.0)))
+    assert run.origin.has_courses == is_course
+    assert ("the orientation never changes" in run.notes.get("heading", "")) == is_course
+    turned = run.poses.heading_rad[-1] - run.poses.heading_rad[0]
+    assert turned == pytest.approx(0.95 * turned_rad if is_course else 0.0, abs=0.02)
+
+
+def test_single_outliers_turn_no_course(tmp_path: Path) -> None:
+    xy_m = arc(3.0)
+    xy_m[50:400:50] += 4.0
+    poses = tl.read_run(write_robot(tmp_path, say_odometry(xy_m, speed=0.0))).poses
+    turned_rad = np.abs(np.diff(np.unwrap(poses.heading_rad))).sum()
+    assert turned_rad == pytest.approx(2.85, abs=0.3)  # each outlier would turn the course by pi
+
+
+def test_a_robot_that_moves_to_the_side_keeps_its_orientation(tmp_path: Path) -> None:
+    said = say_odometry(arc(3.0), speed=0.5)
+    for one in said:
+        one.values["twist"]["twist"]["linear"] = make_vector(0.5, 0.1)
+    run = tl.read_run(write_robot(tmp_path, said))
+    assert not run.poses.heading_rad.any()
+    assert not run.origin.has_courses
+
+
+def say_pose(xy_m: list[float], theta: float, row: int) -> Said:
+    return Said(
+        topic="/pose",
+        type="geometry_msgs/msg/Pose2D",
+        time_ns=START_NS + round(row / HZ * 1e9),
+        sequence=row,
+        values={"x": xy_m[0], "y": xy_m[1], "theta": theta},
+    )
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+def test_angles_of_a_bag_are_in_degrees_where_the_travel_shows_it(
+    unit: str, tmp_path: Path
+) -> None:
+    theta = np.linspace(0.0, 3.0, 401)
+    given = np.degrees(theta) if unit == "deg" else theta
+    rows = zip(arc(3.0).tolist(), given.tolist(), strict=True)
+    said = [say_pose(xy, angle, row) for row, (xy, angle) in enumerate(rows)]
+    run = tl.read_run(write_robot(tmp_path, said))
+    assert run.poses.heading_rad == pytest.approx(theta)
+    assert ("in degrees" in run.notes.get("heading", "")) == (unit == "deg")
+
+
+@pytest.mark.parametrize(("speed", "is_told"), [(99.0, False), (101.0, True)])
+def test_positions_of_a_bag_that_may_be_in_mm_are_told(
+    speed: float, tmp_path: Path, *, is_told: bool
+) -> None:
+    notes = tl.read_run(write_robot(tmp_path, say_odometry(straight(speed), speed=speed))).notes
+    told = "x and y are read in m, so 101 m/s is usual; they may be in mm"
+    assert notes.get("unlikely_units") == (told if is_told else None)
+
+
+@pytest.mark.parametrize(
+    ("scale", "told"),
+    [(1.19, ""), (1.21, "1.21 times"), (57.3, "57.3 times that of the headings, which fits deg/s")],
+)
+def test_reported_turn_rates_of_a_bag_that_its_headings_contradict_are_told(
+    scale: float, told: str, tmp_path: Path
+) -> None:
+    said = say_odometry(straight(0.0, 201), speed=0.0)
+    for row, one in enumerate(said):
+        one.values["pose"]["pose"] = describe_place(0.0, 0.0, turn(0.3 * row / HZ))
+        rate = -140.0 if row == 100 else 0.3 * scale  # one fault is no unit
+        one.values["twist"]["twist"] = {
+            "linear": make_vector(),
+            "angular": make_vector(z=rate),
+        }
+    notes = tl.read_run(write_robot(tmp_path, said)).notes
+    assert told in notes.get("turning_by_rate", "")
+    assert ("turning_by_rate" in notes) == bool(told)

@@ -59,7 +59,8 @@ from turtlelog.log.ros2.bag_topics import (
     describe_unread_topics,
     select_robot,
 )
-from turtlelog.log.ros2.reported_motion import judge_rates, note_motion
+from turtlelog.log.ros2.computed_poses import judge_headings
+from turtlelog.log.ros2.reported_motion import judge_rates, note_contradictions, note_motion
 from turtlelog.log.ros2.set_clocks import (
     describe_clock_steps,
     describe_silence,
@@ -216,9 +217,10 @@ def _build_run(
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, choice.time)
     track = replace(track, received_ns=track.time_ns[times.poses.rows])
     poses = poses.take(times.poses.rows, times.poses.time_ns)
-    columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
+    poses, heading_notes, has_courses = judge_headings(poses, commands)
+    columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -226,11 +228,14 @@ def _build_run(
     changes = {"moved_rows": str(moved), "wrapped_headings": str(wrapped)}
     changes |= _note_lost({"pose": dropped, "command": lost}, unturned)
     others = source.notes.get("other_pose_topics")
+    has_courses |= source.origin.has_courses
     motion = note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others)
+    has_headings = not has_courses and "plane" not in motion
     origin = replace(
         _add_rows(source.origin, tables, start_ns),
         commands=None if command_pick is None else command_pick.source,
         has_leaps="leaps" in motion,
+        has_courses=has_courses,
     )
     notes = {
         "original_timestamp": format_utc(start_ns),
@@ -239,8 +244,12 @@ def _build_run(
         **note_changes(origin),
         **changes,
         **times.notes,
+        **heading_notes,
         **rate_notes,
-        **note_crowded(time_ns),
+        **(
+            note_crowded(time_ns)
+            or note_contradictions(time_ns, columns, has_headings=has_headings)
+        ),
         **motion,
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }

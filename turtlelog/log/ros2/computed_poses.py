@@ -1,18 +1,21 @@
 """Computation of poses from other messages: satellite fixes, or rotations of two wheels."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count, format_short
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.planar_poses import Values
-from turtlelog.log.ros2.stamps import join_arrays, join_stamps, read_stamps
+from turtlelog.log.planar_poses import CURVED_RAD, Values, fits_degrees
+from turtlelog.log.ros2.bag_rows import OrderedRows
+from turtlelog.log.ros2.stamps import TimesNs, join_arrays, join_stamps, read_stamps
 from turtlelog.run.angles import wrap_angle
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
@@ -115,10 +118,7 @@ def locate_fixes(found: Sequence[TopicColumns]) -> tuple[TopicColumns, dict[str,
         columns["z"] = place_m[:, 2]
     lost = len(messages) - len(rows)
     notes = {
-        "heading": (
-            f"the course over {way_m:.2g} m, as a receiver has no heading; held at either end and"
-            f" where it stands, for {held} of {len(rows)} poses"
-        ),
+        "heading": _describe_courses("a receiver has no heading", way_m, held, len(rows)),
         "origin": (
             f"x is east and y north of {latitude_deg[rows[0]]:.7f} deg,"
             f" {longitude_deg[rows[0]]:.7f} deg (WGS84)"
@@ -192,6 +192,54 @@ def find_courses(time_s: Values, xy_m: Values) -> tuple[Values, float, int]:
         places = np.searchsorted(known, np.arange(len(xy_m)), side="right") - 1
         courses_rad = courses_rad[known[np.maximum(places, 0)]]
     return courses_rad, way_m, held
+
+
+def _describe_courses(reason: str, way_m: float, held: int, count: int) -> str:
+    """Return a sentence on courses that stand for headings for a reason."""
+    return (
+        f"the course over {way_m:.2g} m, as {reason}; held at either end and where it stands, for"
+        f" {held} of {count} poses"
+    )
+
+
+_AROUND: Final = 2
+"""Number of positions on either side in a median, which leaves out two outliers in a row."""
+
+
+def take_courses(time_ns: TimesNs, xy_m: Values, reason: str) -> tuple[Values, str]:
+    """Return courses [rad] that stand for headings for a reason, and the sentence on them."""
+    padded_m = np.pad(xy_m, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    median_m = np.median(sliding_window_view(padded_m, 2 * _AROUND + 1, axis=0), axis=-1)
+    courses_rad, way_m, held = find_courses((time_ns - time_ns[0]) / 1e9, median_m)
+    return courses_rad, _describe_courses(reason, way_m, held, len(xy_m))
+
+
+def judge_headings(
+    poses: OrderedRows, commands: OrderedRows | None
+) -> tuple[OrderedRows, dict[str, str], bool]:
+    """Return poses with headings that fit the path, a note, and whether they are courses.
+
+    Angles are in degrees if the direction of travel shows it. If the orientation never changes
+    though the path turns, as in positions of a satellite receiver, courses stand for it, unless the
+    robot moves to the side or publishes the applied speeds.
+    """
+    columns = poses.columns
+    heading_rad, xy_m = columns["heading"], np.column_stack([columns["x"], columns["y"]])
+    if "tilt" not in columns and fits_degrees(xy_m, heading_rad):  # an angle, no quaternion
+        columns = {**columns, "heading": np.radians(heading_rad)}
+        note = {"heading": "in degrees, as the direction of travel shows"}
+        return replace(poses, columns=columns), note, False
+    asides = [columns.get("measured_lateral_speed")]
+    asides.append(commands.columns["lateral_speed"] if commands else None)
+    is_aside = any(aside is not None and np.nan_to_num(aside).any() for aside in asides)
+    if is_aside or "speed" in columns or (heading_rad != heading_rad[:1]).any():
+        return poses, {}, False
+    reason = "the orientation never changes though the path turns"
+    courses_rad, told = take_courses(poses.time_ns, xy_m, reason)
+    # Reversing is no turn. Unknown courses are NaN, which exceeds no limit.
+    if not float(np.ptp(np.unwrap(courses_rad, period=math.pi))) > CURVED_RAD:
+        return poses, {}, False
+    return replace(poses, columns={**columns, "heading": courses_rad}), {"heading": told}, True
 
 
 def _find_far(offsets_m: Values, least_m: float) -> int | None:

@@ -1,7 +1,7 @@
 """Comparison of the path length and rates that odometry or a table reports with its poses."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +12,7 @@ from turtlelog.display import describe_count, format_short
 from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describe_level
 from turtlelog.log.ros2.bag_rows import OrderedRows
 from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.log.table_columns import UNITS, describe_units
 
 _APART: Final = 0.2
 """Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
@@ -364,9 +365,12 @@ _OFF: Final = 0.2
 
 
 def describe_turning(
-    time_ns: TimesNs, heading_rad: Values, turn_rate_rad_s: Values, column: str
+    time_ns: TimesNs, heading_rad: Values, turn_rate_rad_s: Values, column: str | None
 ) -> str:
-    """Return a sentence on turn rates (of a `column` in assumed rad/s) that headings contradict."""
+    """Return a sentence on turn rates (of a `column` in assumed rad/s) that headings contradict.
+
+    The column has no name if its unit is known, and is None in a bag.
+    """
     rows = thin_rows(time_ns, _TURN_STRIDE_NS)
     step_s = np.diff(time_ns) / 1e9
     means = (turn_rate_rad_s[1:] + turn_rate_rad_s[:-1]) / 2.0
@@ -374,21 +378,33 @@ def describe_turning(
     turned_rad = np.diff(np.unwrap(heading_rad)[rows])
     if min(np.abs(reported_rad).sum(), np.abs(turned_rad).sum()) < _LEAST_TURN_RAD:
         return ""
-    ratio = float((reported_rad * turned_rad).sum() / (turned_rad**2).sum())
+    # The median ratio, weighted by turns: a single wrong report may exceed all turns together.
+    turns = np.flatnonzero(turned_rad)
+    ratios = reported_rad[turns] / turned_rad[turns]
+    order = np.argsort(ratios)
+    weights = np.cumsum(np.abs(turned_rad[turns][order]))
+    ratio = float(ratios[order][np.searchsorted(weights, weights[-1] / 2.0)])
     if abs(ratio - 1.0) <= _OFF:
         return ""
     found = f"the reported turn rate is {format_short(ratio)} times that of the headings"
     return f"{found}{_propose('turn_rate', column, ratio)}"
 
 
-def describe_speed(time_ns: TimesNs, xy_m: Values, speed_m_s: Values, column: str) -> str:
-    """Return a sentence on speeds (of a `column` in assumed m/s) that the positions contradict."""
+def describe_speed(
+    time_ns: TimesNs, xy_m: Values, speed_m_s: Values, columns: Mapping[str, str]
+) -> str:
+    """Return a sentence on speeds that the positions contradict.
+
+    The `columns` of x, y and speed are those in assumed units.
+    """
     paths = measure_paths(time_ns, {"x": xy_m[:, 0], "y": xy_m[:, 1], SPEED: speed_m_s})
     found = describe_paths(paths)
     if found is None:
         return ""
     ratio = (paths.by_speed or 0.0) / paths.by_strides if paths.by_strides else 0.0
-    proposed = _propose("speed", column, ratio)
+    proposed = _propose("speed", columns.get("speed", ""), ratio)
+    if {"x", "y"} <= {*columns} and not proposed:
+        proposed = next(_propose_lengths(columns, ratio), "")
     return f"{found.partition(':')[0]}{proposed}" if proposed else found
 
 
@@ -398,11 +414,19 @@ _FACTORS: Final[Mapping[str, Mapping[str, float]]] = {
 }
 
 
-def _propose(field: str, column: str, ratio: float) -> str:
-    for unit, factor in _FACTORS[field].items() if column else ():
+def _propose(field: str, column: str | None, ratio: float) -> str:
+    for unit, factor in _FACTORS[field].items() if column != "" else ():
         if abs(ratio / factor - 1.0) <= _OFF:
-            return f", which fits {unit}: --column {field}='{column} [{unit}]'"
+            option = f": --column {field}='{column} [{unit}]'" if column else ""
+            return f", which fits {unit}{option}"
     return ""
+
+
+def _propose_lengths(columns: Mapping[str, str], ratio: float) -> Iterator[str]:
+    for unit, metres in UNITS["length"].items():
+        if unit != "m" and abs(ratio / metres - 1.0) <= _OFF:
+            options = " ".join(f"--column {axis}='{columns[axis]} [{unit}]'" for axis in "xy")
+            yield f", which fits positions in {unit}: {options}"
 
 
 def note_motion(
@@ -440,3 +464,19 @@ def note_motion(
     if paths := describe_paths(measure_paths(poses.time_ns, reported, driven), others):
         notes["path_by_speed"] = paths
     return notes
+
+
+def note_contradictions(
+    time_ns: TimesNs, columns: Mapping[str, Values], *, has_headings: bool
+) -> dict[str, str]:
+    """Return notes on poses of a bag in unlikely units, and on turn rates that headings contradict.
+
+    Times increase. Courses, and headings off the plane, are no headings that contradict rates.
+    """
+    xy_m = np.column_stack([columns["x"], columns["y"]])
+    found = {"unlikely_units": describe_units(time_ns, xy_m, None)}
+    if has_headings and TURN_RATE in columns:
+        found["turning_by_rate"] = describe_turning(
+            time_ns, columns["heading"], columns[TURN_RATE], None
+        )
+    return {name: text for name, text in found.items() if text}

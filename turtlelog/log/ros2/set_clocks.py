@@ -388,3 +388,23 @@ def find_runs(time_ns: NDArray[np.int64]) -> list[slice]:
         head = None if end - start >= _FEWEST_ROWS else head
         low, high = min(low, begin), max(high, last)
     return [*found, slice(first, len(time_ns))]
+
+
+DAY_NS: Final = 86_400_000_000_000
+
+_MIDNIGHT_NS: Final = 60_000_000_000
+"""Longest step over midnight [ns]; a longer one may be a run that starts again."""
+
+
+def count_midnights(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the number of midnights before each time, if they are times of the day, or else 0."""
+    counts = np.zeros(len(time_ns), dtype=np.int64)
+    if not len(time_ns) or time_ns.min() < 0 or time_ns.max() >= DAY_NS:
+        return counts
+    steps_ns = np.diff(time_ns)
+    is_over = np.abs(np.abs(steps_ns) - DAY_NS) <= _MIDNIGHT_NS
+    days = np.where(is_over, -np.sign(steps_ns), 0)  # a late row steps back over midnight
+    if not days.any() or days[np.flatnonzero(days)[0]] < 0:
+        return counts
+    counts[1:] = np.cumsum(days)
+    return counts
