@@ -12,7 +12,7 @@ from turtlelog.measure.rates import GAP_STEPS
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
-from turtlelog.plants.lagged import want_rate
+from turtlelog.plants.lagged import rub, want_rate
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
@@ -192,11 +192,13 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
 def _find_wanted(run: Run, loop: ControlLoop, command: Values) -> Values:
     """Return the steady-state rates of the plant for the commands of a loop."""
     gain = _read_plant(run, loop, "gain", 1.0)
-    defaults = {"reverse_gain": math.nan, "deadband": 0.0, "bound": math.inf}
+    defaults = {"deadband": 0.0, "friction": 0.0, "reverse_gain": math.nan, "bound": math.inf}
     if all(f"{PLANT_KEYS[loop.command]}{name}" not in run.parameters for name in defaults):
         return command * gain
-    limits = {name: _read_plant(run, loop, name, value) for name, value in defaults.items()}
-    return np.array([want_rate(one, gain, **limits) for one in command.tolist()])
+    own = (_read_plant(run, loop, name, value) for name, value in defaults.items())
+    deadband, friction, reverse_gain, bound = own
+    left = (rub(one, deadband, friction) for one in command.tolist())
+    return np.array([want_rate(one, gain, reverse_gain, bound) for one in left])
 
 
 def describe_follower(run: Run, loop: ControlLoop) -> str:
@@ -223,6 +225,56 @@ def find_common_step(values: Values) -> float:
     left = (different[1:] - different[0]) - step * multiples
     is_common = bool((np.abs(left) < OFF_GRID * step).all())
     return step if is_common and step > find_spacing(values) else 0.0
+
+
+def find_dither_step(steps: Values) -> float:
+    """Return the resolution of a coordinate whose steps from row to row dither; otherwise 0.
+
+    Steps of a rounded coordinate, or of an encoder that counts ticks, change from one multiple of
+    the resolution to the next and back at once. Exact steps do not, whatever their values are.
+    """
+    starts = range(0, len(steps), _RESOLVED_ROWS) if len(steps) > _RESOLVED_ROWS else ()
+    parts = [steps, *(steps[first : first + _RESOLVED_ROWS] for first in starts)]
+    return max(_find_dither_step(part) for part in parts)
+
+
+_RESOLVED_ROWS: Final = 250
+"""Number of rows whose resolution is found at a time, and the coarsest counts: a number with seven
+digits is coarser beyond 1 km."""
+
+
+def _find_dither_step(steps: Values) -> float:
+    steps = np.where(np.abs(steps) > _LEAST_DITHER, steps, 0.0)
+    bends = subtract_neighbours(steps)
+    bends[np.abs(bends) <= _LEAST_DITHER] = 0.0
+    way, bend = np.sign(steps), np.sign(bends)
+    is_dither = bend[1:] * bend[:-1] < 0.0
+    # A pose that strays returns, too, but then the steps have two signs.
+    is_onward = is_dither & (way[1:-1] * way[:-2] >= 0.0) & (way[1:-1] * way[2:] >= 0.0)
+    few = np.count_nonzero(is_onward) < FEWEST_DIFFERENT
+    if few or np.count_nonzero(is_dither) < _DITHERING * np.count_nonzero(steps):
+        return 0.0
+    sizes = np.sort(np.abs(bends[bends != 0.0]))
+    least = sizes[len(sizes) // _SMALLEST]
+    step = compute_median(sizes[np.abs(sizes - least) < _NEAR_MULTIPLE * least])
+    is_multiple = np.abs(sizes - step * np.rint(sizes / step)) < _NEAR_MULTIPLE * step
+    return step if is_multiple.mean() >= _MULTIPLES else 0.0
+
+
+_LEAST_DITHER: Final = 1e-5
+"""Smallest resolution that matters [m, rad]: 32 bits round two poses as far."""
+
+_DITHERING: Final = 0.05
+"""Smallest share of moving steps that dither. Of a rounded coordinate a quarter does, on average
+over all rates; of a turn that two wheels count, a tenth."""
+
+_SMALLEST: Final = 20
+"""The twentieth part of the changes, from the least, gives the resolution."""
+
+_NEAR_MULTIPLE: Final = 0.1
+_MULTIPLES: Final = 0.9
+"""Distance from a multiple, in steps, and share of the changes that are as near to one. Of exact
+coordinates a fifth is as near."""
 
 
 def find_spacing(values: Values) -> float:
