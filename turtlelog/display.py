@@ -74,6 +74,11 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
+def capitalise(text: str) -> str:
+    """Return text with a capital as its first letter; other letters stay."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def split_numbers(name: str) -> list[str | tuple[int, str]]:
     """Return a key for the natural order of names, `run2` before `run10`: text, number, text, ...
 

@@ -48,9 +48,9 @@ def make_share(name: str, share: float, standard_error: float | None = None) -> 
 def test_the_steps_lead_from_the_logged_value_to_what_the_tolerances_leave() -> None:
     steps = list_attribution_steps(attribute_kp10())
     assert [(step.kind, step.name, step.text) for step in steps] == [
-        ("total", "as logged", "106.7 mm"),
-        ("contribution", "queue", "-51.1 mm (48 %)"),
-        ("contribution", "pause", "-50.6 mm (47 %)"),
+        ("total", "as recorded", "106.7 mm"),
+        ("contribution", "queue", "+51.1 mm (48 %)"),
+        ("contribution", "pause", "+50.6 mm (47 %)"),
         ("left", "left", "5.1 mm (5 %), no more than the tolerances leave"),
     ]
     assert len({step.color for step in steps}) == 4
@@ -71,15 +71,15 @@ def test_the_largest_contribution_is_first_and_what_takes_away_leads_up() -> Non
         "a",
         10.0,
         2.0,
-        "-8.00 deg (80 %)",
+        "+8.00 deg (80 %)",
     )
-    assert (second.cause, second.end, second.text) == ("b", 5.0, "+3.00 deg (-30 %)")
+    assert (second.cause, second.end, second.text) == ("b", 5.0, "-3.00 deg (-30 %)")
     assert left.text == "5.00 deg (50 %), without a and b"
 
 
 def test_a_cause_without_a_contribution_has_no_bar() -> None:
     found = make_attribution(contributions=(make_share("b", 5e-9), make_share("a", 5.0)))
-    assert [step.name for step in list_attribution_steps(found)] == ["as logged", "a", "left"]
+    assert [step.name for step in list_attribution_steps(found)] == ["as recorded", "a", "left"]
 
 
 def test_withheld_shares_have_no_steps() -> None:
@@ -95,9 +95,9 @@ def test_a_run_that_no_effect_changes_has_two_bars() -> None:
 def test_a_difference_between_log_and_simulation_is_a_step() -> None:
     _, differs, first, *_ = list_attribution_steps(make_attribution(as_logged=10.2))
     assert (differs.name, differs.cause, differs.text) == (
-        "re-simulated",
+        "log only",
         "",
-        "-0.20 deg, not as logged",
+        "+0.20 deg, not re-simulated",
     )
     assert (differs.end, first.start) == (10.0, 10.0)
 
@@ -108,9 +108,9 @@ def test_random_effects_go_through_the_mean_and_tell_its_error() -> None:
         contributions=(make_share("a", 2.9, 0.25), make_share("b", 0.1, 0.05)),
     )
     texts = {step.name: step.text for step in list_attribution_steps(found)}
-    assert texts["this seed"] == "-2.00 deg, to the mean over seeds"
-    assert texts["a"] == "-2.90 deg ± 0.25 (29 %)"
-    assert texts["b"] == "-0.10 deg ± 0.05 (1 %), may be chance"
+    assert texts["this seed"] == "+2.00 deg, beside the mean over seeds"
+    assert texts["a"] == "+2.90 deg ± 0.25 (29 %)"
+    assert texts["b"] == "+0.10 deg ± 0.05 (1 %), may be chance"
 
 
 def test_of_a_simulated_scenario_the_value_is_not_called_logged() -> None:
@@ -160,7 +160,7 @@ def test_a_share_of_a_millionth_is_no_step(share: float, count: int) -> None:
     assert len(list_attribution_steps(found)) == count
 
 
-@pytest.mark.parametrize(("share", "text"), [(99.9, "-99.90 deg (999 %)"), (100.1, "-100.10 deg")])
+@pytest.mark.parametrize(("share", "text"), [(99.9, "+99.90 deg (999 %)"), (100.1, "+100.10 deg")])
 def test_a_part_of_ten_times_the_value_has_no_percentage(share: float, text: str) -> None:
     found = make_attribution(contributions=(make_share("a", share),))
     assert list_attribution_steps(found)[1].text == text
@@ -172,3 +172,21 @@ def test_the_last_bar_names_two_causes(names: str, told: str) -> None:
         causes=tuple(names), contributions=tuple(make_share(name, 1.0) for name in names)
     )
     assert list_attribution_steps(found)[-1].text == f"5.00 deg (50 %), without {told}"
+
+
+@pytest.mark.parametrize(("alone", "count"), [(6.3, 2), (6.2, 3)])
+def test_a_design_parameter_that_changes_more_than_all_effects_has_a_bar(
+    alone: float, count: int
+) -> None:
+    # The effects add 3 deg; a change of 1.25 times as much counts as larger.
+    other = replace(make_share("saturation", 0.0), contribution=None, alone=alone)
+    steps = list_attribution_steps(
+        make_attribution(
+            causes=("a",), contributions=(make_share("a", 3.0),), without_all=7.0, others=(other,)
+        )
+    )
+    assert len(steps) == count + 1
+    if count == 3:
+        assert steps[-1].name == "without saturation"
+        assert steps[-1].text == "6.20 deg (62 %), a design parameter"
+        assert steps[-1].start == 0.0

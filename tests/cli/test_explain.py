@@ -177,7 +177,7 @@ TURTLE_WORDS = ("backlog", "Kp", "pause", "projection", "turtlesim's", "tick", "
 def test_explain_says_of_a_turtlesim_bag_what_its_plant_tells(call: Call) -> None:
     bag = find_shared("ros2", "turtlesim_jazzy")
     answer = call("explain", bag, "--json")
-    assert answer.code == 0
+    assert answer.code == 1
     identified = read_identified(answer.json)
     assert (identified["loop.start_backlog"], identified["lost_commands"]) == (None, 0)
     assert answer.json["attribution"] is None
@@ -205,7 +205,8 @@ def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -
     bag = find_shared("robots", "tb3")
     answer = call("explain", bag)
     text = " ".join(answer.out.split())
-    assert answer.code == 0
+    assert answer.code == 1
+    assert text.endswith(f"Response to its commands: turtlelog identify {bag}")
     for sentence in (
         "tb3: not explained, because there are no samples of a controller.",
         "A robot, not turtlesim, ",
@@ -229,7 +230,8 @@ def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -
 def test_explain_says_of_poses_alone_how_many_there_are(call: Call, tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [make_stamped_pose()])
     answer = call("explain", path)
-    assert answer.code == 0
+    assert answer.code == 1
+    assert " ".join(answer.out.split()).endswith(f"turtlelog metrics {path}")
     assert "1 pose.\nNo commands.\n\nAn explanation needs" in answer.out
     assert call("explain", path, "--json").json["motion"]["poses"]["period_s"] is None
 

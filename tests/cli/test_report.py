@@ -50,7 +50,7 @@ def test_a_run_alone_is_explained_with_its_ghosts(
     assert run(capsys, "report", RECORDINGS / "kp10.mcap", "-o", path)[0] == 0
     text = path.read_text("utf-8")
     assert "queue +0.05108 m and pause +0.05057 m" in text
-    for words in ("106.7 mm", "-51.1 mm (48 %)", "without both 0.005077 m"):
+    for words in ("106.7 mm", "+51.1 mm (48 %)", "without both 0.005077 m"):
         assert words in text
 
 

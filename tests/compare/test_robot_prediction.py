@@ -436,3 +436,22 @@ def test_a_comparison_shows_its_median_errors() -> None:
     assert repr(found).startswith("<RobotComparison of robot with robot: median error ")
     assert "mm after 1 s" in repr(found)
     assert "<table" in found._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("above", "told"), [(4, "no other level of noise"), (3, "more noise than")]
+)
+def test_errors_on_both_sides_are_not_called_less_noise(above: int, told: str) -> None:
+    recorded = np.array([0.1] * 8 + [5.0] * above + [1.0] * (31 - 8 - above))
+    ends = np.full(31, 0.5), np.full(31, 2.0)
+    band = tl.compare.ErrorBand(
+        quantity="position",
+        horizon_s=1.0,
+        time_s=np.arange(31.0),
+        recorded=recorded,
+        simulated=np.ones(31),
+        low=ends[0],
+        high=ends[1],
+    )
+    assert band.verdict == "smaller"
+    assert told in band.text

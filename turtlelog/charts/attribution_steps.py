@@ -3,11 +3,12 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
 
 from turtlelog.charts import palette
 from turtlelog.display import join_words
-from turtlelog.explain import Attribution, Contribution, ExplainedDifference
+from turtlelog.explain import Attribution, Contribution, ExplainedDifference, choose_leading
 from turtlelog.explain.answers import SEED, THIS_SEED
 
 _SAME: Final = 1e-6
@@ -24,9 +25,10 @@ _MOST_NAMED: Final = 2  # causes that the last bar names; more would be wider th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttributionStep:
-    """A bar of the waterfall: the logged value, a contribution, or the value without all causes."""
+    """A bar of the waterfall: the logged value, a contribution, or a value without causes."""
 
-    kind: Literal["total", "contribution", "left"]  # `left`: without all causes
+    # `left`: without all causes; `apart`: without one other cause, which changes the value more
+    kind: Literal["total", "contribution", "left", "apart"]
     cause: str = ""  # name of the cause; empty for total, left, and a step without a cause
     start: float = 0.0  # start of the bar, in the metric's unit: 0, or the end of the previous step
     end: float  # end of the bar
@@ -65,7 +67,7 @@ class Waterfall:
     @property
     def joints(self) -> tuple[float, ...]:
         """Values at which lines join neighbouring bars, in the metric's unit."""
-        return tuple(step.end for step in self.steps[:-1])
+        return tuple(one.end for one, below in pairwise(self.steps) if below.kind != "apart")
 
     @property
     def span(self) -> tuple[float, float]:
@@ -115,14 +117,15 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
 
     Between these two is a step for each cause that changes the value, the largest contribution
     first. A difference between log and re-simulation, or between one seed and the mean over seeds,
-    is a separate step. If the contributions are withheld, there are no steps.
+    is a separate step. The value without a design parameter that changes it more than all effects
+    is last. If the contributions are withheld, there are no steps.
     """
     left = found.without_all
     total = found.resimulated if found.as_logged is None else found.as_logged
     if found.withheld or total is None or left is None:
         return ()
     scale = choose_step_scale(found)
-    name = "as simulated" if found.as_logged is None else "as logged"
+    name = "as simulated" if found.as_logged is None else "as recorded"
     text = f"{scale.format_value(total)}{_explain_little(found, total)}"
     first = AttributionStep(kind="total", end=total, name=name, text=text, color=palette.MAIN)
     steps = [first, *_list_contributions(found, total, scale)]
@@ -133,8 +136,23 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
         reason = f", without {few}"
     part = _tell_part(left, total) if len(steps) > 1 else ""
     text = f"{scale.format_value(left)}{part}{reason or ', no effect changes it'}"
-    last = AttributionStep(kind="left", end=left, name="left", text=text, color=palette.GHOST)
-    return (*steps, last)
+    step = AttributionStep(kind="left", end=left, name="left", text=text, color=palette.GHOST)
+    steps.append(step)
+    leading = choose_leading(found)
+    colors = palette.choose_cause_colors([*found.causes, *(one.cause for one in leading)])
+    for one in leading:
+        value = one.alone or 0.0
+        kind = "an effect apart" if one.cause in found.effects else "a design parameter"
+        step = AttributionStep(
+            kind="apart",
+            cause=one.cause,
+            end=value,
+            name=f"without {one.cause}",
+            text=f"{scale.format_value(value)}{_tell_part(value, total)}, {kind}",
+            color=colors[one.cause],
+        )
+        steps.append(step)
+    return tuple(steps)
 
 
 def choose_step_scale(found: Attribution) -> StepScale:
@@ -157,13 +175,13 @@ def _list_contributions(
     largest = max(abs(total), abs(found.divided))
     if abs(total - found.divided) > _SAME * largest:
         is_seed = found.seeds is not None
-        differs = scale.format_value(found.divided - total, signed=True)
+        differs = scale.format_value(total - found.divided, signed=True)
         yield AttributionStep(
             kind="contribution",
             start=total,
             end=found.divided,
-            name=THIS_SEED if is_seed else "re-simulated",
-            text=f"{differs}{', to the mean over seeds' if is_seed else ', not as logged'}",
+            name=THIS_SEED if is_seed else "log only",
+            text=f"{differs}, {'beside the mean over seeds' if is_seed else 'not re-simulated'}",
             color=palette.REFERENCE,
         )
     at = found.divided
@@ -171,8 +189,7 @@ def _list_contributions(
     colors = palette.choose_cause_colors(found.causes)
     for one in acting:
         value = one.contribution or 0.0
-        # How removing the cause changes the value, and the cause's part of the logged value.
-        size = _tell_size(-value, one.standard_error, scale)
+        size = _tell_size(value, one.standard_error, scale)
         chance = "" if one.is_clear else ", may be chance"
         yield AttributionStep(
             kind="contribution",

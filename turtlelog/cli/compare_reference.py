@@ -304,7 +304,8 @@ def compare_with_robot(
             console.print_error(str(err))
             is_fine = False
     if found:
-        _print(found, scenario_file, list_option_words(topics), kind)
+        words = list_option_words(topics)
+        _print(found, scenario_file, words, kind, is_drawn=plot is not None)
         first = found[0][1]
         console.write_asked(plot, lambda path: tl.draw.write_prediction_figure(first, path))
         console.write_asked(rrd, lambda path: tl.draw.write_prediction_rrd(first, path))
@@ -316,6 +317,8 @@ def _print(
     scenario: Path,
     reading: Sequence[str],
     kind: str,
+    *,
+    is_drawn: bool,
 ) -> None:
     robots = [one for _, one in found]
     if kind == "json":
@@ -324,7 +327,7 @@ def _print(
     elif kind == "txt":
         files = [str(file) for file, _ in found]
         command = f"turtlelog compare {console.quote_file(files[0], scenario, *reading)}"
-        console.print_text(_format_robots(robots, files, command))
+        console.print_text(_format_robots(robots, files, "" if is_drawn else command))
     else:
         console.print_tables([tl.compare.tabulate_robots(robots)], kind)
 
@@ -332,7 +335,7 @@ def _print(
 def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], command: str) -> str:
     """Return the distances of recorded robots from a simulated one, their meaning, and a table.
 
-    `command` repeats the comparison of the first robot.
+    `command` repeats the comparison of the first robot; empty if its curves are drawn already.
     """
     found = [
         one if len(one.name) <= _LONGEST else replace(one, name=tl.compare.label_file(file))
@@ -359,7 +362,7 @@ def _format_robots(found: "Sequence[RobotComparison]", files: Sequence[str], com
     )
     following = [
         f"The simulated robot is driven with the recorded commands. {means}",
-        f"Curves: {command} --plot FILE.pdf",
+        *([f"Curves: {command} --plot FILE.pdf"] if command else []),
     ]
     head = console.fill_lines([*heads, *table.notes], indent=2)
     return "\n".join([head, console.fit_body(narrow), "", console.fill_lines(following)])

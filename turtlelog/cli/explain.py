@@ -12,10 +12,13 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli import options
 from turtlelog.cli.console import (
+    EXIT_FAILED,
+    EXIT_FINE,
     copy_fields,
     print_json,
     print_note,
     print_text,
+    quote_file,
     write_asked,
     write_text,
 )
@@ -65,7 +68,7 @@ def explain(
     chosen: ExplainOptions = ExplainOptions(),
     topics: options.ReadingOptions = options.ReadingOptions(),
     json: options.Json = False,
-) -> None:
+) -> int:
     """Explain a metric of a run: which effect of the implementation contributes how much.
 
     First the command identifies gains, limits, tolerances, dead times, queues and the pause from
@@ -84,7 +87,7 @@ def explain(
     recording names, and needs --trust-law.
 
     Most third-party bags contain no samples. For these bags the answer shows rates, jumps, gaps,
-    the largest commands, and for turtlesim the dead time of its commands.
+    the largest commands, and for turtlesim the dead time of its commands. The exit code is then 1.
 
     If an effect is random, contributions are means over 32 seeds with standard errors.
 
@@ -131,6 +134,10 @@ def explain(
         print_json(answer)
     elif motion is not None:
         print_text(format_motion(file, run, motion))
+        command = "Measures of its motion: turtlelog metrics"
+        if len(run.commands):
+            command = "Response to its commands: turtlelog identify"
+        print_text(f"{command} {quote_file(file, *options.list_option_words(topics))}")
     else:
         print_text(format_explain_answer(answer, found))
         if attribution is not None and run.declaration.list_gains():
@@ -138,6 +145,7 @@ def explain(
         print_text(f"\n{format_explain_details(answer, found)}" if chosen.details else _DETAILS)
     if chosen.rrd is not None:
         _draw(run, found, attribution, chosen.rrd, chosen.jobs)
+    return EXIT_FINE if motion is None else EXIT_FAILED
 
 
 def _build_answer(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.cli.console import build_table, fill_lines, fit_table
 from turtlelog.cli.replay_answer import judge_rounding, list_breaks, tell_time
-from turtlelog.display import describe_count, join_words
+from turtlelog.display import capitalise, describe_count, join_words
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -110,6 +110,7 @@ def format_explain_answer(answer: "ExplainAnswer", found: "Identification") -> s
         return _fill([f"{name}: {metric['id']} {text}", *map(_capitalise, answer.notes), *facts])
     named = tl.explain.choose_named(attribution)
     lines = [f"{name}: {tl.explain.write_headline(attribution)}"]
+    lines += tl.explain.write_leading(attribution)
     if named:
         lines += ["", f"{tl.explain.write_cause_head(attribution)}:"]
     sizes = [tl.explain.format_contribution(attribution, one) for one in named]
@@ -258,7 +259,7 @@ def _format_resimulation(found: "Identification") -> str:
 
 
 def _capitalise(note: str) -> str:
-    return f"{note[:1].upper()}{note[1:].removesuffix('.')}."
+    return f"{capitalise(note).removesuffix('.')}."
 
 
 NEEDS: Final = (
@@ -293,7 +294,7 @@ def format_motion(file: Path, run: "tl.Run", found: "MotionFacts") -> str:
         _tell_rate(run, "command", len(run.commands), found.commands),
         *([f"Largest commands: {', '.join(largest)}."] if largest else []),
         *(f"The {signal.replace('_', ' ')} has {text}." for signal, text in outliers.items()),
-        *(f"{text[0].upper()}{text[1:]}." for text in breaks.values()),
+        *map(_capitalise, breaks.values()),
         *_tell_plant(run, found),
     ]
     if found.replay is not None:

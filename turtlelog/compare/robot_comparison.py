@@ -114,17 +114,20 @@ class ErrorBand:
         count = len(self.recorded)
         if self.above is None or self.below is None:
             return f"{head}the scenario has no noise that acts on it, so there is no band."
-        if self.verdict == "larger":
+        few, many = sorted((self.above, self.below))
+        if self.verdict != "as simulated" and 2 * few >= many:
+            # Noise of another level moves most errors to one side.
             return (
-                f"{head}{self.above} of {count} errors are larger than the central 95 % of"
-                " simulated ones: the robot follows its commands otherwise than the scenario says,"
-                " or with more noise."
+                f"{head}{self.below} of {count} errors are smaller and {self.above} larger than the"
+                " central 95 % of simulated ones: no other level of noise explains them."
             )
-        if self.verdict == "smaller":
-            return (
-                f"{head}{self.below} of {count} errors are smaller than the central 95 % of"
-                " simulated ones: the scenario has more noise than the robot."
-            )
+        if self.verdict != "as simulated":
+            means = "the scenario has more noise than the robot"
+            if self.verdict == "larger":
+                means = "the robot follows its commands otherwise than the scenario says, or with"
+                means += " more noise"
+            than = f"{self.verdict} than the central 95 % of simulated ones"
+            return f"{head}{many} of {count} errors are {than}: {means}."
         return (
             f"{head}{count - self.above - self.below} of {count} errors lie within the central"
             " 95 % of simulated ones, as chance allows."
@@ -179,7 +182,7 @@ class NoiseLevel:
             return ""
         more = "more" if self.level == "noisier" else "less"
         return (
-            f"The {self.quantity} has {more} noise than the scenario:"
+            f"Over {self.after_s:.2g} s, the {self.quantity} has {more} noise than the scenario:"
             f" {_round(self.ratio)} times as much ({_round(self.low)} to {_round(self.high)})."
         )
 

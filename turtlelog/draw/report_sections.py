@@ -17,7 +17,7 @@ from turtlelog.compare.run_selection import describe_runs, list_differing
 from turtlelog.display import describe_count, join_words
 from turtlelog.draw.report_drawing import MOST_VIOLATIONS
 from turtlelog.escapes import escape_controls
-from turtlelog.explain import Attribution, choose_named, write_sentences
+from turtlelog.explain import Attribution, choose_leading, choose_named, write_sentences
 from turtlelog.measure import Metric
 from turtlelog.run import CUT_SHORT, Run
 
@@ -273,9 +273,10 @@ def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
 
 def conclude_cause(name: str, found: Attribution) -> str:
     """Return the causes of a run's value, in the words of `turtlelog explain`; empty if unknown."""
-    if found.withheld or found.without_value or not found.acting:
+    leading = choose_leading(found)
+    if found.withheld or found.without_value or not (found.acting or leading):
         return ""
-    told = found.sentences[: 3 if choose_named(found) else 2]
+    told = found.sentences[: 2 + len(leading) + bool(choose_named(found))]
     return f"{name}: {' '.join(told)}"
 
 

@@ -1,9 +1,11 @@
 from .answer_words import (
     Attribution as Attribution,
+    choose_leading as choose_leading,
     choose_named as choose_named,
     format_contribution as format_contribution,
     write_cause_head as write_cause_head,
     write_headline as write_headline,
+    write_leading as write_leading,
     write_reasons as write_reasons,
     write_sentences as write_sentences,
 )

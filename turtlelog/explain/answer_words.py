@@ -1,22 +1,15 @@
 """An attribution in sentences that hold for the run."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from html import escape
 from typing import Final
 
-from turtlelog.display import format_html, format_notebook, join_words
+from turtlelog.display import capitalise, format_html, format_notebook, join_words
 from turtlelog.explain import answers
-from turtlelog.explain.answers import AttributedValue, Contribution, Together, ValueSet, is_clear
-from turtlelog.explain.causes import RANDOM_EFFECTS
-
-NAMED: Final = 0.1
-"""Share of the contributions' total magnitude above which a cause or joint part is named. A design
-parameter is named above the same share of the value."""
-
-_MOST_TOGETHER: Final = 3
-"""Largest number of joint parts in one sentence; four causes have eleven joint parts."""
+from turtlelog.explain.answers import AttributedValue, Contribution, is_clear
+from turtlelog.explain.causes import NAMED, RANDOM_EFFECTS
+from turtlelog.explain.game import write_joint_parts, write_missing
 
 _ALIKE: Final = 1.25  # largest ratio of contributions that count as about equal
 
@@ -28,11 +21,11 @@ def write_sentences(found: AttributedValue) -> tuple[str, ...]:
     """Return sentences on the value, its causes, their dependences, and other causes of change."""
     parts = [f"{one.cause} {format_contribution(found, one)}" for one in choose_named(found)]
     causes = [f"{write_cause_head(found)}: {join_words(parts)}."] if parts else []
-    return (_write_value(found), *causes, *write_reasons(found))
+    return (_write_value(found), *write_leading(found), *causes, *write_reasons(found))
 
 
 def write_headline(found: AttributedValue) -> str:
-    """Return the value with the largest contributions, or that no effect changes the value.
+    """Return the value with its largest cause and contributions, or that no effect changes it.
 
     The re-simulation's value follows in brackets if it differs from the log's. Without
     contributions, the value stands alone.
@@ -52,7 +45,27 @@ def write_headline(found: AttributedValue) -> str:
         main = f"effects {does} only {_format_value(found, abs(added))}"
     else:
         main = "no effect is distinguishable from chance"
+    mean = " in the mean" if found.seeds is not None else ""
+    for one in choose_leading(found)[:1]:
+        main = f"without {one.cause} {_format_value(found, one.alone)}{mean}; {main}"
     return f"{found.metric} is {sizes[0]}{again}: {main}"
+
+
+def choose_leading(found: AttributedValue) -> list[Contribution]:
+    """Return the other causes that change the value more than all effects, the largest first."""
+    if found.without_value or found.withheld:
+        return []
+    sizes = [abs(one.size) for one in found.contributions]
+    least = _ALIKE * max(abs(_sum_effects(found)), *sizes, 0.0)
+    telling = sorted(_list_telling(found), key=partial(_measure_change, found), reverse=True)
+    # Runs that end otherwise have values of another kind.
+    telling = [one for one in telling if not (one.ending or _is_lowering(found, one))]
+    return [one for one in telling if least < _measure_change(found, one) < math.inf]
+
+
+def write_leading(found: AttributedValue) -> tuple[str, ...]:
+    """Return the sentences on the other causes that change the value more than all effects."""
+    return tuple(_write_alone(found, one) for one in choose_leading(found))
 
 
 def _write_value(found: AttributedValue) -> str:
@@ -165,27 +178,9 @@ def write_reasons(found: AttributedValue) -> tuple[str, ...]:
         sentences += [*found.doubts, *_write_others(found)]
     if found.left:
         be = "is" if len(found.left) == 1 else "are"
-        sentences += [f"{_capitalise(join_words(found.left))} {be} left as recorded."]
+        sentences += [f"{capitalise(join_words(found.left))} {be} left as recorded."]
     sentences += found.remarks
     return tuple(filter(None, sentences))
-
-
-def write_missing(
-    without: Iterable[ValueSet], having: Iterable[ValueSet], names: Mapping[str, str], nothing: str
-) -> str:
-    """Return the sets that leave a metric without a value, and those that give it one, in words.
-
-    `names` are the words for all causes, and `nothing` those for a run without them.
-    """
-
-    def name_set(case: ValueSet) -> str:
-        alone = " alone" if len(case.causes) < len(names) else ""
-        words = join_words([names.get(name, name) for name in case.causes])
-        return f"with {words}{alone}" if case.causes else nothing
-
-    parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
-    parts += [f"{name_set(case)} it has a value" for case in having]
-    return _capitalise("; ".join(parts)) + ". Therefore there are no contributions."
 
 
 def _is_negligible(found: AttributedValue) -> bool:
@@ -211,7 +206,7 @@ def _write_rest(found: AttributedValue) -> str:
         idle = _list_idle(found) if found.seeds is not None else []  # named in another sentence
         names = [name for name in found.causes if name not in idle]
         change = "change" if len(names) > 1 else "changes"
-        who = f"Together, {join_words(names)}" if len(names) > 1 else _capitalise(names[0])
+        who = f"Together, {join_words(names)}" if len(names) > 1 else capitalise(names[0])
         return (
             f"{who} {change} it by {_format_value(found, added)}. This is within the resolution of"
             f" {_describe_resolution(found)}."
@@ -224,7 +219,7 @@ def _write_rest(found: AttributedValue) -> str:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
     chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
     other_end = _write_other_ends(found)
-    return f"{chance}{_capitalise(without)}{_write_bound(found)}.{other_end}{cancel}"
+    return f"{chance}{capitalise(without)}{_write_bound(found)}.{other_end}{cancel}"
 
 
 def _write_other_ends(found: AttributedValue) -> str:
@@ -261,12 +256,8 @@ def _write_bound(found: AttributedValue) -> str:
 
 def _list_large(found: AttributedValue) -> list[Contribution]:
     ordered = sorted(found.contributions, key=lambda one: -abs(one.size))
-    least = NAMED * _sum_contributions(found)
+    least = NAMED * math.fsum(abs(one.size) for one in ordered)
     return [one for one in ordered if abs(one.size) > least]
-
-
-def _sum_contributions(found: AttributedValue) -> float:
-    return math.fsum(abs(one.size) for one in found.contributions)
 
 
 def _write_together(found: AttributedValue) -> str:
@@ -275,37 +266,6 @@ def _write_together(found: AttributedValue) -> str:
         return ""
     sizes = {one.cause: one.size for one in found.contributions}
     return write_joint_parts(found.together, sizes, {}, partial(_format_value, found))
-
-
-def write_joint_parts(
-    together: Iterable[Together],
-    sizes: Mapping[str, float],
-    names: Mapping[str, str],
-    format_size: Callable[[float, float | None], str],
-) -> str:
-    """Return the parts that arise only if several causes act, if clear and not small.
-
-    `sizes` are the contributions, `names` have causes in other words, and `format_size` returns a
-    size with its standard error and unit.
-    """
-    sentences, total = [], math.fsum(map(abs, sizes.values()))
-    for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
-        if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
-            continue
-        of = [names.get(name, name) for name in case.causes]
-        size = format_size(abs(case.value), case.standard_error)
-        them, is_pair = _capitalise(join_words(of)), len(of) == 2
-        both = "both" if is_pair else "all of them"
-        # What they change without this part; of two causes, each alone.
-        apart_size = math.fsum(sizes.get(name, 0.0) for name in case.causes) - case.value
-        change = "add" if apart_size >= 0.0 else "take away"
-        text = f"{them} act together: {size} of what they {change} arises only if {both} act."
-        if case.value * apart_size < 0.0:
-            apart = "their parts, alone and in smaller groups"
-            apart = f"{of[0]} alone plus {of[1]} alone" if is_pair else apart
-            text = f"{them} overlap: together they {change} {size} less than {apart}."
-        sentences.append(text)
-    return " ".join(sentences)
 
 
 def _write_singles(found: AttributedValue) -> str:
@@ -331,7 +291,7 @@ def _write_seeds(found: AttributedValue) -> str:
             return f"The {seeds.used} of {seeds.count} seeds that give a value all give the same."
         if not idle:
             return f"All {seeds.count} seeds give the same value."
-        them = f"The {idle[0]} does" if len(idle) == 1 else f"{_capitalise(join_words(idle))} do"
+        them = f"The {idle[0]} does" if len(idle) == 1 else f"{capitalise(join_words(idle))} do"
         return f"{them} not change this metric."
     of = f"{seeds.count} seeds"
     if seeds.used < seeds.count:
@@ -383,7 +343,7 @@ def _write_starts(found: AttributedValue) -> str:
         for part in starts.parts[:-1]
     ]
     total = f"of the total that {join_words(names)} add."
-    divided = f" {_capitalise(join_words(parts))} {total}" if parts else ""
+    divided = f" {capitalise(join_words(parts))} {total}" if parts else ""
     return f"It depends on single samples: f{where} {span}{rest}{missing}.{divided}"
 
 
@@ -392,24 +352,39 @@ def _format_span(found: AttributedValue, low: float, high: float) -> str:
     return most if _format_value(found, low) == most else f"{least} to {most}"
 
 
-def _write_others(found: AttributedValue) -> list[str]:
-    """Return the causes that change the value alone, except those that lower a large value."""
-    told, lowering = [], []
-    mean = "" if found.seeds is None else " in the mean"
-    for one in found.others:
-        change = math.inf if one.alone is None else abs(one.alone - found.divided)
+def _measure_change(found: AttributedValue, one: Contribution) -> float:
+    return math.inf if one.alone is None else abs(one.alone - found.divided)
+
+
+def _list_telling(found: AttributedValue) -> list[Contribution]:
+    """Return the other causes that change the value clearly if they are removed alone."""
+
+    def tells(one: Contribution) -> bool:
         # The tolerance is not judged by the resolution that it makes.
         makes = one.cause == "tolerance" and found.resolution.is_tolerance
         least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
-        if change <= least or not is_clear(change, one.standard_error):
-            continue
-        is_design = one.cause not in found.effects and one.alone is not None and not one.ending
-        if is_design and (one.alone or 0.0) > found.divided >= 0.0 <= _sum_effects(found):
-            lowering.append(one)
-        else:
-            told.append(_write_alone(found, one))
+        change = _measure_change(found, one)
+        return change > least and is_clear(change, one.standard_error)
+
+    return [*filter(tells, found.others)]
+
+
+def _is_lowering(found: AttributedValue, one: Contribution) -> bool:
+    """Return whether a design parameter lowers a value that the effects do not lower."""
+    if one.cause in found.effects or one.alone is None or one.ending:
+        return False
+    return one.alone > found.divided >= 0.0 <= _sum_effects(found)
+
+
+def _write_others(found: AttributedValue) -> list[str]:
+    """Return the causes that change the value alone, except those that lower a large value."""
+    telling, leading = _list_telling(found), choose_leading(found)
+    lowering = [one for one in telling if _is_lowering(found, one)]
+    rest = [one for one in telling if one not in leading and one not in lowering]
+    told = [_write_alone(found, one) for one in rest]
     if not lowering:
         return told
+    mean = "" if found.seeds is None else " in the mean"
     names = join_words([one.cause for one in lowering])
     each = [f"without {one.cause} ({_format_value(found, one.alone)})" for one in lowering]
     larger = f"The value is larger{mean} {join_words(each)}"
@@ -435,10 +410,6 @@ def _format_value(
     """Return a value with four digits, the metric's unit, and a given standard error."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
-
-
-def _capitalise(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"
 
 
 class Attribution(AttributedValue):  # noqa: D101 (the fields are those of the value)

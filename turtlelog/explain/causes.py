@@ -58,6 +58,10 @@ PLANT_CAUSES: Final[Mapping[str, tuple[Cause, ...]]] = {
 """Causes in a plant, by kind of plant. Dead time and time constant of a robot are not among
 them."""
 
+NAMED: Final = 0.1
+"""Share of the contributions' total magnitude above which a cause or joint part is named. A design
+parameter is named above the same share of the value."""
+
 RANDOM_EFFECTS: Final = frozenset(
     one.name for one in LOOP_CAUSES if not RANDOM_KEYS.isdisjoint(one.neutral)
 )

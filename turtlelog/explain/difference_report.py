@@ -6,7 +6,6 @@ from html import escape
 from typing import Any, Final
 
 from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
-from turtlelog.explain.answer_words import NAMED, write_joint_parts, write_missing
 from turtlelog.explain.answers import (
     SAME,
     SEED,
@@ -14,6 +13,8 @@ from turtlelog.explain.answers import (
     DividedDifference,
     Side,
 )
+from turtlelog.explain.causes import NAMED
+from turtlelog.explain.game import write_joint_parts, write_missing
 from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES, is_place
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes

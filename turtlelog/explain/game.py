@@ -1,9 +1,9 @@
-"""A value as a cooperative game: simulations without any given set of causes, over seeds.
+"""A value as a cooperative game: simulations without sets of causes, and what sets do, in words.
 
-If an acting cause is random, one run shows little. Such a scenario is simulated with all of
-`SEEDS`; the same seeds are used with and without a cause.
+Scenarios with a random acting cause are simulated with all of `SEEDS`, also without causes.
 """
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -14,10 +14,11 @@ from itertools import chain, combinations, islice
 from statistics import fmean
 from typing import Any, Final
 
-from turtlelog.display import join_words
+from turtlelog.display import capitalise, join_words
 from turtlelog.errors import ExplainError, ScenarioError, SimulationError
-from turtlelog.explain.answers import AttributedValue
+from turtlelog.explain.answers import AttributedValue, Together, ValueSet, is_clear
 from turtlelog.explain.causes import (
+    NAMED,
     SAMPLING,
     draws_random,
     find_causes,
@@ -379,10 +380,8 @@ def simulate_what_ifs(
     """
     if found.withheld and not found.without_value:
         return {}
-    names = found.deciding
-    chosen: list[tuple[str, ...]] = [(name,) for name in names]
-    if len(names) > 1:
-        chosen.append(tuple(names))
+    names = tuple(found.deciding)
+    chosen = [*((name,) for name in names), *([names] if len(names) > 1 else [])]
     scenario = identified.build_scenario()
     runs: dict[str, Run] = {}
     for number, taken in enumerate(chosen, start=1):
@@ -397,3 +396,54 @@ def name_without(causes: tuple[str, ...]) -> str:
     if len(causes) > _MOST_NAMED:
         return f"all {len(causes)} effects"
     return join_words(causes)
+
+
+_MOST_TOGETHER: Final = 3
+"""Largest number of joint parts in one sentence; four causes have eleven joint parts."""
+
+
+def write_missing(
+    without: Iterable[ValueSet], having: Iterable[ValueSet], names: Mapping[str, str], nothing: str
+) -> str:
+    """Return the sets that leave a metric without a value, and those that give it one, in words.
+
+    `names` are the words for all causes, and `nothing` those for a run without them.
+    """
+
+    def name_set(case: ValueSet) -> str:
+        words = join_words([names.get(name, name) for name in case.causes])
+        words += " alone" * (len(case.causes) < len(names))
+        return f"with {words}" if case.causes else nothing
+
+    parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
+    parts += [f"{name_set(case)} it has a value" for case in having]
+    return capitalise("; ".join(parts)) + ". Therefore there are no contributions."
+
+
+def write_joint_parts(
+    together: Iterable[Together],
+    sizes: Mapping[str, float],
+    names: Mapping[str, str],
+    format_size: Callable[[float, float | None], str],
+) -> str:
+    """Return the parts that arise only if several causes act, if clear and not small.
+
+    `sizes` are the contributions, `names` other words for causes.
+    """
+    sentences, total = [], math.fsum(map(abs, sizes.values()))
+    for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
+        if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
+            continue
+        of, is_pair = [names.get(name, name) for name in case.causes], len(case.causes) == 2
+        size = format_size(abs(case.value), case.standard_error)
+        them, both = capitalise(join_words(of)), "both" if is_pair else "all of them"
+        # What they change without this part; of two causes, each alone.
+        apart_size = sum(sizes.get(name, 0.0) for name in case.causes) - case.value
+        change = "add" if apart_size >= 0.0 else "take away"
+        text = f"{them} act together: {size} of what they {change} arises only if {both} act."
+        if case.value * apart_size < 0.0:
+            pair = " alone plus ".join(of)
+            apart = f"{pair} alone" if is_pair else "their parts, alone and in smaller groups"
+            text = f"{them} overlap: together they {change} {size} less than {apart}."
+        sentences.append(text)
+    return " ".join(sentences)

@@ -103,10 +103,10 @@ def test_the_waterfall_has_the_values_of_the_attribution(
     expected = [found.as_logged, -shares["queue"], -shares["pause"], found.without_all]
     assert sizes == pytest.approx([1e3 * value for value in expected])
     names = [text.get_text() for text in bars.get_yticklabels()]
-    assert names == ["as logged", "queue", "pause", "left"]
+    assert names == ["as recorded", "queue", "pause", "left"]
     texts = [text.strip() for text in list_texts(bars)]
     assert texts[0] == "106.7 mm"
-    assert texts[1:3] == ["\N{MINUS SIGN}51.1 mm (48 %)", "\N{MINUS SIGN}50.6 mm (47 %)"]
+    assert texts[1:3] == ["+51.1 mm (48 %)", "+50.6 mm (47 %)"]
     assert texts[3] == "5.1 mm (5 %), no more than the tolerances leave"
     averages = "bars: averages over the orders of removal;\nno run ends between them"
     assert bars.get_xlabel() == f"final position error [mm]\n{averages}"

@@ -76,12 +76,12 @@ def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path)
     view = read_layout(kp10_rrd)["Why final.position_error is 106.7 mm"]
     assert view == ["/attribution/**"]
     assert read_words(kp10_rrd, "/attribution/words") == [
-        "as logged",
+        "as recorded",
         "106.7 mm",
         "queue",
-        "-51.1 mm (48 %)",
+        "+51.1 mm (48 %)",
         "pause",
-        "-50.6 mm (47 %)",
+        "+50.6 mm (47 %)",
         "left",
         "5.1 mm (5 %), no more than the tolerances leave",
         "0 mm",

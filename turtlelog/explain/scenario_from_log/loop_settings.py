@@ -401,7 +401,7 @@ def describe_goal(trace: Trace) -> dict[str, Finding]:
     """Return the goal in the log."""
     if trace.goal_xy_m is None:
         return dict.fromkeys(_GOAL_KEYS, miss("the log does not hold the goal"))
-    evidence = "as logged" if trace.run.goal_xy_m else "position plus error, as logged"
+    evidence = "as recorded" if trace.run.goal_xy_m else "position plus error, as recorded"
     return {
         key: find_exactly(value, evidence)
         for key, value in zip(_GOAL_KEYS, trace.goal_xy_m, strict=True)
