@@ -104,6 +104,25 @@ def test_one_message_is_no_motion() -> None:
         ("/base/odom", ["/cmd_vel", "/base/cmd_vel"], "/base/cmd_vel"),
         ("/robot1/odom", ["/robot1_base/cmd_vel"], "/robot1_base/cmd_vel"),
         ("/odom", ["/twist", "/wheels/measured"], "/twist"),
+        (
+            "/gps/fix",
+            ["/joy_teleop/cmd_vel", "/a_base_controller/cmd_vel"],
+            "/a_base_controller/cmd_vel",
+        ),
+        (
+            "/gps/fix",
+            ["/cmd_vel", "/drive_controller/cmd_vel_out"],
+            "/drive_controller/cmd_vel_out",
+        ),
+        ("/drive_controller/odom", ["/cmd_vel", "/joy/cmd_vel"], "/cmd_vel"),
+        (
+            "/joystick_robot2/odom",
+            ["/teleop/cmd_vel", "/controlled/cmd_vel_out"],
+            "/controlled/cmd_vel_out",
+        ),
+        ("/a/base_controller/odom", ["/a/cmd_vel", "/drive_controller/cmd_vel"], "/a/cmd_vel"),
+        ("/odom", ["/monkey/cmd_vel", "/cmd_vel_out"], "/monkey/cmd_vel"),
+        ("/odom", ["/key/cmd_vel", "/cmd_vel_out"], "/cmd_vel_out"),
     ],
 )
 def test_commands_are_those_that_the_base_listens_to(

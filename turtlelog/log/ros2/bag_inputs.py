@@ -41,6 +41,10 @@ _COMMAND_NAMES: Final = (
 )
 """Patterns for names of command topics; the topic that a base usually listens to is first."""
 
+_CONTROLLER: Final = re.compile(r"(?:\w*_)?(?:velocity|drive|base|steering)_controller")
+_SOURCE: Final = re.compile(r"(?:\w*_)?(?:joy|joystick|teleop|key|keyboard)(?:_\w*)?")
+"""Namespaces of a base's last stage, and of a person's commands, its first: they name no robot."""
+
 _WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
 _LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
 _GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
@@ -99,8 +103,8 @@ def choose_command_topic(
     """Return the requested topic, or else the most likely one; None if there is none.
 
     The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
-    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
-    chosen. Without poses, `pose_topic` is empty.
+    the base's last stage and its usual name (cmd_vel before cmd_vel_nav), whichever of the robot's
+    poses are read. Topics of other robots are never chosen. Without poses, `pose_topic` is empty.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -122,15 +126,26 @@ def choose_command_topic(
         return None
 
     def rank(topic: TopicInfo) -> tuple[int, ...]:
-        near, depth = bag_topics.rank_place(topic.topic, pose_topic)
+        own, stage = _take_stage(topic.topic)
+        near, depth = bag_topics.rank_place(own, _take_stage(pose_topic)[0])
         name = bag_topics.rank_name(topic.topic, _COMMAND_NAMES)
         # The robot's own commands have priority, and topics named as commands over all others.
-        return int(name == len(_COMMAND_NAMES)), near, name, depth
+        return int(name == len(_COMMAND_NAMES)), near, stage, name, depth
 
     chosen = bag_topics.require_one_topic(bag_topics.list_first(fitting, rank), "command_topic")
     return bag_topics.Pick(
         topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen)
     )
+
+
+def _take_stage(topic: str) -> tuple[str, int]:
+    """Return a topic without namespaces of stages, and its stage: 0 of a controller, 2 a source."""
+    words = topic.split("/")
+    left = [
+        word for word in words[:-1] if not (_CONTROLLER.fullmatch(word) or _SOURCE.fullmatch(word))
+    ]
+    stage = 1 if len(left) == len(words) - 1 else 2 * any(map(_SOURCE.fullmatch, words[:-1]))
+    return "/".join([*left, words[-1]]), stage
 
 
 def order_commands(
