@@ -310,3 +310,12 @@ def test_a_robot_that_drives_sideways_is_not_said_to_stand() -> None:
     aside = replace(run.poses, xy_m=run.poses.xy_m[:, ::-1].copy())
     found = measure(replace(run, poses=aside), "run.spectral_arc_length")
     assert (found.value, found.reason) == (None, "the robot does not drive forward or back")
+
+
+@pytest.mark.parametrize("silent_s", [0.02, 3.0])
+def test_the_time_from_the_last_pose_to_the_last_command_is_without_poses(silent_s: float) -> None:
+    end_s = float(AT_20_HZ[-1])
+    commands = np.array([0.0, end_s + silent_s]), np.zeros(2), np.zeros(2)
+    run = make_driven_run(AT_20_HZ, speed=(AT_20_HZ * 0.0, AT_20_HZ * 0.0), commands=commands)
+    gap = tl.measure_run(run)["run.largest_pose_gap"]
+    assert gap.value == pytest.approx(max(silent_s, 0.05))
