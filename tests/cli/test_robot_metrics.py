@@ -184,7 +184,10 @@ def test_a_pose_that_strays_and_returns_is_told_as_steps_back_and_forth(
     table = tmp_path / "poses.csv"
     table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
     answer = call("metrics", table).flat
-    assert "is 203 m long, 3.59 m through the median of each second, and takes 12 s" in answer
+    assert (
+        "is 203 m long, 98 % of it jumps, 3.59 m through the median of each second, and takes 12 s"
+        in answer
+    )
     assert "steps back and forth between poses" in answer
     five = call("metrics", *[table] * 5).flat
     assert five.count("counts steps back and forth between poses") == 3

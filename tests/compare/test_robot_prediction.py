@@ -388,6 +388,20 @@ def test_a_jump_is_further_than_twice_what_the_largest_command_leads_to(
     assert sum(note.startswith("Jump: the pose at") for note in found.notes) == jumps
 
 
+@pytest.mark.parametrize(("gain", "simulated"), [(1.0, 0.3), (4.0, 1.0), (1.0, 1.0)])
+def test_a_motion_that_lasts_is_no_jump_however_wrong_the_gain_of_the_scenario(
+    gain: float, simulated: float
+) -> None:
+    """The robot turns in a small part of the log."""
+    lagged = tl.load_scenario("lagged")
+    run = tl.simulate_run(
+        tl.override_scenario(lagged, {"plant.turn_gain": gain, "law.kp_angular": 2.0 / gain})
+    )
+    scenario = tl.override_scenario(lagged, {"plant.turn_gain": simulated})
+    found = tl.compare.compare_robot(run, scenario)
+    assert not any("Jump:" in note or "outlier" in note for note in found.notes)
+
+
 @pytest.mark.parametrize(("share", "begins_s"), [(0.015, 0.0), (0.025, 1.3)])
 def test_a_robot_stands_before_its_first_command_below_2_percent_of_the_largest(
     share: float, begins_s: float

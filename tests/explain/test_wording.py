@@ -240,6 +240,29 @@ def test_what_makes_less_together_is_told_too() -> None:
 
 
 @pytest.mark.parametrize(
+    ("size", "told"),
+    [
+        (0.3, "overlap: together they take away 0.3 m less than queue alone plus pause alone."),
+        (-0.3, "act together: 0.3 m of what they take away arises only if both act."),
+    ],
+)
+def test_what_effects_that_improve_the_value_do_together(size: float, told: str) -> None:
+    case = Together(causes=("queue", "pause"), value=size)
+    sentences = write_sentences(describe(queue=-0.2, pause=-0.25, together=(case,)))
+    assert f"Queue and pause {told}" in sentences
+    assert ("change it together" in sentences[1]) is (size < 0.0)
+
+
+def test_without_an_effect_a_phase_that_never_ends_is_told() -> None:
+    found = describe(queue=-0.2, pause=0.1)
+    first, *others = found.contributions
+    first = replace(first, ending="the rotation no longer ends within 60 s")
+    text = " ".join(write_sentences(replace(found, contributions=(first, *others))))
+    assert "Without queue alone, the rotation no longer ends within 60 s." in text
+    assert "Without pause alone" not in text
+
+
+@pytest.mark.parametrize(
     ("alone", "is_named"), [(1.0999, False), (1.1001, True), (0.9001, False), (0.8999, True)]
 )
 def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_named: bool) -> None:

@@ -17,6 +17,7 @@ from turtlelog.identify import AxisModel, Estimate
 from turtlelog.identify.axis_fit import fit_axis
 from turtlelog.identify.axis_motion import find_silent_stops, read_axis_motion
 from turtlelog.identify.fit_values import cover_parts, describe_fit
+from turtlelog.identify.refused_axes import refuse_begun
 from turtlelog.identify.robot_noise import find_outlying_steps
 
 QUIET = Log(duration_s=12.0, jitter_s=0.0)
@@ -107,13 +108,57 @@ def test_of_two_poses_at_once_the_later_one_is_left_out(apart_s: float, poses: i
     assert np.count_nonzero(motion.duration_s < 0.01) == poses
 
 
+@pytest.mark.parametrize("start_s", [0.0, 2.0])
 @pytest.mark.parametrize(("rate", "begins_s"), [(0.019, 2.0), (0.021, 5.0)])
 def test_a_robot_that_moves_before_its_first_command_is_not_known_yet(
-    rate: float, begins_s: float
+    rate: float, begins_s: float, start_s: float
 ) -> None:
-    time_s = np.arange(0.0, 8.0, 0.05)
-    motion = read_axis_motion(turn_at(np.where(time_s < 2.0, rate, 1.0), time_s), "turn_rate")
+    """A recording that starts with the commands has one step that shows it."""
+    time_s = np.arange(start_s, 8.0, 0.05)
+    moving = time_s >= max(2.0, start_s + 0.04)
+    motion = read_axis_motion(turn_at(np.where(moving, 1.0, rate), time_s), "turn_rate")
     assert motion.time_s[motion.first[0]] == pytest.approx(begins_s, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "back", "begins_s"), [(71, 50, 2.0), (72, 49, 5.0), (5, 3, 2.0), (4, 3, 5.0)]
+)
+def test_a_robot_rests_before_its_first_command_if_its_way_is_noise(
+    ahead: int, back: int, begins_s: float
+) -> None:
+    """A sum of 21 unit steps of 121 has 1.9 standard deviations; seven steps show no scatter."""
+    apart_s = 2.0 / (ahead + back)
+    time_s = np.arange(0.0, 8.0, apart_s)
+    rate = np.where(np.arange(len(time_s)) < ahead, 1.0, -1.0)
+    rate[ahead + back :] = 1.0
+    motion = read_axis_motion(turn_at(rate, time_s), "turn_rate")
+    assert motion.time_s[motion.first[0]] == pytest.approx(begins_s, abs=1.1 * apart_s)
+
+
+@pytest.mark.parametrize(("change_s", "refusal"), [(4.98, "begun"), (5.02, None)])
+def test_a_command_must_change_after_unseen_commands_have_faded(
+    change_s: float, refusal: str | None
+) -> None:
+    time_s = np.arange(2.0, 10.0, 0.05)
+    run = turn_at(np.where(time_s < change_s, 1.0, -1.0), time_s)
+    times_ns = np.rint(np.array([2.0, change_s]) * 1e9).astype(np.int64)
+    run = replace(run, commands=replace(run.commands, time_ns=times_ns))
+    motions = [read_axis_motion(run, "turn_rate")]
+    refused = refuse_begun([run], motions, "turn_rate")
+    assert (refused and refused.refusal) == refusal
+
+
+def test_a_closed_loop_shows_the_gain_from_its_first_pose_on_and_nothing_without_it() -> None:
+    """Two identifications."""
+    keys = {"law.kp_angular": 3.0, "law.kp_linear": 2.0, "goal.x_m": 5.0, "goal.y_m": 9.0}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("lagged"), keys))
+    axis = tl.identify_robot(run).turn_rate
+    assert known(axis.gain).value == pytest.approx(1.0, abs=1e-4)
+    assert known(axis.dead_time_s).value == pytest.approx(0.08, abs=1e-4)
+    late = tl.identify_robot(run.slice(0.4)).turn_rate
+    told = "earlier commands may act in the first 3 s, and after that the commanded turn rate does"
+    assert told in late.reason
+    assert late.advice.startswith("begin to record while the robot rests, and step the turn rate")
 
 
 @pytest.mark.parametrize(("silence_s", "stops"), [(0.68, 0), (0.75, 1)])

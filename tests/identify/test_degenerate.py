@@ -188,6 +188,16 @@ def test_a_few_steps_with_all_information_have_the_variance_of_the_noise() -> No
     assert 20.0 * np.diag(covariance) == pytest.approx(1.0, rel=0.03)
 
 
+def test_no_combination_of_parameters_is_known_better_than_the_noise_allows() -> None:
+    """One step separates two parameters, and its residual is 0 by chance."""
+    white, slopes = np.tile([1.0, -1.0], 200), np.zeros((400, 2))
+    slopes[:20], slopes[0, 1], white[0] = 1.0, 3.0, 0.0
+    covariance, _ = _estimate_covariance(white, slopes)
+    assert min(np.linalg.eigvals(covariance @ slopes.T @ slopes).real) == pytest.approx(
+        1.0, rel=0.1
+    )
+
+
 @pytest.mark.parametrize(("moving", "is_known"), [(5, False), (6, True)])
 def test_five_steps_with_motion_may_be_a_jump(moving: int, *, is_known: bool) -> None:
     time_s = np.arange(0.0, 10.0, 0.05)

@@ -3,7 +3,14 @@
 from dataclasses import replace
 
 import turtlelog as tl
-from turtlelog.identify import AxisModel, Estimate, format_delay, format_gain
+from turtlelog.cli.identify import describe_gain
+from turtlelog.identify import (
+    AxisModel,
+    Estimate,
+    format_delay,
+    format_gain,
+    write_robot_headline,
+)
 from turtlelog.identify.fit_values import describe_rivals
 from turtlelog.identify.held_response import Structure
 
@@ -23,6 +30,16 @@ def test_the_cause_and_not_the_sentence_says_that_an_axis_is_idle() -> None:
     told = replace(UNKNOWN, reason="the turn rate is never commanded", refusal="hidden")
     assert not told.is_idle
     assert replace(told, reason="it never turns", refusal="never_commanded").is_idle
+
+
+def test_the_answer_names_the_commands_to_which_the_gain_does_not_apply() -> None:
+    back, taken = (Estimate(value=one, low=one, high=one, unit="m/s") for one in (0.7, 0.2))
+    axis = replace(DRIVEN, reverse_gain=back, friction=taken, deadband=taken)
+    told = " (backwards 0.7 times the command) less friction of 0.2 m/s above a deadband of 0.2 m/s"
+    assert describe_gain(DRIVEN) == "drives at 90 % of the commanded speed"
+    assert describe_gain(axis) == f"drives at 90 % of the commanded speed{told}"
+    headline = write_robot_headline([axis], "bag")
+    assert headline[1] == f"Gain: speed 0.900{told}."
 
 
 def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:

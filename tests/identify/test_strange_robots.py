@@ -9,7 +9,7 @@ import pytest
 
 import turtlelog as tl
 from tests.identify.limited_robots import Limited, turn_as_advised, turn_on_the_spot
-from tests.identify.robots import Log
+from tests.identify.robots import Log, build_run
 from tests.identify.strange_robots import KINDS, Strange, draw_robot
 from tests.known import known
 from turtlelog.identify import AxisModel, Estimate, build_robot_scenario
@@ -86,3 +86,26 @@ def test_a_strange_robot_is_doubted_or_intervals_hold_and_advice_suits_it(kind: 
         suits.append(max(turn_as_advised(model, run, truth)) <= 6.0)
     assert np.mean(fine) >= (0.6 if kind == "dry friction" else 0.85)
     assert np.mean(suits) >= 0.9
+
+
+@pytest.mark.parametrize(("falling_s", "reason"), [(0.1, "rising and falling"), (0.4, "")])
+def test_a_robot_that_brakes_faster_than_it_accelerates_is_refused_for_that(
+    falling_s: float, reason: str
+) -> None:
+    """A search for a structure that is none takes longer."""
+    time_s = np.arange(0.0, 55.0, 0.02)
+    levels = np.array([0.0, 0.5, -1.0, 1.0, -0.5, 0.25, -0.75, 0.75, -0.25] * 3)
+    command_s = np.cumsum(np.full(len(levels), 2.0)) - 1.0
+    rate, rates = 0.0, []
+    for now_s in time_s.tolist():
+        wanted = float(levels[max(np.searchsorted(command_s, now_s - 0.1, side="right") - 1, 0)])
+        lag_s = 0.4 if abs(wanted) > abs(rate) else falling_s
+        rate += (wanted - rate) * (1.0 - np.exp(-0.02 / lag_s))
+        rates.append(rate)
+    heading_rad = np.cumsum(rates) * 0.02
+    commands = command_s, np.zeros(len(levels)), levels
+    run = build_run(time_s, np.zeros((len(time_s), 2)), heading_rad, commands)
+    axis = tl.identify_robot(run).turn_rate
+    assert axis.is_known is not bool(reason)
+    assert reason in axis.reason
+    assert axis.advice == ""

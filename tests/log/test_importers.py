@@ -194,7 +194,7 @@ def test_wrong_metadata_is_named(tmp_path: Path) -> None:
         (b"{", "expected JSON, found: "),
         (b"[1, 2]", "the file: expected a JSON object, as the paper's logs have it, found list"),
         (b"null", "the file: expected a JSON object"),
-        (b"{}", "data: expected a JSON object, as the paper's logs have it, found no value"),
+        (b"{}", "found no value; other data are read from CSV with a header"),
         (b'{"data": {}}', r"data\.time: expected a list, found no value"),
         (b'{"data": {}, "data": {}}', "data: expected one list of that name, found several"),
         (b"[" * 100_000, "nested too deeply"),

@@ -11,6 +11,15 @@ def test_floor_is_a_plane() -> None:
     assert describe_height(np.array([0.3, 0.349, math.nan]), np.array([0.0, -0.0, 0.099])) is None
 
 
+@pytest.mark.parametrize(("noise_m", "climb_m"), [(0.03, 0.0), (0.03, 0.2), (0.005, 0.06)])
+def test_noise_of_a_height_is_not_that_of_a_robot_that_climbs(
+    noise_m: float, climb_m: float
+) -> None:
+    height_m = np.random.default_rng(1).normal(0.0, noise_m, 600) + np.linspace(0.0, climb_m, 600)
+    assert float(np.ptp(height_m)) > 0.06
+    assert (describe_height(height_m, None) is None) is (climb_m == 0.0)
+
+
 def test_height_that_varies_is_said() -> None:
     told = describe_height(np.array([0.3, 0.351]), np.zeros(2))
     assert told == (

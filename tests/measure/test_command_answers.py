@@ -173,6 +173,31 @@ def test_settling_is_not_seen_in_wide_scatter(share: float, *, is_seen: bool) ->
     assert (found.value is not None) == is_seen
 
 
+@pytest.mark.parametrize(("share", "is_seen"), [(0.39, True), (0.43, False)])
+def test_a_rise_is_not_seen_if_the_rate_scatters_before_it(share: float, *, is_seen: bool) -> None:
+    run = drive(steps=[(2.0, 0.4)], reports=True)
+    measured = run.poses.measured_speed_m_s
+    assert measured is not None
+    off = 0.4 * share / _SCATTER * np.tile([1.0, -1.0], len(measured) // 2)
+    before = np.where(AT_20_HZ < 2.0, measured + off, measured)
+    poses = replace(run.poses, measured_speed_m_s=before)
+    found = measure(replace(run, poses=poses), "run.speed_rise_time")
+    assert (found.value is not None) == is_seen
+
+
+@pytest.mark.parametrize(("finest", "is_seen"), [(0.036, True), (0.044, False)])
+def test_a_rise_is_not_seen_if_the_rate_is_coarser_than_a_tenth(
+    finest: float, *, is_seen: bool
+) -> None:
+    run = drive(steps=[(2.0, 0.4)], reports=True)
+    measured = run.poses.measured_speed_m_s
+    assert measured is not None
+    ticks = np.diff(np.floor(np.cumsum(np.append(0.0, measured + 0.3 * finest)) / finest)) * finest
+    poses = replace(run.poses, measured_speed_m_s=ticks)
+    found = measure(replace(run, poses=poses), "run.speed_rise_time")
+    assert (found.value is not None) == is_seen
+
+
 def test_a_robot_that_does_not_listen_tells_no_lag() -> None:
     at_s, values = publish(STEPS, 20.0)
     other = [(3.1, 0.3), (4.4, 0.1), (9.7, 0.2), (12.3, 0.4), (15.9, 0.1)]

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from tests.measure.driven import Values, make_driven_run
+from tests.measure.driven import Values, make_driven_run, publish
 from tests.measure.driven_robots import read, tell
+from turtlelog.measure.breaks import find_jumps, find_pose_resolution
+from turtlelog.measure.motion import find_dither_step
 from turtlelog.measure.pose_quality import (
     describe_poses,
     find_scatter,
@@ -191,3 +193,141 @@ def test_a_robot_that_turns_to_and_fro_hides_no_rest() -> None:
     way = 0.2 * np.minimum(time_s, 50.0)
     run = make_driven_run(time_s, speed=(time_s, way), turn=(time_s, swing_rad))
     assert read(run, "run.rest_time") == pytest.approx(10.0, abs=0.3)
+
+
+def stop_and_go(
+    hz: float = 100.0, *, step_m: float = 0.0, tick_m: float = 0.0, jump_m: float = 0.0
+) -> tl.Run:
+    """Return arcs with stops, rounded to `step_m` or seen by wheels that count ticks."""
+    fine_s = np.arange(0.0, 62.0, 1e-3)
+    is_on = np.mod(fine_s, 12.0) < 6.0
+    asked = np.where(is_on, 0.5, 0.0), np.where(is_on, 0.3, 0.0)
+    lag = np.exp(-np.arange(0.0, 1.0, 1e-3) / 0.1)
+    speed, turn = (np.convolve(one, lag / lag.sum())[: len(fine_s)] for one in asked)
+    way, angle = np.cumsum(speed) * 1e-3, np.cumsum(turn) * 1e-3
+    way[(fine_s > 3.0).argmax() :] += jump_m
+    rows = np.arange(0, 60_000, round(1e3 / hz))
+    time_s, way, angle = fine_s[rows], way[rows], angle[rows]
+    if tick_m:
+        left, right = (np.rint((way + side * angle) / tick_m) * tick_m for side in (-0.08, 0.08))
+        way, angle = (left + right) / 2.0, (right - left) / 0.16
+    steps, mean = np.diff(way, prepend=0.0), angle - np.diff(angle, prepend=0.0) / 2.0
+    xy_m = np.cumsum(np.column_stack([steps * np.cos(mean), steps * np.sin(mean)]), axis=0)
+    if step_m:
+        xy_m = np.rint(xy_m / step_m) * step_m
+    at_s, values = publish(
+        [(float(one), 0.5 * (one % 12.0 < 1.0)) for one in range(0, 60, 6)], 60.0
+    )
+    run = make_driven_run(time_s, commands=(at_s, values, 0.6 * values))
+    poses = replace(
+        run.poses,
+        xy_m=xy_m,
+        heading_rad=np.asarray(wrap_angle(angle)),
+        measured_speed_m_s=steps * hz if tick_m else None,
+        measured_turn_rate_rad_s=np.diff(angle, prepend=0.0) * hz if tick_m else None,
+    )
+    return replace(run, poses=poses)
+
+
+@pytest.mark.parametrize(("hz", "step_m"), [(50.0, 0.001), (200.0, 0.001), (100.0, 0.01)])
+def test_rounded_positions_jump_nowhere_and_rest(hz: float, step_m: float) -> None:
+    run = stop_and_go(hz, step_m=step_m)
+    assert find_pose_resolution(run) == pytest.approx((step_m, 0.0))
+    assert find_jumps(run) == ()
+    share = read(stop_and_go(hz), "run.rest_share")
+    assert read(run, "run.rest_share") == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize(("jump_m", "is_found"), [(0.0022, False), (0.0045, True)])
+def test_a_jump_beyond_the_resolution_is_found(jump_m: float, *, is_found: bool) -> None:
+    run = stop_and_go(step_m=0.001, jump_m=jump_m)
+    assert [jump.row for jump in find_jumps(run)] == ([301] if is_found else [])
+    assert len(find_jumps(stop_and_go(jump_m=jump_m))) == 1
+
+
+def test_ticks_of_encoders_jump_nowhere_and_show_no_rise_time() -> None:
+    run = stop_and_go(50.0, tick_m=0.002)
+    assert find_pose_resolution(run) == pytest.approx((0.001, 0.0125), rel=1e-3)
+    assert find_jumps(run) == ()
+    assert tell(run, "run.turn_rate_rise_time")[0] == "undetermined"
+    assert tell(stop_and_go(50.0, tick_m=0.00002), "run.turn_rate_rise_time")[0] == "ok"
+    told = describe_poses(run, tl.measure_run(run))["resolution"]
+    assert told == "1 mm (0.05 m/s over 20 ms) and 0.716 deg (0.625 rad/s over 20 ms)"
+
+
+@pytest.mark.parametrize(("step_m", "is_told"), [(0.001, True), (0.0006, False)])
+def test_a_resolution_is_told_from_3_percent_of_the_largest_rate(
+    step_m: float, *, is_told: bool
+) -> None:
+    run = stop_and_go(20.0, step_m=step_m)
+    assert ("resolution" in describe_poses(run, tl.measure_run(run))) is is_told
+
+
+@pytest.mark.parametrize(("count", "step"), [(9, 0.0), (10, 0.01)])
+def test_a_resolution_takes_ten_steps_there_and_back(count: int, step: float) -> None:
+    steps = np.append(0.0, np.tile([0.01, 0.0, 0.0], count))
+    assert find_dither_step(steps) == pytest.approx(step)
+
+
+@pytest.mark.parametrize(("even", "step"), [(18, 0.01), (20, 0.0)])
+def test_a_twentieth_of_the_steps_of_rounded_positions_dithers(even: int, step: float) -> None:
+    steps = np.tile(np.append(np.full(even, 0.02), 0.03), 30)
+    assert find_dither_step(np.append(steps, 0.02)) == pytest.approx(step, rel=1e-6)
+
+
+@pytest.mark.parametrize(("off", "step"), [(9, 0.01), (11, 0.0)])
+def test_nine_tenths_of_the_changes_are_multiples_of_the_resolution(off: int, step: float) -> None:
+    steps = np.tile([0.02, 0.03], 101)[:-1]  # with 200 changes
+    steps[3 : 3 + 2 * off : 2] += 0.0025  # changes two of them by a quarter of the resolution
+    assert find_dither_step(steps) == pytest.approx(step)
+
+
+def test_repeated_poses_have_no_resolution() -> None:
+    time_s = np.arange(0.0, 60.0, 0.02)
+    way = 0.3 * np.floor(time_s / 0.1 + 1e-6)
+    assert find_pose_resolution(make_driven_run(time_s, speed=(way, way))) == (0.0, 0.0)
+    stops = np.where(time_s % 4.0 < 2.0, 0.02, 0.055)  # at two rates it is a tick of 0.3 m
+    coarse = 0.3 * np.floor(np.cumsum(stops) / 0.3)
+    found = find_pose_resolution(make_driven_run(time_s, speed=(coarse, coarse)))
+    assert found == pytest.approx((0.3, 0.0))
+
+
+@pytest.mark.parametrize("start_m", [900.0, 999.0])
+def test_the_coarsest_part_of_a_log_has_its_resolution(start_m: float) -> None:
+    """Seven digits are 0.1 mm below 1 km, and 1 mm beyond."""
+    run = stop_and_go()
+    xy_m = run.poses.xy_m + np.array([start_m, 100.0])
+    digits = np.where(xy_m < 1000.0, 1e-4, 1e-3)
+    run = replace(run, poses=replace(run.poses, xy_m=np.rint(xy_m / digits) * digits))
+    assert find_pose_resolution(run)[0] == pytest.approx(1e-4 if start_m < 990.0 else 1e-3)
+    assert find_jumps(run) == ()
+
+
+def swing(noise_m: float) -> tl.Run:
+    """Return a robot at 20 Hz to and fro, whose way through medians is too short."""
+    time_s = np.arange(0.0, 60.0, 0.05)
+    angle = 1.2 * np.sin(1.3 * time_s)
+    forth = np.abs((time_s % 2.0) - 1.0)
+    run = make_driven_run(time_s, speed=(forth, 0.5 * forth), turn=(angle, angle))
+    return scatter(run, noise_m)
+
+
+@pytest.mark.parametrize(("noise_m", "is_noise"), [(0.005, False), (0.03, True)])
+def test_a_path_to_and_fro_is_longer_than_through_medians_without_noise(
+    noise_m: float, *, is_noise: bool
+) -> None:
+    """A robot that turns back each second is hardly moved by the noise of a small scatter."""
+    assert (find_scatter(swing(noise_m)).path_m is not None) is is_noise
+
+
+@pytest.mark.parametrize(("noise_m", "is_noisy"), [(0.0038, False), (0.0042, True)])
+def test_headings_scatter_if_noise_makes_a_quarter_of_the_steps(
+    noise_m: float, *, is_noisy: bool
+) -> None:
+    """At 10 Hz and 0.25 m/s."""
+    run = make_driven_run(AT_10_HZ, speed=(AT_10_HZ, 0.25 * AT_10_HZ))
+    run = scatter(run, noise_m, 0.02)
+    heading_rad = run.poses.heading_rad + 0.03 * np.cumsum(np.ones(1000))
+    run = replace(run, poses=replace(run.poses, heading_rad=np.asarray(wrap_angle(heading_rad))))
+    assert find_scatter(run).path_m is None
+    assert (find_scatter(run).turning_rad is not None) is is_noisy

@@ -294,7 +294,7 @@ class AxisValues:
 
     def _require(self, name: str, found: Estimate | None) -> Estimate:
         if found is None:
-            found_none = f"{self._model.reason}; {self._model.advice}"
+            found_none = "; ".join(filter(None, (self._model.reason, self._model.advice)))
             raise MissingValueError(
                 f"{self._file}: {self._model.axis}.{name}: has no value: {found_none}"
             )

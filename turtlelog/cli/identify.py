@@ -194,6 +194,7 @@ def describe_gain(axis: "tl.identify.AxisModel") -> str:
     """
     gain, does, drift = axis.gain, _DOES[axis.axis], axis.drift
     bound = "" if axis.bound is None else f" up to {axis.bound.value:.3g} {axis.bound.unit}"
+    bound = axis.exceptions + bound
     if drift is not None:
         sign = "minus" if drift.value < 0.0 else "plus"
         bound += f" {sign} {abs(drift.value):.3g} {drift.unit}"
@@ -352,7 +353,8 @@ def _list_axes(model: "tl.RobotModel", *, shows_details: bool) -> Iterator[str]:
     for axis in model.axes:
         if not axis.is_known:
             end = "" if axis.reason.endswith("?") else "."
-            yield f"{_name(axis)}: not identifiable: {axis.reason}{end} To know it, {axis.advice}."
+            advice = f" To know it, {axis.advice}." if axis.advice else ""
+            yield f"{_name(axis)}: not identifiable: {axis.reason}{end}{advice}"
     for axis in model.axes if shows_details else ():
         name, delay = _name(axis), axis.correlation_delay_s
         if not axis.is_known or axis.explained is None:

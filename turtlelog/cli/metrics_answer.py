@@ -252,7 +252,7 @@ def _list_rates(summaries: "Sequence[tl.compare.RunSummary]") -> Iterator[str]:
     lawless = [found for found in summaries if found.is_lawless and "poses" not in found.lacks]
     reporting = sum("rates" not in one.lacks or "differenced" in one.notes for one in lawless)
     if reporting and reporting == len(lawless):
-        doubted = any(_RATE_DOUBTS & {*found.notes} for found in lawless)
+        doubted = any(_RATE_DOUBTS & {*one.notes} and not _is_still(one) for one in lawless)
         doubt = ", and the poses contradict them" if doubted else ""
         other = "".join(dict.fromkeys(one.notes.get("differenced", "") for one in lawless))
         yield f"Measured rates are those that the robot reports{doubt}{other}."
@@ -274,6 +274,11 @@ def list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
         f"Measured rates are {join_words([*steps])} apart: lags are known to half of it, rise times"
         " to twice it."
     ]
+
+
+def _is_still(summary: "tl.compare.RunSummary") -> bool:
+    """Return whether neither the poses nor the reported speed show motion."""
+    return all(find_value(summary, name) == 0.0 for name in (_PATH, "run.measured_speed_max"))
 
 
 _RATE_DOUBTS: Final = frozenset({"path_by_speed", "turning_by_rate"})
@@ -311,6 +316,8 @@ _OF_MOTION: Final = {
     "sideways": "Speeds{which} leave out motion to the side: {note}.",
     "unsigned": "Reported speeds{which} have no sign: {note}.",
     "changes": "Most positions{which} repeat the one before: they change at {note}.",
+    "resolution": "Poses{which} have a resolution of {note}: smaller jumps are hidden, and lags are"
+    " less certain.",
     "crept": "Rest{which}, judged over half a second, includes {note} of slow or brief motion.",
     "gaps": "Rates and rest{which} leave out {note} without poses; the path length counts a"
     " straight line there.",

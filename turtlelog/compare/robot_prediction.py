@@ -27,7 +27,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.identify import AxisTraces, axis_motion
 from turtlelog.identify.axis_motion import AXES, Axis, AxisMotion, get_commands
-from turtlelog.identify.robot_noise import NORMAL_MAD
+from turtlelog.identify.robot_noise import NORMAL_MAD, find_short_runs
 from turtlelog.measure.reductions import Rows, Values
 from turtlelog.replay.plant_replay import sense_driven
 from turtlelog.run import CommandColumns, PoseColumns, Run
@@ -446,5 +446,7 @@ def _find_impossible_steps(run: Run, simulated: PoseColumns, scenario: Scenario)
     for error, axis, gain in zip(errors, AXES, gains, strict=True):
         most = abs(1.0 if gain is None else gain) * float(np.abs(get_commands(run, axis)).max())
         noise = NORMAL_MAD * float(np.median(error))
-        jumps |= error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
+        is_off = error > _JUMP_RATE * most * apart_s + _JUMP_NOISE * noise + _GRAIN
+        # Steps that are off for long are a motion that the scenario lacks.
+        jumps |= find_short_runs(is_off.astype(float))
     return np.flatnonzero(jumps) + 1

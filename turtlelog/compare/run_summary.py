@@ -418,8 +418,9 @@ def _describe_end(summary: RunSummary) -> str:
     jumps, median, gaps = map(
         summary.notes.get, ("jumped_share", "path_without_scatter", "large_gaps")
     )
-    beside = f", {median} through the median of each second," if median else ""
-    beside = f", {jumps} of it jumps," if jumps else beside
+    beside = f", {jumps} of it jumps" if jumps else ""
+    beside += f", {median} through the median of each second" if median else ""
+    beside += "," if beside else ""
     without = f", {gaps} of it without poses" if gaps else ""
     return f"the path is {length} long{beside} and takes {duration}{without}"
 

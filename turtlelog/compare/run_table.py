@@ -444,9 +444,7 @@ def _get_gain(run: Run) -> float | None:
     keys = run.declaration.list_gains() if _list_theory_loops(run) else ()
     gains = {run.parameters.get(key) for key in keys}
     gain = gains.pop() if gains else None
-    if gains or not isinstance(gain, int | float) or gain <= 0.0:
-        return None
-    return float(gain)
+    return float(gain) if not gains and isinstance(gain, int | float) and gain > 0.0 else None
 
 
 def _name_in_order(runs: Sequence[Run]) -> list[tuple[str, Run]]:

@@ -104,7 +104,8 @@ def _need_each_other(found: AttributedValue, named: list[Contribution]) -> bool:
     """
     names = {one.cause for one in named}
     joint = sum(case.value for case in found.together if {*case.causes} == names)
-    return len(names) > 1 and joint > 0.5 * abs(sum(one.size for one in named))
+    added = sum(one.size for one in named)
+    return len(names) > 1 and math.copysign(joint, joint * added) > 0.5 * abs(added)
 
 
 def _is_wide(found: AttributedValue) -> bool:
@@ -222,7 +223,18 @@ def _write_rest(found: AttributedValue) -> str:
     if abs(added) <= found.resolution.size:
         cancel = f" Together they change it by not more than {_describe_resolution(found)}."
     chance = "" if choose_named(found) else "No effect is distinguishable from chance. "
-    return f"{chance}{_capitalise(without)}{_write_bound(found)}.{cancel}"
+    other_end = _write_other_ends(found)
+    return f"{chance}{_capitalise(without)}{_write_bound(found)}.{other_end}{cancel}"
+
+
+def _write_other_ends(found: AttributedValue) -> str:
+    """Return without which effects a phase ends that does not end with them, or never ends."""
+    ends: dict[str, list[str]] = {}
+    for one in found.contributions:
+        if one.ending and one.cause in found.acting:
+            ends.setdefault(one.ending, []).append(one.cause)
+    only = " alone" if len(found.acting) > 1 else ""
+    return "".join(f" Without {join_words(who, 'or')}{only}, {end}." for end, who in ends.items())
 
 
 def _name_acting(found: AttributedValue) -> str:
@@ -261,22 +273,22 @@ def _write_together(found: AttributedValue) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
     if not found.acting or _is_negligible(found):
         return ""
-    total = _sum_contributions(found)
-    return write_joint_parts(found.together, total, {}, partial(_format_value, found))
+    sizes = {one.cause: one.size for one in found.contributions}
+    return write_joint_parts(found.together, sizes, {}, partial(_format_value, found))
 
 
 def write_joint_parts(
     together: Iterable[Together],
-    total: float,
+    sizes: Mapping[str, float],
     names: Mapping[str, str],
     format_size: Callable[[float, float | None], str],
 ) -> str:
     """Return the parts that arise only if several causes act, if clear and not small.
 
-    `total` is that of the contributions' magnitudes, `names` have causes in other words, and
-    `format_size` returns a size with its standard error and unit.
+    `sizes` are the contributions, `names` have causes in other words, and `format_size` returns a
+    size with its standard error and unit.
     """
-    sentences = []
+    sentences, total = [], math.fsum(map(abs, sizes.values()))
     for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
         if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
             continue
@@ -284,11 +296,14 @@ def write_joint_parts(
         size = format_size(abs(case.value), case.standard_error)
         them, is_pair = _capitalise(join_words(of)), len(of) == 2
         both = "both" if is_pair else "all of them"
-        text = f"{them} act together: {size} of what they add arises only if {both} act."
-        if case.value <= 0.0:
+        # What they change without this part; of two causes, each alone.
+        apart_size = math.fsum(sizes.get(name, 0.0) for name in case.causes) - case.value
+        change = "add" if apart_size >= 0.0 else "take away"
+        text = f"{them} act together: {size} of what they {change} arises only if {both} act."
+        if case.value * apart_size < 0.0:
             apart = "their parts, alone and in smaller groups"
             apart = f"{of[0]} alone plus {of[1]} alone" if is_pair else apart
-            text = f"{them} overlap: together they add {size} less than {apart}."
+            text = f"{them} overlap: together they {change} {size} less than {apart}."
         sentences.append(text)
     return " ".join(sentences)
 

@@ -300,9 +300,9 @@ def _write_together(found: DividedDifference) -> str:
     if not found.contributions or _is_negligible(found):
         return ""
     names = {one.name: name_change(one) for one in found.contributions}
-    total = _sum(_list_divided(found))
+    sizes = {one.name: one.size for one in _list_divided(found)}
     return write_joint_parts(
-        found.together, total, names, lambda value, _: format_magnitude(found, value)
+        found.together, sizes, names, lambda value, _: format_magnitude(found, value)
     )
 
 

@@ -306,8 +306,8 @@ def solve_part(fit: AxisFit, part: NDArray[np.bool_], *beside: Values) -> tuple[
     white, slopes = fit.white[part], fit.whitening.apply(slopes)[part]
     covariance, _ = _estimate_covariance(white, slopes, fit.whitening.noise.rounded)
     bent = 1.0 + (white / SOFT) ** 2
-    inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
-    return inverse @ (slopes.T @ (white / np.sqrt(bent))), covariance
+    root = _find_root(slopes.T @ (slopes * (bent**-1.5)[:, None]))
+    return root @ (root.T @ (slopes.T @ (white / np.sqrt(bent)))), covariance
 
 
 def _conclude(
@@ -416,32 +416,28 @@ def _estimate_covariance(
 ) -> tuple[Values, Values]:
     """Return the covariance, and the ratio of each variance to that of normal noise.
 
-    The covariance is the larger of two: a robust ("sandwich") estimate from the residuals, which
-    allows for correlated neighbours but is too small if a few steps carry all information, and the
-    model covariance.
+    The covariance is the larger of two, for each combination of parameters: a robust ("sandwich")
+    estimate from the residuals, which allows for correlated neighbours but is too small if a few
+    steps carry all information, and the model covariance.
     """
     bent = 1.0 + (white / SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]
-    inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
+    root = _find_root(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     meat = scores.T @ scores
     for lag in range(1, min(_SCORE_LAGS, len(scores) - 1) + 1):
         beside = scores[lag:].T @ scores[:-lag]
         meat += (1.0 - lag / (_SCORE_LAGS + 1)) * (beside + beside.T)
-    sandwich = inverse @ meat @ inverse
     # Large residuals count less in both, so that normal noise has its own variance.
-    variance = float(np.mean(white**2 / bent) / np.mean(bent**-1.5))
-    plain = inverse * max(variance, rounded)
-    ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-100), 1.0))
-    covariance = np.asarray(sandwich * np.outer(ratio, ratio))
-    # A parameter without any effect has no scores, but is unknown nevertheless.
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), np.diag(plain)))
-    return covariance, np.maximum(np.diag(covariance) / np.diag(inverse), 1.0)
+    variance = max(float(np.mean(white**2 / bent) / np.mean(bent**-1.5)), rounded)
+    power, turn = np.linalg.eigh(root.T @ meat @ root)
+    root = root @ turn
+    covariance = (root * np.maximum(power, variance)) @ root.T
+    return covariance, np.maximum(np.diag(covariance) / (root**2).sum(axis=1), 1.0)
 
 
-def _invert(matrix: Values) -> Values:
-    """Return the inverse of a matrix of squares, independent of the units of its rows."""
+def _find_root(matrix: Values) -> Values:
+    """Return a root of the inverse of a matrix of squares, independent of the units of its rows."""
     # In a direction without information, the inverse is large instead of 0.
     size = np.maximum(np.sqrt(np.diag(matrix)), UNSEEN)
-    scale = np.outer(size, size)
-    power, direction = np.linalg.eigh(matrix / scale)
-    return np.asarray((direction / np.maximum(power, ROUNDED)) @ direction.T / scale)
+    power, direction = np.linalg.eigh(matrix / np.outer(size, size))
+    return np.asarray(direction / np.sqrt(np.maximum(power, ROUNDED)) / size[:, None])

@@ -56,6 +56,10 @@ both axes apart needs 10 ms."""
 STANDING: Final = 0.02
 """Mean rate below which a robot is at rest, as a share of the largest command."""
 
+_FEWEST_WAITING, _BY_NOISE = 8, 2.0
+"""Number of steps whose scatter shows the noise of their sum, and the standard deviations that are
+noise. The sum of eight equal steps has 2.8."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SilentStop:
@@ -180,13 +184,16 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     commands = hold_commands(np.insert(command_s, places, stop_s), np.insert(command, places, 0.0))
     for stop in stops:
         is_sound &= (ends_s <= stop.begin_s + _SILENCE_S) | (begins_s >= stop.end_s)
-    earlier = ends_s <= command_s[0]
-    total_s = float((ends_s - begins_s)[earlier].sum())
-    most = STANDING * np.abs(command).max() * total_s
-    stands = total_s > 0.0 and abs(float(moved[earlier].sum())) <= most
+    first_s = command_s[np.argmax(command != 0.0)]
+    # A recording that starts with the commands shows a rest in its first step.
+    earlier = ends_s <= max(first_s, ends_s.min(initial=np.inf))
+    most = STANDING * np.abs(command).max() * float((ends_s - begins_s)[earlier].sum())
+    if np.count_nonzero(earlier) >= _FEWEST_WAITING:
+        most = max(most, _BY_NOISE * float(np.sqrt((moved[earlier] ** 2).sum())))
+    stands = most > 0.0 and abs(float(moved[earlier].sum())) <= most
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
-    waits = known & (ends_s <= command_s[np.argmax(command != 0.0)])
+    waits = known & (ends_s <= first_s)
     direction_rad = 0.0 * moved
     if axis == "speed":
         heading_rad = np.unwrap(poses.heading_rad)

@@ -303,27 +303,32 @@ def cover_parts(found: AxisModel, fit: AxisFit) -> AxisModel:
     if fit.whitening.noise.rounded > _ROUNDED:
         return found
     excess, factor = _measure_curve(fit)
-    is_curve = excess > _CURVE
-    covered, said = found, []
-    if is_curve:
+    covered, differing = found, find_differing_parts(found.axis, fit)
+    if excess > _CURVE:
         for field in (*_FIELDS, *_LIMITS):
             covered = _stretch(covered, field, factor)
-    for pair, is_first in _split_steps(found.axis, fit):
-        differing = [*_compare_parts(fit, is_first, _LIKELY if is_curve else _APART)]
-        for field, value in differing:
+    for values in differing.values():
+        for field, value in values:
             covered = _widen(covered, field, value)
-        if differing:
-            said.append(pair)
     covered = _cap_parts(covered)
-    if not (said or is_curve) or not _matters(covered):
+    if not (differing or excess > _CURVE) or not _matters(covered):
         return covered
-    told = ", and between ".join(said)
-    what = f" The response differs between {told}." if said else ""
+    told = ", and between ".join(differing)
+    what = f" The response differs between {told}." if differing else ""
     doubt = (
         f"No model explains the {NAMES[found.axis]} completely.{what} The intervals are wider for"
         " that, and advice uses the longer delay."
     )
     return replace(covered, doubts=(*found.doubts, doubt))
+
+
+def find_differing_parts(axis: Axis, fit: AxisFit) -> dict[str, list[tuple[str, Estimate]]]:
+    """Return the parts of the motion whose values differ, by name, with these fields and values."""
+    if fit.whitening.noise.rounded > _ROUNDED:
+        return {}
+    apart = _LIKELY if _measure_curve(fit)[0] > _CURVE else _APART
+    found = {pair: [*_compare_parts(fit, part, apart)] for pair, part in _split_steps(axis, fit)}
+    return {pair: values for pair, values in found.items() if values}
 
 
 def _measure_curve(fit: AxisFit) -> tuple[float, float]:
@@ -385,6 +390,9 @@ def _compare_parts(
         ("dead_time_s", units[TOTAL] - units[LAG], dead_time_s),
         ("lag_s", units[LAG], lag_s),
         ("total_delay_s", units[TOTAL], dead_time_s + lag_s),
+        *zip(
+            fit.model.structure.names, units[EXTRA:], fit.parameters[EXTRA:].tolist(), strict=True
+        ),
     ):
         moves = [float(weights @ moved) for moved, _ in solved]
         variances = [float(weights @ covariance @ weights) for _, covariance in solved]
@@ -392,8 +400,20 @@ def _compare_parts(
             continue
         error = float(np.sqrt(sum(variances)))
         if abs(moves[0] - moves[1]) > apart * error:
-            low, high = value + min(moves), value + max(moves)
-            yield field, Estimate(value=value, low=low, high=high)
+            ends = [value + move for move in moves]
+            if field in FURTHER:
+                ends = [_evaluate_further(fit, field, end) for end in ends]
+                field = FURTHER[field][0]
+            yield field, Estimate(value=value, low=min(ends), high=max(ends))
+
+
+def _evaluate_further(fit: AxisFit, name: str, by: float) -> float:
+    """Return the value of an axis for a further parameter; infinite where there is no limit."""
+    relation = FURTHER[name][1]
+    gain = float(fit.parameters[GAIN]) if relation in {"product", "quotient"} else 1.0
+    if relation in {"itself", "product"}:
+        return gain * by
+    return gain / by if by > 0.0 else np.inf
 
 
 def _stretch(axis: AxisModel, field: str, factor: float) -> AxisModel:

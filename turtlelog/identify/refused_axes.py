@@ -20,7 +20,7 @@ from turtlelog.identify.axis_motion import (
     get_commands,
     read_axis_motion,
 )
-from turtlelog.identify.fit_values import cover_waiting, describe_fit
+from turtlelog.identify.fit_values import cover_waiting, describe_fit, find_differing_parts
 from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
 from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S
@@ -72,6 +72,10 @@ _SENTENCES: Final[Mapping[Refusal, str]] = {
         "the {name} is commanded in ramps: within {within_s:g} s it changes by at most {change:.2g}"
         " of {span:.2g} {unit}"
     ),
+    "begun": (
+        "earlier commands may act in the first {begun_s:.3g} s, and after that the commanded {name}"
+        " does not change"
+    ),
     "implausible": "the {what} reach {largest:.3g} {of_unit}, more than any robot does",
     "few_steps": (
         "expected at least {fewest} steps between poses at most 1 s apart while commands act, found"
@@ -107,11 +111,18 @@ _SENTENCES: Final[Mapping[Refusal, str]] = {
 }
 
 
+_FIRST: Final[Mapping[Refusal, str]] = {
+    "no_commands": "record the topic of the commands beside the poses",
+    "begun": "begin to record while the robot rests",
+}
+"""Advice before the test drive."""
+
+
 def refuse_axis(axis: Axis, refusal: Refusal, *, drive: str = "", **facts: Any) -> AxisModel:
     """Return an axis without values. `drive` completes the advised test drive."""
     advice = f"step the {NAMES[axis]} ten times for 2 s{drive}"
-    if refusal == "no_commands":
-        advice = f"record the topic of the commands beside the poses, and {advice}"
+    if refusal in _FIRST:
+        advice = f"{_FIRST[refusal]}, and {advice}"
     reason = _SENTENCES[refusal].format(name=NAMES[axis], unit=UNITS[axis], **facts)
     return AxisModel(
         axis=axis, status="not_identifiable", refusal=refusal, reason=reason, advice=advice
@@ -135,6 +146,18 @@ def refuse_commands(runs: Sequence[Run], axis: Axis) -> AxisModel | None:
     if change < _SUDDEN_SHARE * span:
         return refuse_axis(axis, "ramps", within_s=_SUDDEN_S, change=change, span=span)
     return None
+
+
+def refuse_begun(
+    runs: Sequence[Run], motions: Sequence[AxisMotion], axis: Axis
+) -> AxisModel | None:
+    """Return an axis without values if no command changes in the steps that are used; else None."""
+    # What is left is a motion that fades, as it does for any gain and dead time.
+    used = [(run, one) for run, one in zip(runs, motions, strict=True) if len(one.moved)]
+    if not used or any((one.commands.time_s[1:] >= one.time_s[0]).any() for _, one in used):
+        return None
+    begun_s = min(one.time_s[0] - run.poses.time_ns[0] / 1e9 for run, one in used)
+    return refuse_axis(axis, "begun", begun_s=begun_s)
 
 
 def refuse_implausible(
@@ -213,7 +236,14 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
     if moving < _FEWEST_MOVING:
         count = describe_count(moving, "step")
         return refuse_axis(found.axis, "jump", count=count, steps=len(size))
-    return _refuse_wide(found, float(np.median(fit.model.duration_s)))
+    fine_s = float(np.median(fit.model.duration_s))
+    refused = _refuse_wide(found, fine_s)
+    if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
+        return refused
+    differing = find_differing_parts(found.axis, fit)
+    told = f", as the response differs between {', and between '.join(differing)}"
+    # No model has such a response, so that no drive would show its values.
+    return replace(refused, reason=f"{refused.reason}{told}", advice="") if differing else refused
 
 
 def _refuse_wide(found: AxisModel, fine_s: float = 0.0, *, drive: str = "") -> AxisModel | None:

@@ -122,6 +122,7 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     motions = [read_axis_motion(run, axis) for run in runs]
     steps = count_steps(motions)
     refused = refused_axes.refuse_commands(runs, axis)
+    refused = refused or refused_axes.refuse_begun(runs, motions, axis)
     refused = refused or refused_axes.refuse_implausible(runs, motions, axis)
     if refused is None and steps < _FEWEST_STEPS:
         refused = refused_axes.refuse_axis(axis, "few_steps", fewest=_FEWEST_STEPS, steps=steps)

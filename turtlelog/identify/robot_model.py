@@ -73,9 +73,9 @@ class TickDelays:
 LimitPlace = Literal["", "before_lag", "within_lag", "at_wheels"]
 
 Refusal = Literal[
-    "no_commands", "never_commanded", "negligible", "constant", "ramps", "implausible",
-    "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide", "repeated",
-    "at_bound", "hidden",
+    "no_commands", "never_commanded", "negligible", "constant", "ramps", "begun",
+    "implausible", "few_steps", "no_gain", "opposite", "late", "unexplained", "jump", "wide",
+    "repeated", "at_bound", "hidden",
 ]  # fmt: skip
 """Cause why an axis has no values; `refused_axes` has the sentence of each."""
 
@@ -91,7 +91,7 @@ class AxisModel:
         status: Whether the values of the axis are known.
         refusal: Cause why the values are unknown.
         reason: The same in a sentence.
-        advice: Test drive that would identify the values.
+        advice: Test drive that would identify the values; empty if no drive would.
         model: Model of the response; `second_order`: rate = gain exp(-dead_time s) / (product s^2 +
             lag s + 1).
         gain: Steady-state rate per command [1].
@@ -272,6 +272,18 @@ class AxisModel:
         return self.status == "ok"
 
     @property
+    def exceptions(self) -> str:
+        """Commands to which the gain does not apply, for the end of a clause; empty if none."""
+        said = ""
+        if self.reverse_gain is not None:
+            said += f" (backwards {self.reverse_gain.value:.3g} times the command)"
+        if self.friction is not None:
+            said += f" less friction of {_show(self.friction)}"
+        if self.deadband is not None:
+            said += f" above a deadband of {_show(self.deadband)}"
+        return said
+
+    @property
     def is_idle(self) -> bool:
         """Whether the axis is never commanded, so that its values are not needed."""
         return self.refusal == "never_commanded"
@@ -394,7 +406,7 @@ def write_robot_headline(axes: Sequence[AxisModel], name: str) -> list[str]:
         return [f"{name}: no axis could be identified."]
     said = [f"{name}: total delay {', '.join(delays)}."]
     gains = [
-        f"{NAMES[axis.axis]} {axis.gain.value:.3f}"
+        f"{NAMES[axis.axis]} {axis.gain.value:.3f}{axis.exceptions}"
         + (f" up to its limit of {_show(axis.bound)}" if axis.bound else "")
         + (f" with a drift of {_show(axis.drift)}" if axis.drift else "")
         for axis in axes

@@ -351,7 +351,11 @@ def find_outlying_steps(residual: Values, rounding: float = 0.0) -> NDArray[np.b
         return np.zeros(len(size), dtype=bool)
     # Steps that are off for long, and in one direction, are a motion that the model lacks.
     least = max(_OUTLIER * scale, float(np.quantile(size, 1.0 - _MOST_OUTLIERS)))
-    signs = np.where(size > least, np.sign(residual), 0.0)
+    return find_short_runs(np.where(size > least, np.sign(residual), 0.0))
+
+
+def find_short_runs(signs: Values) -> NDArray[np.bool_]:
+    """Return which steps may be of a jump, from the signs of those that are off; else 0."""
     begins = np.flatnonzero(np.diff(signs, prepend=np.nan) != 0.0)
     lengths = np.diff(np.append(begins, len(signs)))
     return np.asarray((signs != 0.0) & (np.repeat(lengths, lengths) <= _LONGEST_JUMP))

@@ -162,10 +162,9 @@ def _require_robot(model: RobotModel) -> None:
     commanded = [axis for axis in unknown if not axis.is_idle]
     for axis in commanded or unknown:
         if commanded or len(unknown) == len(model.axes):
-            raise IdentifyError(
-                f"{model.files[0]}: {NAMES[axis.axis]}: not identifiable: {axis.reason}; to know"
-                f" it, {axis.advice}"
-            )
+            advice = f"; to know it, {axis.advice}" if axis.advice else ""
+            where = f"{model.files[0]}: {NAMES[axis.axis]}"
+            raise IdentifyError(f"{where}: not identifiable: {axis.reason}{advice}")
 
 
 def _list_plant(model: RobotModel) -> Part:

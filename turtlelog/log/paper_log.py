@@ -300,7 +300,8 @@ def _require_table(place: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, dict):
         found = "no value" if value is None else type(value).__name__
         raise LogError(
-            f"{place}: expected a JSON object, as the paper's logs have it, found {found}"
+            f"{place}: expected a JSON object, as the paper's logs have it, found {found}; other"
+            " data are read from CSV with a header"
         )
     return value
 

@@ -174,6 +174,11 @@ At 85 deg of pitch, 1 deg of noise turns the heading by 11 deg."""
 _SEEN: Final = "most metrics are seen from above"
 
 
+_HEIGHT_RANGE: Final = 9.0
+"""Range of heights with white noise in a plane, in standard deviations: of 100,000 normal values it
+is 8.8. The height of a satellite receiver scatters by some centimetres."""
+
+
 def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     """Return a sentence on a robot that leaves the plane; None if it stays in the plane.
 
@@ -181,7 +186,10 @@ def describe_height(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     """
     heights, tilts = _keep_finite(z_m), _keep_finite(tilt_rad)
     found = []
-    if len(heights) and (height := float(np.ptp(heights))) > _MOST_HEIGHT_M:
+    bends_m = np.abs(np.diff(heights, 2))  # of white noise, with a median of 0.6745 sqrt(6) of it
+    noise_m = float(np.median(bends_m)) / (0.6745 * math.sqrt(6.0)) if len(bends_m) else 0.0
+    most_m = max(_MOST_HEIGHT_M, _HEIGHT_RANGE * noise_m)
+    if len(heights) and (height := float(np.ptp(heights))) > most_m:
         low_m, high_m = float(heights.min()), float(heights.max())
         found.append(f"its height varies by {height:.3g} m ({low_m:.3g} to {high_m:.3g} m)")
     if len(tilts) and float(tilts.max()) > _MOST_TILT_RAD:

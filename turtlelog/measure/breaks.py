@@ -17,6 +17,7 @@ motion comes from poses further away. A step is a correction under four conditio
 - It is in one step alone, and the poses on either side agree. A stray pose, in contrast, returns.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,19 +25,33 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.measure.rates import GAP_STEPS, NEIGHBOURS, find_changing_rows, find_usual_step
+from turtlelog.measure.motion import find_dither_step
+from turtlelog.measure.rates import (
+    GAP_STEPS,
+    NEIGHBOURS,
+    STEADY,
+    find_changing_rows,
+    find_usual_step,
+)
 from turtlelog.measure.reductions import Values, compute_median
 from turtlelog.measure.references import recall
 from turtlelog.run import PoseColumns, Run, take_rows
 from turtlelog.run.angles import subtract_headings
 
+_Pair = tuple[float, float]
+
 _FAST: Final = 3.0
 """Ratio to the greatest lasting rate from which a step is a jump. A robot near that rate, and a
 pose that is late by a whole step, together give a ratio of 2."""
 
-_STRAYS: Final = 0.05
-"""Largest share of steps that lead out and back at once and count as stray poses. Noise and a
-second program lead out and back all the time."""
+_STRAYS: Final = 0.1
+"""Largest share of steps that lead out and back at once and count as stray poses, two each. Noise
+and a second program lead out and back all the time."""
+
+_NEIGHBOURHOOD: Final = 7
+_STRAYED: Final = 2.0
+"""Number of poses whose median three stray poses do not move, and smallest distance from it, in the
+upper quartile of second differences: 8 standard deviations of normal noise in the plane."""
 
 _TURNED_RAD: Final = 0.1
 """Turn of a jump from which the displacement is measured along the heading before it, because there
@@ -118,16 +133,29 @@ def find_gap_rows(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def find_jumps(run: Run) -> tuple[PoseJump, ...]:
-    """Return the steps from pose to pose that the robot cannot have driven.
-
-    A step is a jump if it is far beyond the greatest rate of the robot (two steps if a pose
-    strays), or a correction of the pose (`find_corrections`).
-    """
+    """Return the steps that the robot cannot have driven: too fast, or a corrected pose."""
     return recall(run, "jumps", lambda: _find_jumps(run))
 
 
+def find_pose_resolution(run: Run) -> _Pair:
+    """Return the resolution of positions [m] and of headings [rad]; 0 if it does not matter."""
+    return recall(run, "pose_resolution", lambda: _find_resolution(run.poses))
+
+
+def _find_resolution(poses: PoseColumns) -> _Pair:
+    if poses.speed_m_s is not None:
+        return 0.0, 0.0
+    rows = find_changing_rows(poses)
+    few, many = np.quantile(np.diff(rows), [0.1, 0.9]) if len(rows) > 1 else (1.0, 1.0)
+    if many <= STEADY * few:  # poses are repeated, and not coarse
+        poses = take_rows(poses, rows)
+    ahead_m, _, turned_rad = measure_steps(poses)  # ahead, encoders count ticks
+    positions_m = (*np.diff(poses.xy_m, axis=0).T, ahead_m)
+    return max(map(find_dither_step, positions_m)), find_dither_step(turned_rad)
+
+
 def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
-    poses = run.poses
+    poses, finest = run.poses, find_pose_resolution(run)
     if run.origin.has_courses:  # a course turns with the positions, and is not independent
         poses = replace(poses, heading_rad=np.zeros(len(poses)))
     rows = find_changing_rows(poses)
@@ -136,8 +164,8 @@ def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     if len(poses) < 3:
         return ()
     steps = measure_steps(poses)
-    ways = moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
-    is_jump = _find_jump_steps(poses, ways, steps[2])
+    moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
+    is_jump = _find_jump_steps(poses, steps[2], finest)
     if not is_jump.any():
         return ()
     step_ns = np.diff(poses.time_ns)
@@ -169,40 +197,51 @@ def _find_jumps(run: Run) -> tuple[PoseJump, ...]:
     )
 
 
-def _find_jump_steps(
-    poses: PoseColumns, ways: tuple[Values, Values], turned_rad: Values
-) -> NDArray[np.bool_]:
-    """Return which steps are jumps; `ways` are their magnitudes in the plane and in heading."""
+def _find_jump_steps(poses: PoseColumns, turned_rad: Values, finest: _Pair) -> NDArray[np.bool_]:
     step_ns = np.diff(poses.time_ns)
-    usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
-    applied = (poses.speed_m_s, poses.turn_rate_rad_s)
-    together = (
-        np.hypot(*(poses.xy_m[2:] - poses.xy_m[:-2]).T),
-        np.abs(turned_rad[1:] + turned_rad[:-1]),
-    )
+    usual_s = np.maximum(step_ns, compute_median(step_ns)) / 1e9
+    places = poses.xy_m, np.append(0.0, np.cumsum(turned_rad))[:, np.newaxis]
     is_jump = np.zeros(len(step_ns), dtype=bool)
     if poses.speed_m_s is None:
-        is_jump |= find_corrections(poses)
-    for way, net, seen, acceleration in zip(ways, together, applied, ACCELERATION, strict=True):
-        is_jump |= _find_far_steps(way, net, usual_ns, seen=seen, acceleration=acceleration)
+        is_jump |= find_corrections(poses, finest)
+    for axis, seen in enumerate((poses.speed_m_s, poses.turn_rate_rad_s)):
+        limits = ACCELERATION[axis], ROUNDING + math.sqrt(2.0) * finest[axis]  # along two axes
+        is_jump |= _find_far_steps(places[axis], usual_s, seen=seen, limits=limits)
     return is_jump
 
 
 def _find_far_steps(
-    way: Values, net: Values, usual_ns: Values, *, seen: Values | None, acceleration: float
+    values: Values, usual_s: Values, *, seen: Values | None, limits: _Pair
 ) -> NDArray[np.bool_]:
     """Return which steps are far beyond the greatest rate that lasts for two of them."""
-    # `net` are the magnitudes of each two steps together, `seen` the rates applied by the plant.
-    both = np.minimum(way[1:], way[:-1])
-    # A stray pose gives two steps, out and back, which together lead no further.
-    for lasting in (np.minimum(both, net), both):
-        rate = float((lasting / usual_ns[1:]).max()) * 1e9
+    # `seen` are the rates applied by the plant, `limits` the acceleration and the longest step that
+    # rounding makes.
+    acceleration, least = limits
+    way = measure_length(np.diff(values, axis=0))
+    # A pose that strays gives two steps, out and back.
+    is_stray = _find_strays(values, acceleration * (0.5 * compute_median(usual_s)) ** 2)
+    is_beside = is_stray[1:] | is_stray[:-1]
+    for lasting in (np.where(is_beside, 0.0, way), way):
+        rate = float((np.minimum(lasting[1:], lasting[:-1]) / usual_s[1:]).max())
         rate = rate if seen is None else max(rate, float(np.abs(seen).max()))
-        reached = np.maximum(rate, acceleration * usual_ns / 1e9)
-        is_far = np.asarray(way > _FAST * reached * (usual_ns / 1e9) + ROUNDING)
+        is_far = np.asarray(
+            way > _FAST * np.maximum(rate, acceleration * usual_s) * usual_s + least
+        )
         if is_far.mean() <= _STRAYS:
             break
     return is_far
+
+
+def _find_strays(values: Values, least: float) -> NDArray[np.bool_]:
+    """Return which poses are far from the median of those around, as no robot that returns."""
+    off = np.zeros(len(values))
+    if len(values) <= _NEIGHBOURHOOD:
+        return off > 0.0
+    around = np.median(sliding_window_view(values, _NEIGHBOURHOOD, axis=0), axis=2)
+    side = _NEIGHBOURHOOD // 2
+    off[side:-side] = measure_length(values[side:-side] - around)
+    bends = measure_length(np.diff(values, n=2, axis=0))
+    return np.asarray(off > max(least, _STRAYED * float(np.quantile(bends, 0.75))))
 
 
 def _find_excess(step: Values, step_ns: NDArray[np.int64], is_late: NDArray[np.bool_]) -> Values:
@@ -242,6 +281,10 @@ speed up by as much as a correction adds."""
 _NOISES: Final = 6.0
 """Size of a correction in standard deviations. Of normal values in the plane one in 65 million is
 as large; of runs with 3,000 poses, one in 20,000 at 5 standard deviations."""
+
+_ROUNDED: Final = 0.4
+"""Least noise of a correction's size, in steps of the resolution. The means of rounded poses are
+apart by up to 1 step more, and their motion by 2/3 step, in either axis: 6 times 0.4 steps."""
 
 _ASIDE: Final = 0.25
 """Sideways acceleration of a robot as a share of its acceleration, because wheels do not slip
@@ -286,10 +329,11 @@ class _Motion:
     usual_s: float
     pose_variance: Values  # shape (n,)
     step_variance: Values  # in addition to that of its poses, shape (n,)
+    resolution: float  # [m or rad]
     acceleration: Values  # from rest [m/s2 or rad/s2], shape (axes,)
 
 
-def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
+def find_corrections(poses: PoseColumns, resolution: _Pair = (0.0, 0.0)) -> NDArray[np.bool_]:
     """Return which steps between poses are corrections of the position or the heading."""
     found = np.zeros(len(poses) - 1, dtype=np.bool_)
     if len(found) <= 2 * _AROUND:
@@ -299,9 +343,10 @@ def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
     step_s = np.diff(time_s)
     usual_s = compute_median(step_s)
     in_plane, turning = ACCELERATION
-    for steps, acceleration in (
-        (np.column_stack([ahead_m, aside_m]), np.array([in_plane, _ASIDE * in_plane])),
-        (turned_rad[:, np.newaxis], np.array([turning])),
+    axes_m, acceleration_m = np.column_stack([ahead_m, aside_m]), [in_plane, _ASIDE * in_plane]
+    for steps, acceleration, finest in (
+        (axes_m, np.array(acceleration_m), resolution[0]),
+        (turned_rad[:, np.newaxis], np.array([turning]), resolution[1]),
     ):
         with np.errstate(over="ignore", invalid="ignore"):  # of noise that no robot has
             pose_variance, step_variance = _measure_noise(steps, step_s)
@@ -311,8 +356,9 @@ def find_corrections(poses: PoseColumns) -> NDArray[np.bool_]:
             steps=steps,
             way=np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)]),
             usual_s=usual_s,
-            pose_variance=pose_variance,
+            pose_variance=np.maximum(pose_variance, finest * finest / 12.0),
             step_variance=step_variance,
+            resolution=finest,
             acceleration=acceleration,
         )
         for count in _AVERAGED:
@@ -359,7 +405,7 @@ def _find_by_means(motion: _Motion, count: int) -> NDArray[np.bool_]:
     rows = np.arange(max(outer, 2), len(found) - max(outer, 2))
     if not len(rows):
         return found
-    noise = _weigh_noise(motion, count, width)[rows]
+    noise = np.maximum(_weigh_noise(motion, count, width)[rows], _ROUNDED * motion.resolution)
     before = _measure_rates(motion, width)[rows - outer]
     after = _measure_rates(motion, width)[rows + count]
     mean, spread = 0.5 * (before + after), 0.5 * np.abs(after - before)

@@ -4,9 +4,6 @@ A robot on wheels does not step sideways and back between two poses. The second 
 steps across its heading therefore show the noise of the positions: of white noise they have six
 times its variance. In the quietest part of a run a robot drives evenly or rests. A point ahead of
 the axle moves sideways as the robot turns; this part of the steps is left out.
-
-A robot on two wheels, or a car, travels along its heading. A marker or sensor that is mounted at an
-angle gives another heading. Speeds along this heading are too small by the cosine of the angle.
 """
 
 import math
@@ -24,6 +21,7 @@ from turtlelog.measure.breaks import (
     PoseJump,
     find_gaps,
     find_jumps,
+    find_pose_resolution,
     measure_length,
     measure_steps,
 )
@@ -38,8 +36,7 @@ _BLOCK: Final = 20
 """Number of second differences that give one estimate of the noise; its error is a fifth."""
 
 _QUIET: Final = 0.25
-"""Share of a run's estimates that are below its noise: a robot that turns to and fro, or whose
-wheels slip, shows more elsewhere."""
+"""Share of estimates that are below the noise: turns to and fro, or wheels that slip, show more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,12 +63,20 @@ def measure_noise(poses: PoseColumns) -> WhiteNoise:
 
 
 def find_noise(run: Run, rows: NDArray[np.int64]) -> WhiteNoise:
-    """Return the noise of some rows of the poses."""
+    """Return the noise of some rows of the poses, at least that of their rounding."""
     # Slow poses do not tell noise of the headings from a robot that turns round.
     noise = measure_noise(take_rows(run.poses, rows))
     if noise.heading_rad and find_scatter(run).turning_rad is None:
-        return replace(noise, heading_rad=0.0)
-    return noise
+        noise = replace(noise, heading_rad=0.0)
+    position_m, heading_rad = (_PER_STEP * finest for finest in find_pose_resolution(run))
+    return WhiteNoise(
+        position_m=max(noise.position_m, position_m),
+        heading_rad=max(noise.heading_rad, heading_rad),
+    )
+
+
+_PER_STEP: Final = 12**-0.5
+"""Standard deviation of rounding, in steps of the resolution."""
 
 
 def measure_rate_noise(run: Run) -> tuple[float, float]:
@@ -101,14 +106,14 @@ _MOST_TURNS_HZ: Final = 4.0
 """How often a robot may turn round itself. Such steps lead back at slow poses without any noise."""
 
 _BY_NOISE: Final = 0.5
-"""Share of what a path loses through medians from which noise of its positions is the cause. Noise
-that lengthens a path explains all of it; a robot that drives to and fro has none."""
+"""Share of what a path loses through medians from which noise of its positions is the cause."""
+
+_NOISY_STEPS: Final = 0.25
+"""Share of steps that noise makes from which positions are noisy: it adds 2 % to a path."""
 
 _SHORTER: Final = 0.93
 """Largest length through medians, as a share of the path, that is told. A curve of 1 rad/s loses a
 twentieth between the medians of each second."""
-
-_MEDIAN_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,8 +121,7 @@ class Scatter:
     """What is left of a path and of its turns through the median pose of each second.
 
     Attributes:
-        path_m: Length of the path from the first pose through these medians to the last [m]; None
-            if the path hardly scatters.
+        path_m: Length of the path through these medians [m]; None if the path hardly scatters.
         turning_rad: Sum of the magnitudes of all turns, likewise [rad].
     """
 
@@ -127,37 +131,41 @@ class Scatter:
 
 def find_scatter(run: Run) -> Scatter:
     """Return what scatter of the poses, as of noise, leaves of a path and of its turns."""
-    return recall(
-        run, "scatter", lambda: _find_scatter(run.poses, is_course=run.origin.has_courses)
-    )
+    return recall(run, "scatter", lambda: _find_scatter(run))
 
 
-def _find_scatter(poses: PoseColumns, *, is_course: bool) -> Scatter:
+def _find_scatter(run: Run) -> Scatter:
+    poses, is_course = run.poses, run.origin.has_courses
     rows = find_changing_rows(poses)
     heading_rad = np.unwrap(poses.heading_rad[rows])[:, None]
     poses = take_rows(poses, rows) if len(rows) < len(poses) else poses
-    # The length of a step of white noise in the plane is sqrt(pi) times its standard deviation.
-    noise_m = np.sqrt(np.pi) * measure_noise(poses).position_m
+    noise = measure_noise(poses).position_m, _PER_STEP * find_pose_resolution(run)[0]
     # A course turns to and fro as its positions scatter, even if their path hardly gets longer.
-    path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise_m)
-    is_noisy = path_m is not None or is_course
+    path_m = _measure_through_medians(poses.time_ns, poses.xy_m, noise_m=noise)
+    whole_m = float(measure_length(np.diff(poses.xy_m, axis=0)).sum())
+    is_noisy = math.sqrt(np.pi) * noise[0] * len(poses) > _NOISY_STEPS * whole_m
+    is_noisy |= path_m is not None or is_course
     turning_rad = _measure_through_medians(poses.time_ns, heading_rad, is_noisy=is_noisy)
     return Scatter(path_m=path_m, turning_rad=turning_rad)
 
 
 def _measure_through_medians(
-    time_ns: NDArray[np.int64], values: Values, *, noise_m: float = 0.0, is_noisy: bool = False
+    time_ns: NDArray[np.int64],
+    values: Values,
+    *,
+    noise_m: tuple[float, float] = (0.0, 0.0),
+    is_noisy: bool = False,
 ) -> float | None:
     """Return the length through medians of each second; None if the steps hardly lead back.
 
-    `noise_m` is the mean length of a step that noise makes. Whether poses are noisy, because their
-    positions are, decides whether slow steps back may be those of a robot that turns round.
+    `noise_m` is the white noise of values, and that of their rounding. If poses are not noisy, slow
+    steps back may be those of a robot that turns round.
     """
     steps = np.diff(values, axis=0)
     ways = measure_length(steps)
     if not (whole := float(ways.sum())):
         return None
-    seconds = (time_ns - time_ns[0]) // _MEDIAN_NS
+    seconds = (time_ns - time_ns[0]) // 1_000_000_000
     starts = np.flatnonzero(np.diff(seconds, prepend=-1))
     middles = (starts + np.append(starts[1:], len(seconds)) - 1) // 2
     corners = np.column_stack([one[np.lexsort((one, seconds))][middles] for one in values.T])
@@ -169,7 +177,15 @@ def _measure_through_medians(
     is_back = (shares[1:] * shares[:-1]).sum(axis=1) < 0.0
     own_s = 0.0 if is_noisy else compute_median(np.diff(time_ns)) / 1e9
     is_scatter = float(ways[1:][is_back].sum()) >= max(_BACK, _MOST_TURNS_HZ * own_s) * whole
-    return length if is_scatter or noise_m * len(ways) >= _BY_NOISE * (whole - length) else None
+    # In each second noise adds 4 times its variance to the mean square of the steps. Rounding adds
+    # at most the mean length of white noise.
+    begins = starts[starts < len(ways)]
+    count = np.diff(np.append(begins, len(ways)))
+    squares = np.add.reduceat((ways / whole) ** 2, begins) - count * (2.0 * noise_m[0] / whole) ** 2
+    by_noise = 1.0 - float(np.sqrt(count * np.maximum(squares, 0.0)).sum())
+    by_noise = max(by_noise, math.sqrt(np.pi) * noise_m[1] * len(ways) / whole)
+    is_scatter |= by_noise >= _BY_NOISE * (1.0 - length / whole)
+    return length if is_scatter else None
 
 
 _OVER_S: Final = 0.5
@@ -276,10 +292,7 @@ _COMMANDED_M_S: Final = 0.01
 
 
 def describe_sideways(run: Run) -> str:
-    """Return a clause on a robot that is commanded sideways; empty for other robots.
-
-    Whether a robot moves sideways without such commands is not told: headings may be wrong.
-    """
+    """Return a clause on a robot that is commanded sideways; empty for other robots."""
     most_m_s = float(np.abs(run.commands.lateral_speed_m_s).max(initial=0.0))
     if most_m_s < _COMMANDED_M_S:
         return ""
@@ -410,18 +423,26 @@ def _describe_times(run: Run) -> dict[str, str]:
 
 
 def _describe_noise(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
-    notes, scatter = {}, find_scatter(run)
+    notes, scatter, sizes, coarse = {}, find_scatter(run), [], []
     if scatter.path_m is not None:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
-    noises = dict(zip(AXES, measure_rate_noise(run), strict=True))
-    sizes = [
-        f"{noises[axis]:.1g} {AXES[axis]}"
-        for axis in _list_silent(run)
-        if noises[axis] > _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
-    ]
-    return notes | ({"rate_noise": join_words(sizes)} if sizes else {})
+    silent, noises = _list_silent(run), measure_rate_noise(run)
+    for (axis, unit), noise, finest in zip(
+        AXES.items(), noises, find_pose_resolution(run), strict=True
+    ):
+        time_s = space_poses(run).time_s if axis in silent else run.poses.time_ns / 1e9
+        step_s = compute_median(np.diff(time_s))
+        least = _NOISY * (_get(metrics, f"run.measured_{axis}_max") or math.inf)
+        if finest > least * step_s:
+            size = (finest, "m") if unit == "m/s" else (math.degrees(finest), "deg")
+            over = f"{format_short(finest / step_s, unit)} over {format_short(1e3 * step_s, 'ms')}"
+            coarse.append(f"{format_short(*size)} ({over})")
+        elif axis in silent and noise > least:
+            sizes.append(f"{noise:.1g} {unit}")
+    found = {"rate_noise": join_words(sizes), "resolution": join_words(coarse)}
+    return notes | {name: note for name, note in found.items() if note}
 
 
 def _describe_rest(run: Run, metrics: Mapping[str, Metric], path_m: float) -> dict[str, str]:

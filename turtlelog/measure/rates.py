@@ -387,7 +387,7 @@ def find_usual_step(time_ns: NDArray[np.int64]) -> float:
     return float(np.quantile(np.diff(time_ns), _USUAL))
 
 
-_STEADY: Final = 1.5
+STEADY: Final = 1.5
 _FEWEST_STEADY: Final = 10
 """Largest ratio of long to short times between changes of the position, and their least number,
 that show a source with its own rate: a receiver at 1 Hz beside a compass at 20 Hz. A robot that
@@ -408,7 +408,7 @@ def find_changing_rows(poses: PoseColumns) -> NDArray[np.int64]:
     moving = np.flatnonzero(moved) + 1
     if len(moving) >= _FEWEST_STEADY:
         few, usual, many = np.quantile(np.diff(moving), [0.1, 0.5, 0.9])
-        if usual >= 2 and many <= _STEADY * few:
+        if usual >= 2 and many <= STEADY * few:
             return np.concatenate([[0], moving])
     return np.arange(len(poses))
 

@@ -173,7 +173,17 @@ def test_a_bag_says_that_its_poses_never_move_and_where_others_are(
     bag = write_robot(tmp_path, say_odometry(straight(0.0), speed=0.5), commands)
     told = call("info", bag).flat
     assert "path by speed the poses never move, and are likely wrong: the reported speed" in told
-    assert "path by speed: the poses never move" in call("metrics", bag).err
+    answer = call("metrics", bag)
+    assert "path by speed: the poses never move" in answer.err
+    assert "the robot reports, and the poses contradict them." in answer.flat
+
+
+def test_poses_that_never_move_agree_with_a_reported_speed_of_0(call: Call, tmp_path: Path) -> None:
+    commands = [say_twist(0.5, row=row) for row in range(200)]
+    bag = write_robot(tmp_path, say_odometry(straight(0.0), speed=0.0), commands)
+    answer = call("metrics", bag)
+    assert "path by speed: the poses never move though commands ask" in answer.err
+    assert "Measured rates are those that the robot reports. " in answer.flat
 
 
 @pytest.mark.parametrize("off_m", [0.02, 0.04])

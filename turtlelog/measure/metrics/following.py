@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.metric import ONE_POSE, Found, Missing, Result, Status
 from turtlelog.measure.metric_kinds import run_metric
+from turtlelog.measure.motion import find_dither_step
 from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.run_context import RunContext
@@ -228,7 +229,7 @@ _ROUNDING: Final = 1e-6
 rounded."""
 
 _SCATTER: Final = 3.0
-"""Width of the scatter at the end of a response, in standard deviations."""
+"""Width of the scatter at the beginning and end of a response, in standard deviations."""
 
 
 StepFigures = dict[str, float | None]
@@ -273,8 +274,12 @@ _GRAIN_S: Final = 1e-6
 """Rounding of times [s]: a command held for 499,999,999 ns is held for half a second."""
 
 
-def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures | None:
+def _measure_step(
+    rates: Rates, step: CommandStep, band: float, finest: float
+) -> StepFigures | None:
     """Return the figures of a rate's response to one step of its command; None without a response.
+
+    `finest` is the resolution of the rates [m/s or rad/s].
 
     The settling time counts from the command. The overshoot is a fraction of the response [1]; 0
     within the band.
@@ -288,7 +293,8 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
     first_s = time_s[time_s <= step.time_s + HELD_AFTER_S]
     if len(settled) < 2 or np.diff(first_s, prepend=step.time_s).max(initial=0.0) > _LONGEST_GAP_S:
         return None
-    initial = float(np.mean(values[earlier])) if earlier.stop > earlier.start else float(inside[0])
+    before = values[earlier] if earlier.stop > earlier.start else inside[:1]
+    initial = float(np.mean(before))
     final, scatter = float(np.mean(settled)), _SCATTER * float(np.std(settled))
     size = final - initial
     if size / (step.after - step.before) < _ANSWERED:
@@ -298,7 +304,9 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
     inside = np.concatenate([[initial], inside])
     share, quantum = scatter / abs(size), _find_quantum(inside, initial, final) / abs(size)
     rise_begin_s, rise_end_s = find_rise(time_s, inside, initial, final)
-    is_seen = share <= 2.0 * _WIDEST and quantum <= _MARK
+    most = 2.0 * _WIDEST * abs(size)
+    is_seen = scatter <= most and _SCATTER * float(np.std(before)) <= most and quantum <= _MARK
+    is_seen &= finest <= _MARK * abs(size)
     figures: StepFigures = {"rise_time": None, "settling_time": None, "overshoot": None}
     if is_seen and not math.isnan(rise_end_s):
         figures["rise_time"] = rise_end_s - rise_begin_s
@@ -331,7 +339,8 @@ _NO_ANSWER: Final = Missing(
     Status.NOT_REACHED, "the robot does not do half of any step of its commands while it is held"
 )
 _NOT_SEEN: Final = Missing(
-    Status.UNDETERMINED, "the measured rate scatters too far for the steps there are"
+    Status.UNDETERMINED,
+    "the measured rate scatters too far, or is too coarse, for the steps there are",
 )
 
 
@@ -354,6 +363,20 @@ def _count_steps(axis: Axis) -> Callable[[RunContext], Result]:
     return count
 
 
+def _find_rate_resolution(context: RunContext, axis: Axis, rates: Rates) -> float:
+    """Return the resolution of a robot's rates [m/s or rad/s]; 0 for a simulation."""
+    poses = context.run.poses
+    if poses.speed_m_s is not None:
+        return 0.0
+    reported = poses.measured_speed_m_s if axis == "speed" else poses.measured_turn_rate_rad_s
+    if reported is not None:
+        return find_dither_step(reported)
+    from turtlelog.measure.breaks import find_pose_resolution  # simulations need none of it
+
+    finest = find_pose_resolution(context.run)[axis == "turn_rate"]
+    return finest / compute_median(subtract_neighbours(rates.edges_s))
+
+
 def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunContext], Result]:
     def compute(context: RunContext) -> Result:
         steps, rates = _find_steps(context, axis), context.get_rates(axis)
@@ -366,8 +389,8 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
         if period_s * _FEWEST_RATES > NEAR * HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST_RATES} Hz"
             return Missing(Status.TOO_SHORT, reason)
-        band = context.settings.band
-        answers = (_measure_step(rates, step, band) for step in steps)
+        band, finest = context.settings.band, _find_rate_resolution(context, axis, rates)
+        answers = (_measure_step(rates, step, band, finest) for step in steps)
         figures = context.recall(
             ("answers", axis), lambda: [one for one in answers if one is not None]
         )

@@ -15,6 +15,7 @@ from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.references import recall
 from turtlelog.measure.run_context import RunContext
+from turtlelog.run import take_rows
 from turtlelog.run.angles import unwrap_headings
 
 if TYPE_CHECKING:
@@ -159,9 +160,9 @@ def judge_rest(context: RunContext) -> Rest | Missing:
     """Return the rest of a robot, found in its poses, or why it is unknown.
 
     The time between two poses counts as rest if all poses of the half second before or after it
-    lie within a threshold. A rest therefore includes its beginning and end, and a robot that swings
-    does not rest. If poses are noisy, means of several poses are compared, over as much time as the
-    noise needs.
+    lie within a threshold; a robot that swings does not rest. Fast steps beside motion do not
+    count. If poses are noisy, means of several poses are compared, over as much time as the noise
+    needs.
     """
     return recall(context.run, "rest", lambda: _judge_rest(context))
 
@@ -183,6 +184,13 @@ def _judge_rest(context: RunContext) -> Rest | Missing:
         if is_at_rest.any():
             return _HIDDEN
     steps_s = subtract_neighbours(time_s)
+    sizes = (0.0, 0.0)
+    if noise is not None:
+        from turtlelog.measure.pose_quality import measure_noise
+
+        all_rad = measure_noise(take_rows(context.run.poses, spaced.rows)).heading_rad
+        sizes = noise.position_m, max(noise.heading_rad, all_rad)  # even if it turns to and fro
+    _shorten_rests(is_at_rest, steps_s, columns, sizes)
     seen_s = float(time_s[-1] - time_s[0]) - float(steps_s[~spaced.is_seen].sum())
     silent_s = _measure_silence(steps_s, columns, spaced.is_seen & ~is_at_rest)
     if silent_s > _SILENT * seen_s:
@@ -194,6 +202,26 @@ def _judge_rest(context: RunContext) -> Rest | Missing:
     crept_m = np.hypot(*(xy_m[ends[1::2]] - xy_m[ends[::2]]).T)
     crept_m = crept_m[crept_m > _ENDS * (0.0 if noise is None else noise.position_m)]
     return Rest(time_s=float(steps_s[is_at_rest].sum()), seen_s=seen_s, way_m=float(crept_m.sum()))
+
+
+def _shorten_rests(
+    is_at_rest: NDArray[np.bool_],
+    steps_s: Values,
+    columns: Sequence[Values],
+    sizes: tuple[float, float],
+) -> None:
+    """Drop from both ends of each rest the steps that are faster than rest.
+
+    `sizes` are the noise of positions [m] and headings [rad].
+    """
+    x_m, y_m, turned_rad = (np.abs(subtract_neighbours(at)) for at in columns)
+    is_slow = np.hypot(x_m, y_m) <= AT_REST_M_S * steps_s + _ENDS * sizes[0]
+    is_slow &= turned_rad <= AT_REST_RAD_S * steps_s + _ENDS * sizes[1]
+    ends = np.flatnonzero(np.diff(is_at_rest, prepend=False, append=False))
+    for first, last in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
+        slow = first + np.flatnonzero(is_slow[first:last])
+        is_at_rest[first : slow.min(initial=last)] = first == 0
+        is_at_rest[slow.max(initial=first) + 1 : last] = last == len(is_slow)
 
 
 _SILENT: Final = 0.05
