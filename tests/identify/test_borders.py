@@ -174,8 +174,10 @@ def test_a_silence_must_be_long_to_be_a_stop(silence_s: float, stops: int) -> No
 
 @pytest.mark.parametrize(
     ("silence_s", "wait_s", "stops"),
-    [(0.49, 0.75, 0), (0.52, 0.75, 1), (1.38, 0.75, 1), (1.47, 0.75, 0)]
-    + [(0.62, 1.0, 0), (0.72, 1.0, 1)],
+    [
+        *((0.49, 0.75, 0), (0.52, 0.75, 1), (1.38, 0.75, 1), (1.47, 0.75, 0)),
+        *((0.62, 1.0, 0), (0.72, 1.0, 1)),
+    ],
 )
 def test_silences_as_long_as_that_of_a_known_stop_may_hide_another(
     silence_s: float, wait_s: float, stops: int

@@ -329,7 +329,7 @@ _ABOVE_NOISE: Final = 3.0
 def find_silent_stops(
     command_s: Values, command: Values, time_s: Values, moved: Values
 ) -> list[SilentStop]:
-    """Return the silences after a nonzero command at the end of which a robot is, or may be, at rest.
+    """Return the silences after a nonzero command in which a robot stops, or may stop.
 
     `time_s` are the times of the poses [s], shape (n + 1,), `moved` the steps between them, (n,).
     """

@@ -152,19 +152,25 @@ def _copy_records(stream: BinaryIO, copy: _Copy, *, is_partial: bool) -> bool:
             if operation in {_INDEX, _CHUNK_INFO, _BAG}:
                 stream.seek(size, 1)
                 continue
-            begin = stream.tell()
-            try:
-                _take(copy, operation, header, _read(stream, size))
-            except _EndError:
-                stream.seek(begin)
-                if is_partial and operation == _CHUNK:
-                    with suppress(LogError):  # a plain chunk shows its records up to the cut
-                        _take(copy, operation, header, stream.read(size))
-                return False
+            _take_next(stream, copy, header, size, is_partial=is_partial)
         except _EndError:
             return False
         except LogError as err:
             raise LogError(f"byte {byte}: {err}") from err
+
+
+def _take_next(
+    stream: BinaryIO, copy: _Copy, header: Mapping[str, bytes], size: int, *, is_partial: bool
+) -> None:
+    """Take the data of a record; of a chunk that is cut, the records before it, if plain."""
+    operation = _find(header, "op", 1)[0]
+    try:
+        _take(copy, operation, header, _read(stream, size))
+    except _EndError as err:
+        if is_partial and operation == _CHUNK:
+            with suppress(LogError):
+                _take(copy, operation, header, err.args[0])
+        raise
 
 
 def _take(copy: _Copy, operation: int, header: Mapping[str, bytes], data: bytes) -> None:
@@ -307,7 +313,7 @@ def _read(stream: BinaryIO, size: int) -> bytes:
     while len(found) < size:
         part = stream.read(min(_STEP, size - len(found)))
         if not part:
-            raise _EndError
+            raise _EndError(bytes(found))
         found += part
     return bytes(found)
 

@@ -28,7 +28,8 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
-from turtlelog.log.ros2.bag_inputs import choose_command_topic
+from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.ros2.bag_inputs import choose_command_topic, choose_commands
 from turtlelog.log.ros2.bag_topics import choose_pose_topic
 from turtlelog.log.ros2.reported_motion import describe_leaps
 
@@ -400,3 +401,13 @@ def test_a_fifth_of_the_poses_must_leap(share: float, *, is_said: bool) -> None:
 def test_large_noise_is_no_second_program() -> None:
     noise_m = np.random.default_rng(1).normal(scale=5.0, size=(4000, 2))
     assert describe_leaps(noise_m) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "is_told"), [("/control/control_cmd", True), ("/control/status", False)]
+)
+def test_commands_of_an_unread_type_are_named(name: str, *, is_told: bool) -> None:
+    kind = "autoware_auto_control_msgs/msg/AckermannControlCommand"
+    pick, lack = choose_commands(list_topics((name, kind)), ReadChoice(), pose_topic="/odom")
+    assert pick is None
+    assert lack.startswith(f"commands on {name}: {kind} is not read") is is_told

@@ -26,7 +26,7 @@ from turtlelog.run.angles import rotate_vectors
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
-"""Topics of a turtlelog recording that have the type of commands but contain none."""
+"""Topics of turtlelog recordings that contain no commands but have their type."""
 
 _VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
 """Names of velocities that are measured if a pose has the same namespace: velocity_local and
@@ -87,8 +87,17 @@ def choose_commands(
     if pick is not None and pick.topic.type in steering:
         raise LogError(f"command_topic {pick.source.describe()}: {bag_topics.NEEDS_WHEELBASE}")
     if pick is not None or (steered := choose(None, types=steering)) is None:
-        return pick, ""
+        return pick, _describe_unread(topics) if pose_topic and pick is None else ""
     return None, f"commands on {steered.source.describe()}: {bag_topics.NEEDS_WHEELBASE}"
+
+
+def _describe_unread(topics: Iterable[TopicInfo]) -> str:
+    """Return the first topic that is named as commands and has another type; may be empty."""
+    for one in topics:
+        is_named = bag_topics.rank_name(one.topic, _COMMAND_NAMES) < len(_COMMAND_NAMES)
+        if is_named and one.count and not one.reason and one.type not in bag_topics.COMMAND_TYPES:
+            return f"commands on {one.topic}: {one.type} is not read, Twist and AckermannDrive are"
+    return ""
 
 
 def choose_command_topic(
@@ -366,7 +375,7 @@ def find_path(
     """Return the points of the path that counts [m], None for none, a note and when it was given.
 
     It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock),
-    or, if later paths end elsewhere, the first to the last goal. The points are in the poses' frame.
+    or, if later paths end elsewhere, the first to the last goal; in the frame of the poses.
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))
