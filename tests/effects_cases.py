@@ -71,6 +71,7 @@ EFFECTS: Final[Mapping[str, Changes]] = MappingProxyType(
             "plant.turn_acceleration": 2.0,
             "plant.turn_bound": 0.8,
             "plant.turn_deadband": 0.01,
+            "plant.turn_friction": 0.01,
             "plant.turn_reverse_gain": 1.1,
         },
     }

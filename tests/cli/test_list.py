@@ -38,7 +38,8 @@ def test_every_name_is_listed(call: Call) -> None:
     # Those of other laws follow, each under its law, and those of the robot.
     ours = find_causes(scenario)
     others = [one.name for kind in [*LAWS][1:] for one in list_causes(LAWS[kind])]
-    robot = [f"robot-{name}" for name in ("acceleration", "bound", "deadband", "reverse-gain")]
+    limits = ("acceleration", "bound", "deadband", "friction", "reverse-gain")
+    robot = [f"robot-{name}" for name in limits]
     assert found["causes"] == [*ours, *others, *robot]
 
 

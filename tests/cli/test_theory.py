@@ -7,6 +7,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from turtlelog.cli.theory_gains import is_better
 
 
 def test_theory_answers_in_json(call: Call) -> None:
@@ -89,14 +90,15 @@ def test_recommended_gains_say_what_they_cost(call: Call) -> None:
 
 
 def test_a_scenario_keeps_the_gains_of_one_loop_and_changes_those_of_the_other(
-    call: Call, kp4: Path
+    call: Call,
 ) -> None:
-    answer = call("theory", kp4)
+    words = ("theory", "textbook", "--kp", "64", "--set", "law.kp_angular=4")
+    answer = call(*words)
     text = " ".join(answer.out.split())
-    assert "Kp = 5.85 1/s (rotate); keep Kp = 4 1/s (translate)." in text
-    assert "--set law.kp_angular=5.85 Poles" in text.replace(str(kp4), "kp4.mcap")
-    loops = call("theory", kp4, "--json").json["loops"]
-    assert [loop["kept_kp"] for loop in loops] == [None, 4.0]
+    assert "Kp = 65.6 1/s (rotate); keep Kp = 64 1/s (translate)." in text
+    assert "run textbook --kp 64 --set law.kp_angular=65.6 Poles" in text
+    loops = call(*words, "--json").json["loops"]
+    assert [loop["kept_kp"] for loop in loops] == [None, 64.0]
 
 
 def test_gains_to_try_are_of_one_controller(call: Call, tmp_path: Path) -> None:
@@ -265,7 +267,8 @@ def test_a_scenario_is_answered_loop_by_loop(call: Call) -> None:
     assert rotate["most_dead_time_s"] == pytest.approx(0.096)
     assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1"]
     assert translate["left_out"] == ["limits.speed_m_s = 1"]
-    assert set(translate["sources"].values()) == {"from the scenario"}
+    assert {translate["sources"][key] for key in ("gains", "plant")} == {"from the scenario"}
+    assert translate["sources"]["dead_time_s"] == "measured in the simulated run, 6 ticks"
 
 
 def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
@@ -278,11 +281,11 @@ def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
     assert rotate["sources"]["gains"] == "from the scenario"
     lines = call("theory", kp10).out.splitlines()
     words = " ".join(lines)
-    first = "kp10.mcap: recommended Kp = 7.14 1/s (rotate), Kp = 4.95 1/s (translate)."
-    assert lines[:2] == [first, "This is for 5 % overshoot, without command limits."]
-    assert "rotate: better than Kp = 10 1/s in overshoot (5 % instead of 22.6 %), settling" in words
+    first = "kp10.mcap: recommended Kp = 3.54 1/s (rotate and translate)."
+    assert lines[:2] == [first, "This is for 0 % overshoot, without command limits."]
+    assert "rotate: better than Kp = 10 1/s in overshoot (0 % instead of 54.2 %), settling" in words
     assert "gain margin and phase margin; stable for Kp below 15.07 1/s." in words
-    assert "--set law.kp_angular=7.14 --set law.kp_linear=4.95" in words
+    assert "--set law.kp_angular=3.54 --set law.kp_linear=3.54" in words
     assert len(lines) <= 40
     assert max(map(len, [line for line in lines if str(kp10) not in line])) <= 80
     details = " ".join(call("theory", kp10, "--details").out.split())
@@ -304,7 +307,59 @@ def test_the_wish_is_told_of_each_loop_and_as_a_bound_for_gains_that_are_kept(
     words: tuple[str, ...], wish: str, call: Call
 ) -> None:
     text = " ".join(call("theory", *words).out.split())
-    assert f"This is for {wish}, without command limits." in text
+    assert f" for {wish}, without command limits." in text
+
+
+def test_gains_are_recommended_that_improve_the_simulated_run(call: Call, kp10: Path) -> None:
+    """Three runs are simulated, and run again as advised, which takes 2 s or more."""
+    answers = [call("theory", word, "--json").json for word in (kp10, "paper-kp10")]
+    assert answers[0]["trials"] == answers[1]["trials"]  # the preset is the recording
+    first, last = answers[0]["trials"]
+    assert [one["is_better"] for one in (first, last)] == [True, True]
+    assert first["ending"].startswith("missed the goal by 0.012 m")  # nearer, but not there
+    assert last["present_ending"].startswith("missed the goal by 0.107 m")
+    changes = [word for key, kp in last["gains"].items() for word in ("--set", f"{key}={kp:.3g}")]
+    ending = call("run", kp10, *changes, "--json").json["ending"]
+    assert last["ending"].startswith(f"{ending} (settling time: rotate ")
+    assert ending.startswith("reached the goal within 5.85 mm")
+
+
+@pytest.mark.parametrize(("kp", "is_better"), [("1.58", False), ("1", True)])
+def test_no_gains_are_recommended_that_make_the_simulated_run_miss_its_goal(
+    call: Call, kp: str, *, is_better: bool
+) -> None:
+    words = ("theory", "lagged", "--kp", kp)
+    trials = call(*words, "--json").json["trials"]
+    assert trials[0]["ending"].startswith("missed the goal by 6.97 mm")
+    assert trials[-1]["present_ending"].startswith("reached the goal within ")
+    assert [trials[0]["is_better"], trials[-1]["is_better"]] == [False, is_better]
+    text = " ".join(call(*words).out.split())
+    assert ("Try them: turtlelog run lagged --kp 1 --set" in text) is is_better
+    refused = f"theory knows no better gains for the whole run than Kp = {kp} 1/s"
+    assert (refused in text) is not is_better
+
+
+def test_ends_within_the_tolerances_and_times_within_a_sample_are_equally_good() -> None:
+    kp4, kp10 = (tl.simulate_run(name) for name in ("paper-kp4", "paper-kp10"))
+    changes = {"law.kp_angular": 4.19, "law.kp_linear": 3.54}
+    near = tl.simulate_run("paper-kp4", changes=changes)  # 0.9 mm further off, 4 ms earlier
+    loops = ("rotate", "translate")
+    assert not is_better(near, kp4, loops)
+    assert not is_better(kp4, near, loops)
+    assert is_better(kp4, kp10, loops)  # 98 mm nearer, where the tolerances allow 6.7 mm
+    assert not is_better(kp10, kp4, loops)
+    slow, fast = (tl.simulate_run("textbook", changes={"law.kp_angular": kp}) for kp in (1.0, 1.02))
+    assert is_better(fast, slow, ("rotate",))  # 40 ms earlier
+    assert not is_better(slow, fast, ("rotate",))
+
+
+def test_gains_of_a_recording_that_cannot_be_simulated_are_not_tried(
+    call: Call, tmp_path: Path
+) -> None:
+    riddle = tmp_path / "riddle.mcap"
+    call("run", "paper-kp1", "--strip-scenario", "-o", riddle)
+    assert call("theory", riddle, "--json").json["trials"] == []
+    assert "Try them" not in call("theory", riddle).out
 
 
 def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_path: Path) -> None:
@@ -455,7 +510,8 @@ def test_each_loop_of_a_robot_has_recommended_gains(call: Call, tmp_path: Path) 
     )
     recording = tmp_path / "robot.mcap"
     assert call("run", robot, "-o", recording).code == 0
-    answers = [call("theory", path, "--json").json["loops"] for path in (robot, recording)]
+    wishes = ("--overshoot", "5", "--phase-margin", "60")
+    answers = [call("theory", path, *wishes, "--json").json["loops"] for path in (robot, recording)]
     turning = tl.theory.Process(lag_s=0.2, dead_time_s=0.08)
     driving = tl.theory.Process(gain=0.9, lag_s=0.1)
     for loops in answers:
@@ -470,8 +526,9 @@ def test_each_loop_of_a_robot_has_recommended_gains(call: Call, tmp_path: Path) 
 
 
 def test_gains_are_recommended_for_the_most_dead_time_that_queues_allow(call: Call) -> None:
-    both = call("theory", "paper-kp10", "--json").json["loops"]
-    flag = call("theory", "--dead-time", "6", "--json").json["recommended"]
+    wish = ("--overshoot", "5", "--json")
+    both = call("theory", "paper-kp10", *wish).json["loops"]
+    flag = call("theory", "--dead-time", "6", *wish).json["recommended"]
     for loop in both:
         found = [one["kp"] for one in loop["recommended"]]
         expected = [one["kp"] for one in flag]
@@ -491,8 +548,8 @@ def test_a_loop_that_theory_does_not_know_has_no_recommended_gains(call: Call) -
 
 def test_the_largest_step_without_clipping_is_told_for_recommended_gains(call: Call) -> None:
     words = " ".join(call("theory", "paper-kp10").out.split())
-    # The limit by the recommended gain: 1 rad/s / 4.946 1/s, and 1 m/s / 4.946 1/s.
-    told = "commands are clipped for errors above 11.6 deg (rotate) and 0.202 m (translate), which"
+    # The limit by the recommended gain: 1 rad/s / 3.541 1/s, and 1 m/s / 3.541 1/s.
+    told = "commands are clipped for errors above 16.2 deg (rotate) and 0.282 m (translate), which"
     assert f"At the recommended gains, {told} changes overshoot and settling time." in words
     kept = " ".join(call("theory", "paper-kp10", "--kp", "4.95").out.split())
     assert "Commands are clipped for errors above 11.6 deg (rotate)" in kept
@@ -514,6 +571,26 @@ def test_a_timer_is_stable_at_every_age_of_its_poses_up_to_the_told_gain(
     assert f"stable for Kp below {limit} 1/s at dead times up to 16 ms." in words
 
 
+@pytest.mark.parametrize(
+    ("kp", "verdict"),
+    [
+        ("33.1", "better than Kp = 33.1 1/s"),
+        ("33.3", "Kp = 33.3 1/s is stable at a dead time of 16 ms, unstable at 32 ms. The dead"),
+        ("62.4", "Kp = 62.4 1/s is stable at a dead time of 16 ms, unstable at 32 ms. The dead"),
+        ("62.6", "Kp = 62.6 1/s is unstable"),
+    ],
+)
+def test_no_verdict_is_told_between_the_limits_of_the_oldest_and_the_newest_pose(
+    kp: str, verdict: str, call: Call
+) -> None:
+    timer = ("loop.trigger=timer", "loop.period_s=0.03", "sensing.delay_s=0.02")
+    words = [word for key in timer for word in ("--set", key)]
+    text = " ".join(call("theory", "textbook", *words, "--kp", kp, "--details").out.split())
+    assert f"rotate and translate: {verdict}" in text
+    assert "stable for Kp below 33.19 1/s at the most dead time, 32 ms." in text
+    assert "sensing.delay_s=0.02, at the least dead time rotate translate" in text
+
+
 def test_no_size_of_clipped_errors_is_told_for_an_integral_term(call: Call) -> None:
     pid = ("--set", "law.kind=sequential-pid", "--set", "law.ki_angular=0.2")
     words = " ".join(call("theory", "lagged", *pid).out.split())
@@ -528,6 +605,6 @@ def test_a_command_of_two_lines_can_be_pasted(call: Call) -> None:
     # In a shell, a backslash before the end of a line joins two lines.
     words = shlex.split(command.replace("\\\n", " "))
     assert words == [
-        *("turtlelog", "run", "paper-kp10", "--set", "law.kp_angular=4.95"),
-        *("--set", "law.kp_linear=4.95"),
+        *("turtlelog", "run", "paper-kp10", "--set", "law.kp_angular=3.54"),
+        *("--set", "law.kp_linear=3.54"),
     ]

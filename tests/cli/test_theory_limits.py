@@ -9,9 +9,9 @@ JERK = "--set", "limits.jerk_m_s3=0.8", "--set", "loop.period_ticks=3"
 
 def test_gains_allow_for_a_jerk_limit_and_say_so(call: Call) -> None:
     """The overshoot of tens of steps is searched, which takes 2 to 6 s."""
-    text = " ".join(call("theory", "textbook", *JERK).out.split())
+    text = " ".join(call("theory", "textbook", *JERK, "--kp", "2").out.split())
     assert "without command limits (rotate), with all limits of speed and acceleration" in text
-    assert "translate: better than Kp = 1 1/s in overshoot (5 % instead of" in text
+    assert "translate: better than Kp = 2 1/s in overshoot (5 % instead of" in text
     assert "stable in small steps for Kp below" in text
     assert "are the largest of 49 steps of 0.559 m to 5.69 m, with all limits" in text
     assert "leaves out" not in text
@@ -79,3 +79,29 @@ def test_an_overshoot_at_the_samples_is_told_from_that_of_the_motion(
     assert ("The sampled loop, at its samples" in text) is is_between
     details = " ".join(call("theory", "--kp", "2.5", *words, "--details").out.split())
     assert ("Overshoot is at the samples; between samples" in details) is is_between
+
+
+def test_an_axis_that_no_log_shows_has_no_recommended_gains(call: Call) -> None:
+    words = ("theory", "lagged", "--set", "plant.turn_assumed=true")
+    rotate, translate = call(*words, "--json").json["loops"]
+    assert (rotate["status"], rotate["recommended"]) == ("unknown", [])
+    assert (translate["status"], len(translate["recommended"])) == ("ok", 10)
+    text = " ".join(call(*words).out.split())
+    assert "rotate (heading) is unknown: no log shows how the turn rate follows commands" in text
+    assert "law.kp_angular" not in text
+
+
+def test_no_limit_is_told_of_a_robot_that_oscillates(call: Call) -> None:
+    words = ("theory", "lagged", "--set", "plant.speed_oscillates=true")
+    text = " ".join(call(*words).out.split())
+    assert "translate: Kp = 1 1/s: the robot oscillates. Theory has a longer dead time" in text
+    assert "rotate: better than Kp = 1 1/s in settling time" in text
+    assert text.count("stable for Kp below") == 1
+    assert "simulated run" not in text  # the simulated robot does not oscillate
+
+
+def test_a_robot_with_friction_stops_short_of_its_goal_and_theory_says_so(call: Call) -> None:
+    text = " ".join(call("theory", "lagged", "--set", "plant.speed_friction=0.1").out.split())
+    assert "theory's linear loop leaves out plant.speed_friction = 0.1" in text
+    # It rests where Kp times the error is the friction, 0.1 m before the goal at Kp = 1.
+    assert "With the present gains it missed the goal by 0.1 m (allowed" in text

@@ -82,6 +82,7 @@ PROPERTIES: dict[str, tuple[str, str, dict[str, Any]]] = {
     ),
     "robot-bound": ("rotate.iae", "lower", {**ROBOT, "plant.turn_bound": 0.4}),
     "robot-deadband": ("final.heading_error", "lower", {**ROBOT, "plant.turn_deadband": 0.3}),
+    "robot-friction": ("final.heading_error", "lower", {**ROBOT, "plant.turn_friction": 0.3}),
     "robot-reverse-gain": (
         "rotate.iae", "lower",
         {**ROBOT, "plant.turn_reverse_gain": 0.4, "goal.x_m": 6.5, "goal.y_m": 4.9},

@@ -23,6 +23,7 @@ KINDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "acceleration": ("acceleration",),
         "bound": ("bound",),
         "deadband": ("deadband",),
+        "friction": ("friction",),
         "reverse gain": ("reverse_gain",),
         "two": ("acceleration", "bound"),
         "all": ("acceleration", "bound", "deadband", "reverse_gain"),
@@ -51,6 +52,7 @@ def draw_robot(kind: str, seed: int) -> tuple[Keys, Log]:
             "acceleration": float(rng.uniform(1.5, 5.0)),
             "bound": gain * float(rng.uniform(0.5, 1.2)),
             "deadband": float(rng.uniform(0.1, 0.4)),
+            "friction": float(np.random.default_rng([seed, 72]).uniform(0.1, 0.3)),
             "reverse_gain": gain * float(rng.uniform(0.75, 0.92)),
         }
         keys |= {f"{key}{name}": limits[name] for name in KINDS[kind]}

@@ -251,7 +251,9 @@ def test_in_doubt_advice_has_the_longer_delay_and_says_so() -> None:
     delay_s = plant.turn_dead_time_s + plant.turn_lag_s
     assert delay_s >= known(axis.total_delay_s).high - 1e-5
     assert plant.turn_gain == pytest.approx(known(axis.gain).high, rel=1e-4)
-    assert read_robot_notes(robot.text) == [f"Doubt: {axis.doubts[0]}"]
+    doubt, note = read_robot_notes(robot.text)
+    assert doubt == f"Doubt: {axis.doubts[0]}"
+    assert note.startswith("Note: The speed is never commanded, and so its dynamics are unknown.")
     assert max(turn_as_advised(model, run, BRAKING)) <= 6.0
 
 

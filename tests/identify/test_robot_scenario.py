@@ -318,6 +318,7 @@ def test_an_axis_that_is_never_commanded_follows_at_once() -> None:
     robot = build(make_run(LOG, 1, steps, (steps[0], 0.0 * steps[1])))
     plant = robot.scenario.plant
     assert (plant.turn_gain, plant.turn_dead_time_s, plant.turn_lag_s) == (1.0, 0.0, 0.0)
+    assert (plant.turn_assumed, plant.speed_assumed) == (True, None)
     assert plant.speed_gain == pytest.approx(0.9, rel=0.02)
     assert "The turn rate is never commanded, and so its dynamics are unknown" in " ".join(
         robot.notes

@@ -48,6 +48,7 @@ def test_the_scenario_of_a_robot_that_oscillates_has_a_longer_dead_time_and_says
     longer_s = model.turn_rate.oscillation_delay_s
     assert longer_s == pytest.approx(0.5 * 0.1 * (2.0 * 0.4) ** -3.0, rel=0.05)
     assert plant.turn_dead_time_s == pytest.approx(0.07 + longer_s, abs=3e-3)
+    assert (plant.turn_oscillates, plant.speed_oscillates) == (True, None)
     assert "because it oscillates" in " ".join(robot.notes)
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests import sequential
 from tests.log.runs import find_shared
 from tests.simulate.random_scenarios import build_random
@@ -478,3 +479,20 @@ def test_full_turns_that_the_log_hides_are_said(
     metric = metrics[f"{loop}.rise_time"]
     assert (metric.value, metric.status) == (None, Status.UNDETERMINED)
     assert "hides full turns" in metric.reason
+
+
+@pytest.mark.parametrize(("factor", "is_told"), [(0.94, True), (0.96, False), (-1.0, True)])
+def test_commands_that_contradict_the_declared_gain_leave_the_loop_without_a_model(
+    factor: float, *, is_told: bool
+) -> None:
+    run = tl.simulate_run("paper-kp2")
+    wanted = run.samples.wanted_turn_rate_rad_s
+    assert wanted is not None
+    samples = replace(run.samples, wanted_turn_rate_rad_s=factor * wanted)
+    rotate, translate = model_run_loops(replace(run, samples=samples))
+    reason = (
+        f"its recorded commands are {factor:g} times law.kp_angular times the error (median),"
+        " not 1 as the law declares"
+    )
+    assert (rotate.reason, rotate.gains is None) == ((reason if is_told else ""), is_told)
+    assert translate.reason == ""

@@ -113,6 +113,12 @@ def test_commands_up_to_the_deadband_move_nothing_and_larger_ones_act_whole() ->
     assert drive(keys, [(0, *above)], SECOND_NS).state[3:] == (0.5 * above[0], above[1])
 
 
+def test_friction_takes_as_much_off_each_command_and_holds_the_robot_below() -> None:
+    keys = LaggedKeys(speed_gain=0.5, speed_friction=0.2, turn_friction=0.25)
+    assert drive(keys, [(0, -0.2, 0.25)], SECOND_NS).state == (0.0, 0.0, 0.0, 0.0, 0.0)
+    assert drive(keys, [(0, 0.7, -1.0)], SECOND_NS).state[3:] == (0.5 * (0.7 - 0.2), -0.75)
+
+
 def test_commands_below_0_have_a_gain_of_their_own() -> None:
     keys = LaggedKeys(speed_gain=0.9, speed_reverse_gain=0.5, turn_reverse_gain=0.0)
     assert drive(keys, [(0, -1.0, -1.0)], SECOND_NS).state == (-0.5, 0.0, 0.0, 0.5, 0.0)
@@ -259,6 +265,7 @@ LIMITED = st.builds(
     speed_bound=st.sampled_from([0.8, math.inf]),
     turn_bound=st.sampled_from([2.0, math.inf]),
     turn_deadband=st.sampled_from([0.0, 0.5]),
+    turn_friction=st.sampled_from([0.0, 0.3]),
     speed_reverse_gain=st.sampled_from([None, 0.6]),
     turn_reverse_gain=st.sampled_from([None, 1.2]),
 )
@@ -329,7 +336,9 @@ def integrate(keys: LaggedKeys, commands: list[Command], end_ns: int) -> tuple[f
         gain = getattr(keys, f"{axis}_gain") if command > 0 or reverse is None else reverse
         bound = getattr(keys, f"{axis}_bound")
         is_dead = abs(command) <= getattr(keys, f"{axis}_deadband")
-        return 0.0 if is_dead else float(np.clip(gain * command, -bound, bound))
+        size = max(abs(command) - getattr(keys, f"{axis}_friction"), 0.0)
+        rate = gain * math.copysign(size, command)
+        return 0.0 if is_dead else float(np.clip(rate, -bound, bound))
 
     dead_times = {round(getattr(keys, f"{axis}_dead_time_s") * 1e9) for axis in ("speed", "turn")}
     switches = {one[0] + dead_ns for one in commands for dead_ns in dead_times}

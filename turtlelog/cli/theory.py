@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -13,16 +13,23 @@ from turtlelog.cli.options import Json, ReadingOptions, read_runs
 from turtlelog.cli.scenario import LawOptions, is_recording, load_changed_scenario
 from turtlelog.cli.theory_answer import format_file, format_integrator, format_terms
 from turtlelog.cli.theory_gains import (
+    ChosenGains,
+    GainTrial,
     Recommended,
     RecommendedGains,
     WishOptions,
     build_recommended,
     find_kept,
+    is_better,
+    list_changes,
+    simulate,
+    tell_end,
 )
 from turtlelog.cli.theory_loops import LoopAnswer, PidAnswer, build_integrator, build_pid_loop
 from turtlelog.cli.usage import Whole, parse_option
-from turtlelog.errors import TheoryError, UsageError
+from turtlelog.errors import ScenarioError, TheoryError, UsageError
 from turtlelog.files.urls import make_path
+from turtlelog.run.stop_reasons import find_goal_end
 
 _MOST_GAINS: Final = 100
 
@@ -44,7 +51,8 @@ class LoopOptions:
         low_pass: Time constant of a first-order low-pass of the commands [s], as low_pass_s of
             [shaping].
         period: Sampling period [s]. Default: 0.016, turtlesim's tick.
-        dead_time: Dead time [ticks], 0 to 1000. Default: 0, the smallest possible.
+        dead_time: Dead time [ticks], 0 to 1000. Default: 6, the longest of the paper's programs; 0
+            with a period or an option of the plant.
         assignments: Set one key of the scenario. Can be repeated.
     """
 
@@ -67,6 +75,16 @@ class LoopOptions:
         given = [name for name in _TERMS if getattr(self, name) is not None]
         return [f"--{name.replace('_', '-')}" for name in given]
 
+    def choose_dead_time(self) -> int:
+        """Return the dead time [ticks]."""
+        own = self.gain, self.lag, self.dead_time_s, self.low_pass, self.period
+        is_turtlesim = all(value is None for value in own)
+        return (_LONGEST_TICKS if is_turtlesim else 0) if self.dead_time is None else self.dead_time
+
+
+_LONGEST_TICKS: Final = 6
+"""Dead time of the paper's programs while translating [ticks]. A loop of turtlesim without any
+would have gains that no such loop can use."""
 
 _TERMS: Final = ("ki", "kd", "filter", "gain", "lag", "dead_time_s", "low_pass")
 
@@ -113,7 +131,9 @@ def theory(
         if scenario is None:
             _answer_loop(options, wanted, details=details, json=json)
         else:
-            _answer_file(scenario, options, topics, wanted, details=details, json=json)
+            subject = _read_subject(scenario, options, topics)
+            chosen = _choose_gains(subject, wanted, is_given=wanted is wishes)
+            _answer_file(scenario, options, subject, chosen, details=details, json=json)
     except TheoryError as err:
         option = _OPTIONS.get(err.quantity or "")
         if option is None:
@@ -143,7 +163,7 @@ def _answer_loop(options: LoopOptions, wanted: WishOptions, *, details: bool, js
         raise UsageError("--set changes a scenario: turtlelog theory SCENARIO --set KEY=VALUE")
     kps = _parse_gains("1,2,4,10" if options.kp is None else options.kp)
     period_s = tl.plants.TURTLESIM.period_s if options.period is None else options.period
-    ticks = options.dead_time or 0
+    ticks = options.choose_dead_time()
     process = tl.theory.Process(
         gain=1.0 if options.gain is None else options.gain,
         lag_s=options.lag or 0.0,
@@ -241,43 +261,96 @@ class DeclaredLoopAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _FileAnswer:
-    """Each loop of a scenario or a recording."""
+    """Each loop of a scenario or a recording.
+
+    Attributes:
+        trials: Simulated runs with recommended gains, those of the answer last.
+    """
 
     name: str
     source: str
     loops: list[DeclaredLoopAnswer]
+    trials: Sequence[GainTrial]
+
+
+class _Subject(NamedTuple):
+    """A scenario or a recording with its loops, and the scenario to try gains with, if any."""
+
+    name: str
+    source: str
+    models: "Sequence[tl.theory.LoopModel]"
+    scenario: "tl.Scenario | None"
+
+
+def _choose_gains(subject: _Subject, wanted: WishOptions, *, is_given: bool) -> ChosenGains:
+    """Return gains that improve the simulated run: as wanted, or else without overshoot.
+
+    Gains without overshoot are tried if the run with the wanted gains is no better, or still ends
+    away from its goal.
+    """
+    models = subject.models
+    chosen = ChosenGains(wanted, wanted.recommend_for(models), ())
+    loops = [name for one in chosen.groups for name in one.loops]
+    is_known = not any(model.oscillates for model in models)  # else the plant is another one
+    may_try = is_known and list_changes(models, chosen.groups)
+    present = best = simulate(subject.scenario) if may_try else None
+    trials: list[GainTrial] = []
+    for wish in (wanted,) if is_given else (wanted, replace(wanted, overshoot=0.0)):
+        groups = chosen.groups if wish is wanted else wish.recommend_for(models)
+        changes = list_changes(models, groups)
+        run = simulate(subject.scenario, changes) if present and changes else None
+        if run is None or present is None or best is None:
+            break
+        trial = GainTrial(
+            gains=changes,
+            ending=tell_end(run, loops),
+            present_ending=tell_end(present, loops),
+            is_better=is_better(run, best, loops),
+        )
+        if trial.is_better:
+            chosen, best = ChosenGains(wish, groups, ()), run
+        if trial.is_better or best is present:
+            trials.append(trial)
+        end = find_goal_end(best)
+        if best is not present and not (end and end.is_away):
+            break
+    return chosen._replace(trials=trials)
 
 
 def _answer_file(
     word: str,
     options: LoopOptions,
-    topics: ReadingOptions,
-    wanted: WishOptions,
+    subject: _Subject,
+    chosen: ChosenGains,
     *,
     details: bool,
     json: bool,
 ) -> None:
-    given = options.list_terms()
-    timing = {"--period": options.period, "--dead-time": options.dead_time}
-    given += [name for name, value in timing.items() if value]
-    if given:
-        raise UsageError(f"{given[0]}: leave it out beside SCENARIO, which has its own")
-    name, source, models = _read_models(word, options, topics)
     answers = [
         LoopAnswer(title=one.loop.name, found=None if one.reason else one.analyse(), model=one)
-        for one in models
+        for one in subject.models
     ]
-    groups = wanted.recommend_for(models)
     if not json:
-        label = tl.compare.label_file(word) if source == "recording" else name
-        print_text(format_file(label, word, answers, groups, wanted, shows_all=details))
+        label = tl.compare.label_file(word) if subject.source == "recording" else subject.name
+        given = [] if options.kp is None else ["--kp", options.kp]
+        changed = chosen.trials[-1].gains if chosen.trials else {}
+        kept = [one for one in options.assignments or () if one.partition("=")[0] not in changed]
+        given += [part for one in kept for part in ("--set", one)]
+        print_text(
+            format_file(
+                *(label, [word, *given], answers, chosen),
+                shows_all=details,
+            )
+        )
         return
-    recommended = {loop: one for one in groups for loop in one.loops}
+    recommended = {loop: one for one in chosen.groups for loop in one.loops}
     loops = [
         _build_declared(one.found, model, recommended.get(model.loop.name))
-        for one, model in zip(answers, models, strict=True)
+        for one, model in zip(answers, subject.models, strict=True)
     ]
-    print_json(_FileAnswer(name=name, source=source, loops=loops))
+    print_json(
+        _FileAnswer(name=subject.name, source=subject.source, loops=loops, trials=chosen.trials)
+    )
 
 
 def _build_declared(
@@ -299,17 +372,21 @@ def _build_declared(
     )
 
 
-def _read_models(
-    word: str, options: LoopOptions, topics: ReadingOptions
-) -> "tuple[str, str, Sequence[tl.theory.LoopModel]]":
-    """Return the name of a scenario or recording, its kind, and its loops."""
+def _read_subject(word: str, options: LoopOptions, topics: ReadingOptions) -> _Subject:
+    """Return the loops of a scenario or a recording."""
+    given = options.list_terms()
+    timing = {"--period": options.period, "--dead-time": options.dead_time}
+    given += [name for name, value in timing.items() if value]
+    if given:
+        raise UsageError(f"{given[0]}: leave it out beside SCENARIO, which has its own")
     path = make_path(word)
     if is_recording(path):
         if options.kp is not None or options.assignments:
             option = "--set" if options.kp is None else "--kp"
             raise UsageError(f"{option}: needs a scenario; {path} is a recording")
         (run,) = read_runs([path], topics)
-        return run.name, "recording", tl.measure.model_run_loops(run, identified=_identify(run))
+        models = tl.measure.model_run_loops(run, identified=_identify(run))
+        return _Subject(run.name, "recording", models, _restore(run, word))
     gains = [] if options.kp is None else _parse_gains(options.kp)
     if len(gains) > 1:
         raise UsageError(f"--kp: takes one gain with SCENARIO, not {len(gains)}")
@@ -317,7 +394,22 @@ def _read_models(
     chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, changes))
     parameters = tl.scenario.flatten_scenario(chosen)
     models = tl.theory.model_loops(tl.simulate.declare_scenario(chosen), parameters)
-    return chosen.name, "scenario", models
+    has_queue = any(one.most_dead_time_s and one.growth == "queues" for one in models)
+    simulated = simulate(chosen) if has_queue else None
+    if simulated is not None:  # as in a recording of this scenario
+        measured = tl.measure.model_run_loops(simulated, place="the simulated run")
+        models = tuple(b if b.gains else a for a, b in zip(models, measured, strict=True))
+    return _Subject(chosen.name, "scenario", models, chosen)
+
+
+def _restore(run: "tl.Run", word: str) -> "tl.Scenario | None":
+    """Return the scenario of a recording; None if it has none, or a law that may not run."""
+    if not run.scenario_is_complete:
+        return None
+    try:
+        return tl.scenario.resolve_scenario(tl.scenario.restore_scenario(run, source=word))
+    except ScenarioError:
+        return None
 
 
 def _identify(run: "tl.Run") -> dict[str, Any]:

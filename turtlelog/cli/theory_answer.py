@@ -12,6 +12,8 @@ import numpy as np
 import turtlelog as tl
 from turtlelog.cli.console import build_table, fill_lines, find_width
 from turtlelog.cli.theory_gains import (
+    ChosenGains,
+    GainTrial,
     Recommended,
     WishOptions,
     compare_gains,
@@ -198,10 +200,9 @@ def format_terms(
 
 def format_file(
     name: str,
-    word: str,
+    words: Sequence[str],
     answers: Sequence[LoopAnswer],
-    groups: Sequence[Recommended],
-    wishes: WishOptions,
+    chosen: ChosenGains,
     *,
     shows_all: bool,
 ) -> str:
@@ -212,28 +213,38 @@ def format_file(
         robot = "turtlelog identify BAG --scenario robot.toml, turtlelog theory robot.toml"
         hint = [] if answers else [f"Gains for a robot: {robot}"]
         return fill_lines([f"{name}: {why}.", *list_sources(answers), *hint])
+    wishes, groups, trials = chosen
+    is_worse = bool(trials) and not trials[-1].is_better
     advice = [
         _Advice(
             loop,
             one.find_best(given.controller),
             given,
-            is_kept=one.keeps(given),
+            is_kept=is_worse or one.keeps(given),
             is_limited=bool(one.steps),
         )
         for one in groups
         for loop, given in zip(one.loops, one.given, strict=True)
     ]
-    rest = [*list_sources(answers, shows_all=shows_all), *_list_run(word, answers, advice)]
+    rest = list_sources(answers, shows_all=shows_all)
+    if trials and not is_worse:
+        changes = (f"--set {key}={value:.3g}" for key, value in trials[-1].gains.items())
+        rest.append(f"Try them: turtlelog run {shlex.join(words)} {' '.join(changes)}")
     rest += (
         [] if shows_all else ["Poles and margins, published rules, sources of values: --details"]
     )
     tables = [tabulate_recommended(one, wishes, shows_all=shows_all) for one in groups]
-    tables += [tabulate_answers(f"The loops of {name}", answers)] if shows_all else []
+    grows = any(one.model and one.model.most_dead_time_s for one in known)
+    title = f"The loops of {name}{', at the least dead time' if grows else ''}"
+    tables += [tabulate_answers(title, answers)] if shows_all else []
     said: dict[str, list[str]] = {}
     for one in known:  # loops that are alike share a sentence
         said.setdefault(_describe_loop(one, advice), []).append(one.title)
     head = [f"{join_words(names)}: {text}" for text, names in said.items()]
-    head = [*_conclude(name, advice, wishes), *head, *_describe_clipping(known, advice)]
+    first = _conclude(name, advice, wishes, is_worse=is_worse)
+    if not trials and any(one.best and not one.is_kept for one in advice):
+        head.append("No run was simulated with these gains.")
+    head = [*first, *_tell_trials(trials), *head, *_describe_clipping(known, advice)]
     return _join(head, tables, rest)
 
 
@@ -255,7 +266,9 @@ class _Advice(NamedTuple):
     is_limited: bool
 
 
-def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iterator[str]:
+def _conclude(
+    name: str, advice: Sequence[_Advice], wishes: WishOptions, *, is_worse: bool
+) -> Iterator[str]:
     """Yield the recommended gains of each loop, the gains to keep, and what both are for."""
     changed = _list_gains([(one.loop, one.best) for one in advice if not one.is_kept])
     kept = _list_gains([(one.loop, one.given) for one in advice if one.is_kept])
@@ -267,6 +280,8 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
     advised = [one for one in advice if one.is_kept or one.best]
     missing = [one.loop for one in advice if one not in advised]
     told += [f"no gains for {join_words(missing)}"] if missing else []
+    if is_worse:
+        told = [f"theory knows no better gains for the whole run than {kept}"]
     yield f"{name}: {'; '.join(told)}."
     limited = [one.loop for one in advised if one.is_limited]
     ideal = [one.loop for one in advised if not one.is_limited]
@@ -277,13 +292,25 @@ def _conclude(name: str, advice: Sequence[_Advice], wishes: WishOptions) -> Iter
     for one in advised:
         if one.best:
             wish = wishes.describe(one.best.rule)
-            bound = _BOUNDS.get(one.best.rule, "") if one.is_kept else ""
+            bound = _BOUNDS.get(one.best.rule, "") if one.is_kept and not is_worse else ""
             wished.setdefault(f"{bound}{wish}", []).append(one.loop)
     said = [
         wish if len(wished) == 1 else f"{wish} ({join_words(loops)})"
         for wish, loops in wished.items()
     ]
-    yield f"This is for {join_words(said)}, {where}."
+    start = "Theory's gains are" if is_worse else "This is"
+    yield f"{start} for {join_words(said)}, {where}."
+
+
+def _tell_trials(trials: Sequence[GainTrial]) -> Iterator[str]:
+    """Yield how the simulated runs with recommended and with present gains ended."""
+    for one in trials:
+        gains = join_words([f"{key} = {value:.3g}" for key, value in one.gains.items()])
+        yield f"With {gains} the simulated run {one.ending}."
+    for one in trials[-1:]:
+        yield f"With the present gains it {one.present_ending}."
+    if not all(one.is_better for one in trials):
+        yield "Theory's gains are for a step of one loop, without phases that end by tolerances."
 
 
 _BOUNDS: Final = {"overshoot": "at most ", "phase-margin": "at least "}
@@ -304,8 +331,20 @@ def _describe_loop(answer: LoopAnswer, advice: Sequence[_Advice]) -> str:
     loop = answer.found
     if loop is None:
         return ""
+    if answer.model and answer.model.oscillates:
+        return (
+            f"{show_gains(loop.gains)}: the robot oscillates. Theory has a longer dead time in"
+            " place of that, so it knows neither the step response nor a limit of stability."
+        )
     own = next((one for one in advice if one.loop == answer.title), None)
     compared = compare_gains(own.best, own.given) if own and own.best and not own.is_kept else ""
+    most_s = answer.model.most_dead_time_s if answer.model else None
+    if own and own.given.margins is None and loop.stable and most_s is not None:
+        compared = (
+            f"{show_gains(loop.gains)} is stable at a dead time of {1e3 * loop.dead_time_s:.6g} ms,"
+            f" unstable at {1e3 * most_s:.6g} ms. The dead time changes between them, so theory"
+            " does not decide"
+        )
     said = compared.rstrip(".") or f"{show_gains(loop.gains)}: {_tell_given(loop, own)}"
     where = " in small steps" if own and own.is_limited else ""
     return f"{said}; stable{where} for Kp {_show_late_range(loop, answer.model)}."
@@ -430,20 +469,3 @@ def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:
         for low, high in ranges
     ]
     return " and ".join(written) or "of no value"
-
-
-def _list_run(word: str, answers: Sequence[LoopAnswer], advice: Sequence[_Advice]) -> Iterator[str]:
-    loops = {one.title: one.model.loop for one in answers if one.model}
-    words = []
-    for one in advice:
-        if one.best is None or one.best.gains is None or one.given.gains is None or one.is_kept:
-            continue
-        loop, new, old = loops[one.loop], one.best.gains, one.given.gains
-        terms = [
-            (loop.gain, new.kp, old.kp),
-            (loop.integral_gain, new.ki, old.ki),
-            (loop.derivative_gain, new.kd, old.kd),
-        ]
-        words += [f"--set {key}={new:.3g}" for key, new, old in terms if key and (new or old)]
-    if words:
-        yield f"Try them: turtlelog run {shlex.quote(word)} {' '.join(words)}"

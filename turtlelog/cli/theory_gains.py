@@ -1,7 +1,7 @@
 """Recommended gains as a small table and as JSON."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -10,7 +10,8 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.console import build_table
 from turtlelog.display import format_short, join_words
-from turtlelog.errors import UsageError
+from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.run.stop_reasons import find_goal_end
 
 
 @Parameter(name="*")
@@ -145,6 +146,90 @@ class Recommended(NamedTuple):
         settles_s = given.motion.settling_time_s
         excess = max(given.motion.overshoot_percent - wished, 0.0)
         return not self.keeps(given), excess, math.inf if settles_s is None else settles_s
+
+
+def list_changes(
+    models: "Sequence[tl.theory.LoopModel]", groups: Sequence[Recommended]
+) -> dict[str, float]:
+    """Return recommended gains of loops that need a change, by key, in three digits."""
+    loops = {model.loop.name: model.loop for model in models}
+    found = {}
+    for one in groups:
+        for name, given in zip(one.loops, one.given, strict=True):
+            best, loop = one.find_best(given.controller), loops[name]
+            if best is None or best.gains is None or given.gains is None or one.keeps(given):
+                continue
+            new, old = best.gains, given.gains
+            terms = (
+                (loop.gain, new.kp, old.kp),
+                (loop.integral_gain, new.ki, old.ki),
+                (loop.derivative_gain, new.kd, old.kd),
+            )
+            found.update({key: float(f"{a:.3g}") for key, a, b in terms if key and (a or b)})
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainTrial:
+    """A simulated run with recommended gains by key, beside the run with the present gains.
+
+    Attributes:
+        is_better: Whether the run ends nearer to a missed goal, or settles earlier.
+    """
+
+    gains: Mapping[str, float]
+    ending: str
+    present_ending: str
+    is_better: bool
+
+
+class ChosenGains(NamedTuple):
+    """Recommended gains, the wish that they are for, and the runs that tried gains."""
+
+    wanted: WishOptions
+    groups: list[Recommended]
+    trials: Sequence[GainTrial]
+
+
+def simulate(scenario: "tl.Scenario | None", changes: Mapping[str, float] = {}) -> "tl.Run | None":
+    """Return the run of a scenario with changes; None if it cannot run, or may not."""
+    try:
+        return None if scenario is None else tl.simulate_run(scenario, changes=changes)
+    except TurtlelogError:  # of a law of one's own, for example
+        return None
+
+
+def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
+    """Return whether a run ends better than another one.
+
+    What counts first: whether it ends at its goal, its distance if not, how many loops settle, and
+    when. Distances are equal within the tolerances of the law, times within a sample.
+    """
+    end, other_end = find_goal_end(run), find_goal_end(other)
+    if end is not None and other_end is not None:
+        if end.is_away != other_end.is_away:
+            return other_end.is_away
+        if end.is_away and abs(end.error_m - other_end.error_m) > end.allowed_m:
+            return end.error_m < other_end.error_m
+    times_s, other_s = _find_settling_times(run, loops), _find_settling_times(other, loops)
+    if len(times_s) != len(other_s):
+        return len(times_s) > len(other_s)
+    earlier_s = sum(other_s.values()) - sum(times_s.values())
+    return earlier_s * len(run.samples) > run.duration_s * len(times_s)
+
+
+def tell_end(run: "tl.Run", loops: Sequence[str]) -> str:
+    """Return how a run ended, and when its loops settled, without a subject."""
+    end, times_s = find_goal_end(run), _find_settling_times(run, loops)
+    told = [f"{one} {times_s[one]:.3g} s" if one in times_s else f"{one} none" for one in loops]
+    return f"{end.describe() if end else 'ended'} (settling time: {', '.join(told)})"
+
+
+def _find_settling_times(run: "tl.Run", loops: Sequence[str]) -> dict[str, float]:
+    """Return the settling times of the loops that settle [s]."""
+    metrics = tl.measure_run(run, only=[f"{loop}.settling_time" for loop in loops])
+    values = {loop: metrics[f"{loop}.settling_time"].value for loop in loops}
+    return {loop: float(value) for loop, value in values.items() if isinstance(value, float)}
 
 
 _Design = tuple["tl.theory.Process", float, float, "tl.theory.StepLimits | None"]

@@ -179,10 +179,11 @@ def _list_plant(model: RobotModel) -> Part:
         gain, delay_s = axis.advised_gain, axis.advised_delay_s
         if gain is None or delay_s is None or total is None or lag is None:
             values |= {f"{key}gain": 1.0, f"{key}dead_time_s": 0.0, f"{key}lag_s": 0.0}
+            values[f"{key}assumed"] = True
             notes.append(
-                f"The {name} is never commanded, and so its dynamics are unknown. The scenario"
-                f" lets it follow at once with a gain of 1: recommended gains for its loop mean"
-                f" nothing until it is driven."
+                f"{_NOTE}The {name} is never commanded, and so its dynamics are unknown. The"
+                " scenario lets it follow at once with a gain of 1, and theory recommends no"
+                " gains for its loop until it is driven."
             )
             continue
         values |= {
@@ -199,9 +200,10 @@ def _list_plant(model: RobotModel) -> Part:
             longer_s = axis.oscillation_delay_s
             longer = f" Its dead time is {1e3 * longer_s:.3g} ms longer, because it oscillates."
             notes.append(
-                f"The {name} is of second order, the plant of first: its time constant is the sum"
-                f" of both.{longer if longer_s else ''}"
+                f"{_NOTE if longer_s else ''}The {name} is of second order, the plant of first: its"
+                f" time constant is the sum of both.{longer if longer_s else ''}"
             )
+            values |= {f"{key}oscillates": True} if longer_s else {}
         notes += [*_tell_plant(axis), *_tell_drift(axis)]
     return values, notes
 
@@ -214,6 +216,8 @@ def _list_own_limits(axis: AxisModel) -> Iterator[tuple[str, float]]:
         yield "acceleration", axis.rate_limit.value
     if axis.deadband is not None:
         yield "deadband", axis.deadband.value
+    if axis.friction is not None:
+        yield "friction", axis.friction.value
     if axis.advised_reverse_gain is not None:
         yield "reverse_gain", axis.advised_reverse_gain
 
@@ -252,12 +256,6 @@ def _tell_plant(axis: AxisModel) -> Iterator[str]:
         yield (
             f"The deadband of the {name} is the middle between {low:.3g} {unit}, which moves"
             f" nothing, and {high:.3g} {unit}, which does."
-        )
-    if axis.friction is not None:
-        friction = axis.friction
-        yield (
-            f"The plant has no friction: the {name} has one of {friction.value:.3g}"
-            f" {friction.unit}."
         )
 
 

@@ -1,5 +1,6 @@
 """The dead time of a loop in a log, and a run's loops as models of theory."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,7 +30,7 @@ from turtlelog.run import Parameter, Run, take_rows
 from turtlelog.run.loops import ControlLoop, read_number
 
 if TYPE_CHECKING:
-    from turtlelog.theory import LoopModel, MeasuredTiming
+    from turtlelog.theory import LoopModel, MeasuredTiming, PidGains
 
 MOST_TICKS: Final = 1000
 """Largest dead time for which the delayed ideal loop is computed [ticks]."""
@@ -363,11 +364,8 @@ def take_beginning(run: Run, loop: ControlLoop) -> Run:
     )
 
 
-_MEASURED = "measured in the recording"
-
-
 def model_run_loops(
-    run: Run, *, identified: Mapping[str, Parameter] | None = None
+    run: Run, *, identified: Mapping[str, Parameter] | None = None, place: str = "the recording"
 ) -> "tuple[LoopModel, ...]":
     """Return the loops of a run as `theory` models them, one per declared loop.
 
@@ -378,12 +376,15 @@ def model_run_loops(
     Args:
         run: Any run.
         identified: Identified parameters for keys that the run lacks.
+        place: What the timing is measured in, in words.
     """
     parameters = {**(identified or {}), **run.parameters}
-    return tuple(_model(run, loop, parameters) for loop in run.declaration.loops)
+    return tuple(_model(run, loop, parameters, place) for loop in run.declaration.loops)
 
 
-def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> "LoopModel":
+def _model(
+    run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter], place: str
+) -> "LoopModel":
     from turtlelog.theory import model_loop  # it loads the laws
 
     sources = {}
@@ -393,11 +394,45 @@ def _model(run: Run, loop: ControlLoop, parameters: Mapping[str, Parameter]) -> 
         sources["plant"] = "assumed, as the recording names no plant"
     is_plain = parameters.get("plant.kind", "turtlesim") == "turtlesim"
     is_plain = is_plain and parameters.get("loop.trigger", "pose") == "pose"
-    timing = _measure_timing(run, loop) if is_plain else None
-    return model_loop(loop, parameters, timing=timing, sources=sources)
+    timing = _measure_timing(run, loop, f"measured in {place}") if is_plain else None
+    found = model_loop(loop, parameters, timing=timing, sources=sources)
+    against = _contradict(run, loop, found.gains)
+    return replace(found, gains=None, reason=against) if against else found
 
 
-def _measure_timing(run: Run, loop: ControlLoop) -> "MeasuredTiming | str":
+_FAR: Final = 0.05
+"""Largest difference of a proportional command from gain times error, as a share of it. Commands
+from poses of 32 bits are within 1e-3 of it; a gain off by 5 % changes no advice."""
+
+
+def _contradict(run: Run, loop: ControlLoop, gains: "PidGains | None") -> str:
+    """Return how most commands of a heading loop contradict its declared gain, or ""."""
+    rows = find_loop_samples(run, loop)
+    wanted, error = run.samples.wanted_turn_rate_rad_s, run.samples.heading_error_rad
+    if gains is None or rows is None or not (loop.has_theory and loop.signal == "heading"):
+        return ""
+    if wanted is None or error is None or not _has_error(run, loop, rows, error):
+        return ""
+    ratios = wanted[rows] / np.where(error[rows] == 0.0, math.nan, gains.kp * error[rows])
+    ratios = ratios[np.isfinite(ratios)]
+    if not len(ratios) or np.mean(np.abs(ratios - 1.0) > _FAR) <= 0.5:
+        return ""
+    times = f"its recorded commands are {float(np.median(ratios)):.3g} times"
+    return f"{times} {loop.gain} times the error (median), not 1 as the law declares"
+
+
+def _has_error(run: Run, loop: ControlLoop, rows: slice, error_rad: Values) -> bool:
+    """Return whether the recorded heading error is that of a loop: a law need not give its own."""
+    if loop.reference == "goal_heading":
+        wanted_rad = read_number(run.parameters, "goal.heading_rad", math.nan)
+        turned_rad = wanted_rad - run.poses.heading_rad[run.samples.pose_sequence[rows.start]]
+        return abs(math.remainder(turned_rad - error_rad[rows.start], math.tau)) < _FAR
+    speed = run.samples.wanted_speed_m_s
+    stands = speed is not None and not speed[rows].any()
+    return loop.reference == "bearing_now" or (loop.reference == "goal_bearing" and stands)
+
+
+def _measure_timing(run: Run, loop: ControlLoop, measured: str) -> "MeasuredTiming | str":
     periods_ns = np.diff(run.samples.time_ns)
     periods_ns = periods_ns[periods_ns > 0]  # without those of a burst
     if not len(periods_ns) or len(run.poses) < 2:
@@ -409,9 +444,9 @@ def _measure_timing(run: Run, loop: ControlLoop) -> "MeasuredTiming | str":
 
     tick_s = compute_median(np.diff(run.poses.time_ns)) / 1e9
     changes = " at the end" if found.changes else ""
-    words = f"{_MEASURED}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
+    words = f"{measured}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
     return MeasuredTiming(
         period_s=compute_median(periods_ns) / 1e9,
         dead_time_s=found.ticks * tick_s,
-        sources={"period_s": _MEASURED, "dead_time_s": words + changes},
+        sources={"period_s": measured, "dead_time_s": words + changes},
     )

@@ -12,7 +12,7 @@ from turtlelog.measure.rates import GAP_STEPS
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
-from turtlelog.plants.lagged import want_rate
+from turtlelog.plants.lagged import rub, want_rate
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
@@ -192,11 +192,13 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
 def _find_wanted(run: Run, loop: ControlLoop, command: Values) -> Values:
     """Return the steady-state rates of the plant for the commands of a loop."""
     gain = _read_plant(run, loop, "gain", 1.0)
-    defaults = {"reverse_gain": math.nan, "deadband": 0.0, "bound": math.inf}
+    defaults = {"deadband": 0.0, "friction": 0.0, "reverse_gain": math.nan, "bound": math.inf}
     if all(f"{PLANT_KEYS[loop.command]}{name}" not in run.parameters for name in defaults):
         return command * gain
-    limits = {name: _read_plant(run, loop, name, value) for name, value in defaults.items()}
-    return np.array([want_rate(one, gain, **limits) for one in command.tolist()])
+    own = (_read_plant(run, loop, name, value) for name, value in defaults.items())
+    deadband, friction, reverse_gain, bound = own
+    left = (rub(one, deadband, friction) for one in command.tolist())
+    return np.array([want_rate(one, gain, reverse_gain, bound) for one in left])
 
 
 def describe_follower(run: Run, loop: ControlLoop) -> str:

@@ -4,8 +4,8 @@ Each axis (speed along the heading, turn rate) has the transfer function gain * 
 (lag s + 1) from command to rate. Each command is held until the next command. The robot can have
 the limits that `turtlelog identify` finds; by default no limit is set:
 
-    wanted = 0 where |command| <= deadband,
-             else clip(gain command, +-bound), below 0 with reverse_gain in place of gain
+    wanted = 0 where |command| <= deadband or friction,
+             else clip(gain (command -+ friction), +-bound), below 0 with reverse_gain
     rate' = clip((wanted - rate) / lag, +-acceleration)
 
 The last line describes a motor controller whose output saturates: a first-order lag with a slew
@@ -95,6 +95,14 @@ class LaggedKeys:
         speed_deadband: Magnitude up to which a speed command moves nothing [m/s]. Larger commands
             act in full.
         turn_deadband: Magnitude up to which a turn rate command moves nothing [rad/s].
+        speed_friction: What friction takes off the magnitude of each speed command [m/s].
+        turn_friction: What friction takes off the magnitude of each turn rate command [rad/s].
+        speed_assumed: Whether the log of the robot never commanded the speed, so that its gain,
+            dead time and time constant are assumed. Theory then has no model of the speed.
+        turn_assumed: Whether those of the turn rate are assumed.
+        speed_oscillates: Whether the robot's speed oscillates, in place of which it has a longer
+            dead time here. Theory then has no limit of stability.
+        turn_oscillates: Whether the robot's turn rate oscillates.
         speed_reverse_gain: Gain of speeds below 0 [1]. Default: `speed_gain`.
         turn_reverse_gain: Gain of turn rates below 0, to the right [1]. Default: `turn_gain`.
     """
@@ -112,6 +120,12 @@ class LaggedKeys:
     turn_acceleration: Positive = absent(math.inf, may_be_infinite=True)
     speed_deadband: Size = absent(0.0)
     turn_deadband: TurnSize = absent(0.0)
+    speed_friction: Size = absent(0.0)
+    turn_friction: TurnSize = absent(0.0)
+    speed_assumed: bool = absent(default=False)
+    turn_assumed: bool = absent(default=False)
+    speed_oscillates: bool = absent(default=False)
+    turn_oscillates: bool = absent(default=False)
     speed_reverse_gain: Offset | None = absent(None)
     turn_reverse_gain: Offset | None = absent(None)
 
@@ -237,9 +251,8 @@ def _switch_speed(keys: Any, state: Any, rows: Any) -> None:
     axis = state.speed
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].speed
-        wanted = want_rate(
-            command, keys.speed_gain, keys.speed_reverse_gain, keys.speed_deadband, keys.speed_bound
-        )
+        command = rub(command, keys.speed_deadband, keys.speed_friction)
+        wanted = want_rate(command, keys.speed_gain, keys.speed_reverse_gain, keys.speed_bound)
         _follow(axis, wanted, keys.speed_lag_s, keys.speed_acceleration)
         axis.next_ns = _find_next(axis, state, rows, keys.speed_dead_time_s)
 
@@ -248,19 +261,21 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
     axis = state.turn
     while axis.next_ns <= state.now_ns:
         command = rows.waiting[axis.waiting_first].turn_rate
-        wanted = want_rate(
-            command, keys.turn_gain, keys.turn_reverse_gain, keys.turn_deadband, keys.turn_bound
-        )
+        command = rub(command, keys.turn_deadband, keys.turn_friction)
+        wanted = want_rate(command, keys.turn_gain, keys.turn_reverse_gain, keys.turn_bound)
         _follow(axis, wanted, keys.turn_lag_s, keys.turn_acceleration)
         axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 
-def want_rate(
-    command: float, gain: float, reverse_gain: float, deadband: float, bound: float
-) -> float:
-    """Return the rate that a command leads to; a reverse gain of NaN means the normal gain."""
+def rub(command: float, deadband: float, friction: float) -> float:
+    """Return what deadband and friction leave of a command."""
     if abs(command) <= deadband:
         return 0.0
+    return command - clip(command, friction)
+
+
+def want_rate(command: float, gain: float, reverse_gain: float, bound: float) -> float:
+    """Return the rate that a command leads to; a reverse gain of NaN means the normal gain."""
     if command < 0.0 and not math.isnan(reverse_gain):
         gain = reverse_gain
     return clip(gain * command, bound)
@@ -442,6 +457,7 @@ PART: Final = PlantPart(
         _build_cause("acceleration", "no limit of the robot's own acceleration"),
         _build_cause("bound", "no bound of the robot's own speed and turn rate"),
         _build_cause("deadband", "small commands move the robot, too"),
+        _build_cause("friction", "the robot has no friction"),
         _build_cause("reverse_gain", "the robot has one gain in both directions"),
     ),
     added=tuple(f"plant.{axis}_{name}" for name in ("bound", "acceleration") for axis in _AXES),

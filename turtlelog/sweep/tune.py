@@ -284,7 +284,7 @@ def _list_ranges(ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
 _DELAY: Final = "loop.transport_delay_ticks"
 _SEED: Final = "seed"
 
-_SAME: Final = ("gain", "dead_time_s", "lag_s", "bound", "deadband", "reverse_gain")
+_SAME: Final = ("gain", "dead_time_s", "lag_s", "bound", "deadband", "friction", "reverse_gain")
 _PARTS: Final = {**{name: name for name in _SAME}, "rate_limit": "acceleration"}
 _AXES: Final = {"speed": "speed", "turn_rate": "turn"}
 _MOST_BYTES: Final = 2**24

@@ -75,6 +75,7 @@ class LoopModel:
         limits: Limits of command and rate with the loop's largest step, which recommended gains
             allow for; None if nothing limits the acceleration.
         jitter_s: Mean delay by jitter, which the dead time includes [s].
+        oscillates: Whether the robot oscillates, for which the model has a longer dead time.
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
@@ -89,6 +90,7 @@ class LoopModel:
     limit: float = math.inf
     limits: StepLimits | None = None
     jitter_s: float = 0.0
+    oscillates: bool = False
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -153,19 +155,16 @@ def model_loop(
         sources: Sources of gains and plant. Default: the scenario.
     """
     told = {"gains": _SCENARIO, "plant": _SCENARIO, **(sources or {})}
-    most_s: float | None = None
+    scheduled = find_timing(parameters)
     jitter_s = 0.0
-    if timing is None:
-        scheduled = find_timing(parameters)
-        if isinstance(scheduled, str):
-            timing = scheduled
-        else:
-            with_jitter = ", with the mean delay by jitter" if scheduled.jitter_s else ""
-            from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
-            period_s, least_s = scheduled.period_s, scheduled.least_s
-            jitter_s = scheduled.jitter_s
-            most_s = scheduled.most_s if scheduled.most_s > least_s else None
-            timing = MeasuredTiming(period_s=period_s, dead_time_s=least_s, sources=from_scenario)
+    if timing is None and not isinstance(scheduled, str):
+        jitter_s = scheduled.jitter_s
+        with_jitter = ", with the mean delay by jitter" if jitter_s else ""
+        from_scenario = {"period_s": _SCENARIO, "dead_time_s": f"{_SCENARIO}{with_jitter}"}
+        timing = MeasuredTiming(
+            period_s=scheduled.period_s, dead_time_s=scheduled.least_s, sources=from_scenario
+        )
+    timing = str(scheduled) if timing is None else timing
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
     gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
@@ -173,16 +172,19 @@ def model_loop(
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
         return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
     is_timed = parameters.get("loop.trigger") == "timer"
+    most_s = 0.0 if isinstance(scheduled, str) else scheduled.most_s
+    grows = most_s > dead_time_s + _WHOLE * timing.period_s
     found = LoopModel(
         loop=loop,
         gains=gains,
         process=process,
         period_s=timing.period_s,
-        most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
+        most_dead_time_s=most_s + process.dead_time_s - dead_time_s if grows else None,
         growth="the age of the poses" if is_timed else "queues",
         limit=read_number(parameters, loop.limit_key, math.inf),
         limits=find_step_limits(loop, parameters),
         jitter_s=jitter_s,
+        oscillates=bool(parameters.get(f"{PLANT_KEYS[loop.command]}oscillates")),
         sources={**told, **timing.sources},
         left_out=left_out,
     )
@@ -291,6 +293,8 @@ def read_process(loop: ControlLoop, parameters: _Parameters, dead_time_s: float)
         dead_time_s: Dead time in addition to that of the plant [s].
     """
     key = PLANT_KEYS[loop.command]
+    if parameters.get(f"{key}assumed"):
+        return f"no log shows how the {COMMAND_WORDS[loop.command]} follows commands ({key}assumed)"
     own_s = read_number(parameters, f"{key}dead_time_s")
     gain = read_number(parameters, f"{key}gain", 1.0)
     reverse_gain = read_number(parameters, f"{key}reverse_gain", gain)
