@@ -339,7 +339,8 @@ def find_silent_stops(
     silent = np.flatnonzero((ends_s - command_s > _SILENCE_S) & (command != 0.0))
     rows = np.column_stack([command_s, ends_s, np.abs(command)])[silent].tolist()
     long = [row for row in rows if row[1] - row[0] > _SILENCE_S + LOOK_S]
-    seen = [stop for row in long if (stop := _look_at_silence(*row, time_s, moved)) is not None]
+    looks = (_look_at_silence(row[0], row[1], row[2], time_s, moved) for row in long)
+    seen = [stop for stop in looks if stop is not None]
     if not seen:
         return []
     known, wait_s = {one.begin_s for one in seen}, min(one.stop_s - one.begin_s for one in seen)

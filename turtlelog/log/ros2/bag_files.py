@@ -6,6 +6,7 @@ topics. Anchors, and lists in brackets over several lines, are refused; no recor
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -283,10 +284,9 @@ def list_present_files(folder: Path) -> tuple[tuple[Path, ...], list[str]]:
         return find_bag_files(folder).files, []
     except LogError as err:
         files = _take_present(folder, _list_present(folder), str(err)).files
-    try:
-        named, present = read_bag_metadata(folder).files, {file.name for file in files}
-    except LogError:
-        return files, []
+    present, named = {file.name for file in files}, tuple[str, ...]()
+    with suppress(LogError):
+        named = read_bag_metadata(folder).files
     return files, [name for name in named if PurePosixPath(name).name not in present]
 
 
@@ -342,8 +342,8 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     others = [file for file in present if file not in files]
     names = ", ".join(file.name for file in others) or "none"
     if len(missing) != len(others) or (files and len(others) > 1):
-        found = f"found {names[:200]}{'; --partial reads the others' if files else ''}"
-        raise LogError(f"relative_file_paths: expected the file {missing[0]}, {found}")
+        names = f"{names[:200]}{'; --partial reads the others' if files else ''}"
+        raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names}")
     found = [*files] or others
     if files:
         found.insert(metadata.files.index(missing[0]), others[0])
