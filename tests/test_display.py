@@ -44,7 +44,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
         lambda: tl.measure_run(RUN)["final.goal_heading_error"],
         "<Metric final.goal_heading_error: absent (the goal asks for no heading)>",
     ),
-    "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 134, of which 126 have a value>"),
+    "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 135, of which 127 have a value>"),
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
     "SIGNALS": (lambda: tl.SIGNALS, "signals: x, y, heading, speed, ...>"),
     "FIGURES": (lambda: tl.draw.FIGURES, "figures: plant, "),
@@ -63,7 +63,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     ),
     "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m, "),
     "comparison": (lambda: tl.compare_runs(RUN, OTHER), "<RunComparison of paper-kp4: "),
-    "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 134 metrics, standstill>"),
+    "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 135 metrics, standstill>"),
     "table": (
         lambda: tl.tabulate_runs([tl.summarise_run(RUN)]),
         "<Table 1 run: 1 row of 7 columns>",
@@ -152,8 +152,8 @@ def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:
 def test_metrics_in_a_notebook_begin_with_those_of_the_command() -> None:
     first, every = tl.measure_run(RUN)._repr_html_().split("<details>")
     assert first.count("<tr>") - 1 == len(tl.measure.list_essential_metrics(RUN)) == 22
-    assert "All 134 metrics" in every
-    assert every.count("<tr>") - 1 == 134
+    assert "All 135 metrics" in every
+    assert every.count("<tr>") - 1 == 135
 
 
 def test_check_of_a_recording_is_a_table_in_a_notebook() -> None:

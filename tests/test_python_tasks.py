@@ -53,7 +53,7 @@ labelled = run.to_xarray()
     ),
     "all metrics as a table": (
         "frame = tl.measure_run(run).to_pandas()",
-        lambda a: isinstance(a["frame"], pd.DataFrame) and len(a["frame"]) == 134,
+        lambda a: isinstance(a["frame"], pd.DataFrame) and len(a["frame"]) == 135,
     ),
     "one metric in an assert": (
         """

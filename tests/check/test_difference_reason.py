@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import turtlelog as tl
+from tests.explain.robot_pairs import draw_robot_pair
 from turtlelog.check import CheckResult, Tolerances, match_run
 from turtlelog.check.failure_report import explain_failures
 from turtlelog.check.reference import MetricsFile, format_metrics, read_metrics_file
@@ -62,6 +63,25 @@ def test_without_a_metric_the_final_error_is_explained() -> None:
     results = match_run(simulate("paper-kp10"), simulate("paper-kp2"), file="new.mcap")
     found = explain_failures(simulate("paper-kp10"), simulate("paper-kp2"), results)
     assert read_why(found)[0].startswith("final.position_error rose from 0.0010 m")
+
+
+@pytest.mark.parametrize(("beside_m", "is_near"), [(0.095, True), (0.115, False)])
+def test_a_metric_that_nobody_asks_for_is_explained_only_if_it_differs(
+    beside_m: float, *, is_near: bool
+) -> None:
+    """Takes some 2 s: two robots are identified, and driven with 32 draws of their parameters."""
+    good = replace(draw_robot_pair("noise", 3, has_same_commands=True).first, goal_xy_m=(1.0, 0.0))
+    xy_m = good.poses.xy_m.copy()
+    xy_m[450:, 0] += beside_m
+    bad = replace(good, poses=replace(good.poses, xy_m=xy_m))
+    results = match_run(bad, good, Tolerances(signals={"x": NEAR}), file="bad.mcap")
+    why = read_why(explain_failures(bad, good, results, place="good.mcap"))
+    hardly = "Not explained: no failed check names a metric, and final.position_error hardly"
+    assert why[0].startswith(
+        hardly if is_near else "final.position_error fell from 1.0000 m to 0.88"
+    )
+    assert any(one.startswith("this run: 1 jump, ") for one in why) is not is_near
+    assert why[-1].startswith("More: turtlelog compare good.mcap bad.mcap --why")
 
 
 @pytest.mark.parametrize("who", ["the reference", "this run"])

@@ -5,13 +5,14 @@ import io
 import re
 import tracemalloc
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Call
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.cli.check_answers import CountedResults, format_results
+from turtlelog.cli.check_answers import CountedResults, count_checks, format_results
 
 RATES = """format = 1
 [checks.rate]
@@ -197,7 +198,7 @@ def test_results_of_many_files_are_counted_and_few_of_them_kept() -> None:
         tracemalloc.stop()
         assert counted.verdict == "FAIL"
         assert counted.verdicts["FAIL"] == -(-count // 7)  # type: ignore[index]
-        assert counted.nearest["drift"].file == f"run-{count - 1}.mcap"
+        assert counted.nearest["drift"].file == f"run-{(count - 1) // 7 * 7}.mcap"  # that fails
         assert [one.file for one in counted.failures[:2]] == ["run-0.mcap", "run-7.mcap"]
         assert len(counted.failures) == 40
         assert (len(counted.failing), counted.failing_files) == (8, -(-count // 7))
@@ -205,6 +206,21 @@ def test_results_of_many_files_are_counted_and_few_of_them_kept() -> None:
 
     few, many = measure(1_000), measure(20_000)
     assert many < 1.2 * few
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_table_of_failed_checks_names_a_file_that_fails(*, is_known: bool) -> None:
+    passed = CheckResult(
+        file="good.mcap", check="a", verdict=Verdict.PASS, expected="a < 1", value=0.9, margin=0.1
+    )
+    failed = replace(passed, file="bad.mcap", verdict=Verdict.FAIL, value=None, margin=None)
+    if is_known:
+        failed = replace(failed, value=1.2, margin=-0.2)
+    for results in ((passed, failed), (failed, passed)):
+        (row,) = count_checks(CountedResults(results), shows_all=False).rows
+        assert row == ("a", 1, 1, row[3], -0.2 if is_known else None, "bad.mcap")
+    (row,) = count_checks(CountedResults([passed]), shows_all=True).rows
+    assert row[-2:] == (0.1, "good.mcap")
 
 
 def test_the_verdict_comes_first_and_all_fits_a_screen(

@@ -238,6 +238,35 @@ expect = "ate.position.rmse < 0.05 and rpe.position.rmse < 0.06"
         assert expected in found.err
 
 
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ("", "--ate"),
+        ('align = "none"', "--ate --align=none"),
+        ('align = "sim3"\nrpe = "10frames"\nall_pairs = true', "--ate --rpe=10frames --all-pairs"),
+        (
+            'associate = "linear"\nmax_difference_s = 0.02',
+            "--associate=linear --max-difference=0.02",
+        ),
+        ('time_offset_s = "start"', "--ate --time-offset=start"),
+        ("time_offset_s = -0.005", "--ate --time-offset=-0.005"),
+    ],
+)
+def test_the_advised_picture_compares_as_the_specification_does(
+    call: Call, files: Sequence[Path], settings: str, words: str
+) -> None:
+    text = 'format = 1\nreference = "truth.tum"\n[trajectory]\n'
+    expect = '\n[checks.a]\nexpect = "ate.position.rmse < 1e-9"\n'
+    Path("spec.toml").write_text(f"{text}{settings}{expect}")
+    found = call("check", "spec.toml", files[1], "--json")
+    value = found.json["results"][0]["value"]
+    advice = call("check", "spec.toml", files[1]).flat.partition("Why? turtlelog ")[2]
+    typed = advice.partition(" --plot")[0]
+    assert words in typed
+    errors = call(*typed.split(), "--json").json["runs"][0]["errors"]
+    assert errors[0]["rmse"] == pytest.approx(value, rel=1e-9)
+
+
 def test_an_error_that_cannot_be_measured_is_undecided(call: Call, files: Sequence[Path]) -> None:
     write_tum(Path("late.tum"), replace(ESTIMATE, time_ns=ESTIMATE.time_ns + 10**12))
     words = ("--expect", "ate.position.rmse < 100", "--reference", files[0])

@@ -75,6 +75,20 @@ def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
     assert 'id="violation-0"' in path.read_text("utf-8")
 
 
+def test_the_command_in_a_report_names_the_folder_that_was_typed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A report is written."""
+    folder, path = tmp_path / "runs", tmp_path / "report.html"
+    folder.mkdir()
+    for name in ("a", "b"):
+        (folder / f"{name}.csv").write_text("t,x,y,heading\n0,0,0,0\n1,1,0,0\n2,2,0,0\n")
+    assert run(capsys, "report", folder, "-o", path)[0] == 0
+    told = re.search("<pre><code>turtlelog (.*?)</code>", path.read_text("utf-8"))
+    assert told is not None
+    assert shlex.split(html.unescape(told[1]))[:3] == ["report", str(folder), "-o"]
+
+
 @pytest.mark.thorough
 def test_the_command_that_writes_a_report_again_reads_as_it_was_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

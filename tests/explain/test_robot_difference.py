@@ -3,13 +3,15 @@
 import math
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.explain.robot_pairs import METRICS, draw_robot_pair
 from turtlelog.explain import ExplainedDifference, explain_difference
-from turtlelog.explain.difference_report import choose_told
+from turtlelog.explain.answers import Change
+from turtlelog.explain.difference_report import choose_told, name_change
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
@@ -92,6 +94,39 @@ def test_what_the_intervals_of_two_robots_allow_is_not_called_different(
     found = explain_difference(pair.first, second, metric="run.largest_gap")
     assert name_told(found) == ["commands"]
     assert found.idle == idle
+
+
+@pytest.mark.parametrize(
+    ("metric", "name", "told"),
+    [
+        ("final.position_error", "goal", "the goal adds 0.5"),
+        ("run.cross_track_max", "goal and path", "the goal and path add 0.2"),
+    ],
+)
+def test_a_goal_and_a_path_are_named_only_if_the_metric_depends_on_them(
+    metric: str, name: str, told: str
+) -> None:
+    """Takes some 2 s: two robots are identified, and driven with 32 draws of their parameters."""
+    run = draw_robot_pair("noise", 3, has_same_commands=True).first
+    paths: list[dict[str, Any]] = [
+        {"path.kind": "waypoints", "path.points": ((0.0, aside_m), (2.0, aside_m))}
+        for aside_m in (0.1, 0.3)
+    ]
+    logs = [
+        replace(run, goal_xy_m=goal_xy_m, parameters=path)
+        for goal_xy_m, path in zip([(1.0, 0.0), (1.5, 0.0)], paths, strict=True)
+    ]
+    found = explain_difference(*logs, metric=metric)
+    assert name_told(found) == [name]
+    assert told in found.sentences[0]
+
+
+@pytest.mark.parametrize(
+    ("after", "told"), [(1.01, "1 -> 1.01"), (1.003, "1 -> 1.003"), (1.0 + 1e-5, "1 -> 1.00001")]
+)
+def test_two_values_have_the_digits_that_tell_them_apart(after: float, told: str) -> None:
+    change = Change(name="gain driving", keys=("speed.gain",), first=(1.0,), second=(after,))
+    assert name_change(change) == f"the robot's gain driving ({told})"
 
 
 def test_equal_logs_do_not_differ() -> None:

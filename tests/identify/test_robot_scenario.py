@@ -378,7 +378,11 @@ def test_a_simulated_robot_comes_back() -> None:
         tl.load_scenario("lagged"), {"law.kind": "open-loop"}, source="test"
     )
     base = tl.override_scenario(base, changes, source="test")
-    found = build(tl.simulate_run(base)).scenario
+    run = tl.simulate_run(base)
+    found = build(replace(run, name="lagged law.kind=open-loop law.axis=both")).scenario
+    # Changed keys are those of the log, not of this scenario.
+    assert found.name == "lagged"
+    assert build(replace(run, name="law.kind=open-loop")).scenario.name == "robot"
     for name in ("gain", "dead_time_s", "lag_s"):
         for axis in ("speed", "turn"):
             one, truth = (getattr(plant, f"{axis}_{name}") for plant in (found.plant, base.plant))

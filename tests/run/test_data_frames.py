@@ -44,7 +44,7 @@ def test_metrics_are_a_table() -> None:
     frame = METRICS.to_pandas().set_index("id")
     assert frame.loc["run.duration", "value"] == 12.608
     assert frame.loc["final.goal_heading_error", "reason"] == "the goal asks for no heading"
-    assert len(frame) == len(METRICS) == 134
+    assert len(frame) == len(METRICS) == 135
     assert frame["value"].dtype == np.float64
     assert pl.DataFrame(METRICS).columns == list(METRICS.to_pandas().columns)
 

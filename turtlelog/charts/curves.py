@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.measure import find_first_stretch, find_signal, list_signals, read_reference
+from turtlelog.measure.rates import measure_forward_steps
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -20,8 +21,7 @@ from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
-REFERENCE: Final = REFERENCE_WORDS["recorded"]
-"""Name of the curves of a recorded reference of a law."""
+REFERENCE: Final = REFERENCE_WORDS["recorded"]  # name of curves of a law's recorded reference
 
 BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
@@ -114,14 +114,15 @@ def read_command(run: Run, command: Command) -> Curve | None:
 def read_applied(run: Run, command: Command) -> Curve | None:
     """Return the applied `speed` or `turn_rate` of the plant; None if not recorded.
 
-    turtlesim publishes the magnitude of the applied speed, without its direction. The applied
-    values of turtlesim are constant over a tick; the robot model reports the rates at the time of
-    the pose.
+    turtlesim publishes the magnitude of the applied speed: negative where poses move backward. Its
+    applied values are constant over a tick; the robot model reports the rates at the pose.
     """
     poses = run.poses
     values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
     if values is None:
         return None
+    if command == "speed":
+        values = np.where(measure_forward_steps(poses) < 0.0, -abs(values), values)
     holds = find_plant(run).name != LAGGED
     return Curve(start_ns=run.start_ns, time_ns=poses.time_ns, values=values, holds=holds)
 

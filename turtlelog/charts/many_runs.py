@@ -13,6 +13,7 @@ from turtlelog.charts.palette import FEW, Color, choose_run_colors
 from turtlelog.compare import name_runs
 from turtlelog.compare.run_selection import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
+from turtlelog.display import cut_name
 from turtlelog.run import Run
 from turtlelog.run.stop_reasons import AT_REST
 
@@ -25,6 +26,8 @@ paper's runs that come to rest have at most 4."""
 
 LONGEST_NAME: Final = 24
 """Longest name [letters]. With longer names, a legend takes half of a plot 350 pixels wide."""
+
+_TAIL: Final = 11  # last letters kept of a longer name: half of its letters, without the mark
 
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
@@ -124,7 +127,12 @@ def join_run_names(numbers: Sequence[int], names: Sequence[str], scale: GainScal
 
 def _join_names(names: Sequence[str]) -> str:
     more = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(cut_names(names[:_MOST_NAMED])) + (f" and {more} more" if more > 0 else "")
+
+
+def cut_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of at most `LONGEST_NAME` letters, longer ones without their middle."""
+    return tuple(cut_name(name, LONGEST_NAME, tail=_TAIL) for name in names)
 
 
 def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
@@ -139,14 +147,23 @@ def choose_colors_by_value(runs: Sequence[Run]) -> tuple[Color, ...]:
 
 
 def find_color_scale(runs: Sequence[Run]) -> GainScale | None:
-    """Return the number that the colours of many runs show: the differing number, or the gain."""
+    """Return the number that the colours of many runs show.
+
+    It is the only differing number, the gain, or of a few keys the one with most values, all in the
+    runs' order. In runs that differ in more keys, it would show a difference among many.
+    """
     if len(runs) <= MANY:
         return None
     found, groups = find_gain_scale(runs), group_by_gain(runs)
-    if found is not None or len(groups) < 2:
+    if found is not None:
         return found
-    gains = {number: gain for gain, numbers in groups.items() for number in numbers}
-    return GainScale(word="Kp", values=tuple(gains[number] for number in range(len(runs))))
+    if len(groups) > 1:
+        gains = {number: gain for gain, numbers in groups.items() for number in numbers}
+        return GainScale(word="Kp", values=tuple(gains[number] for number in range(len(runs))))
+    keys = [key for key in list_differing(runs) if not key.endswith("seed")]
+    scales = [_scale(runs, key, "") for key in keys if len(keys) <= _MOST_KEYS]
+    ordered = [one for one in scales if one and [*one.values] == sorted(one.values)]
+    return max(ordered, key=lambda one: len({*one.values}), default=None)
 
 
 def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
@@ -162,16 +179,17 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     is_apart = is_of_gain and len({run.parameters.get(min(gains)) for run in runs}) == len(runs)
     if is_of_gain and ({*differing} <= gains or is_apart):
         word, differing = "Kp", [min(gains)]
-    elif len(differing) == 1:
-        word = _WORDS.get(differing[0], differing[0].rpartition(".")[2])
-    if not word:
-        return None
-    values = [run.parameters.get(differing[0]) for run in runs]
+    return _scale(runs, differing[0], word) if len(differing) == 1 else None
+
+
+def _scale(runs: Sequence[Run], key: str, word: str) -> GainScale | None:
+    """Return the values of a key; None if a run has no number."""
+    values = [run.parameters.get(key) for run in runs]
     numbers = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
     if len(numbers) < len(runs) or not all(np.isfinite(numbers)):
         return None
-    unit = find_gain_unit(runs, differing[0])
-    return GainScale(word=word, values=tuple(numbers), unit=unit)
+    word = word or _WORDS.get(key, key.rpartition(".")[2])
+    return GainScale(word=word, values=tuple(numbers), unit=find_gain_unit(runs, key))
 
 
 def group_by_gain(runs: Sequence[Run]) -> dict[float, list[int]]:

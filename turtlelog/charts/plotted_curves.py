@@ -334,9 +334,12 @@ class CommandChange:
     before: float  # level from which it changes
     after: float  # level to which it changes
 
-    def scale(self, values: Values) -> Values:
-        """Return values as the completed fraction of the change: 0 before the change, 1 after."""
-        return (values - self.before) / (self.after - self.before)
+    def scale(self, values: Values, gain: float = 1.0) -> Values:
+        """Return values as the completed fraction of the change: 0 before the change, 1 after.
+
+        The motion of a robot with another gain than 1 has the gain after the change.
+        """
+        return (values - gain * self.before) / (self.after - self.before)
 
 
 def find_command_changes(command: Curve) -> list[CommandChange]:

@@ -155,8 +155,6 @@ def _follow(signal: str, label: str) -> tuple[CurveEntry, ...]:
 
 
 def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> TimePlot:
-    # The plant publishes its speed without a sign.
-    label = "|applied|" if command == "speed" else "applied"
     applied = partial(_read_one, partial(curves.read_applied, command=command))
     commanded = partial(_read_one, partial(curves.read_command, command=command))
     return TimePlot(
@@ -164,7 +162,7 @@ def _plot_command(command: Command, title: str, place: tuple[Column, int]) -> Ti
         unit=COMMAND_UNITS[command],
         curves=(
             _signal(command, "commanded", commanded, name="commanded"),
-            _add("applied", "applied", applied, label),
+            _add("applied", "applied", applied),
             _add("measured", "measured", partial(_read_rate, command=command)),
             _add("outlier", "outliers", partial(_read_outliers, command=command), label="outlier"),
         ),

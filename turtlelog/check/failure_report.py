@@ -42,8 +42,8 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
 
     Only the first violated results of the run are shown in full.
     """
-    scenario = map(escape_controls, _list_scenario(run, results[0]))
-    return [*describe_results(run, *results), *scenario]
+    scenario = _list_scenario(run, results[0])
+    return [*describe_results(run, *results), *map(escape_controls, scenario)]
 
 
 def describe_results(run: Run, *results: CheckResult) -> list[str]:
@@ -295,6 +295,9 @@ _LONGEST_S: Final = 600.0
 _SAME: Final = (1e-9, 1e-6)
 """Difference of a metric between two platforms, absolute and relative, which counts as 0."""
 
+_NEAR: Final = (0.0, 0.1)
+"""Difference between repeated runs of a robot, likewise, as in a first specification."""
+
 
 def explain_failures(
     run: Run,
@@ -329,7 +332,12 @@ def explain_failures(
     if isinstance(reference, MetricsFile):
         why = _explain_metrics(run, reference, metric, limit_s, more, trust_law=trust_law)
     else:
-        why = (*_explain(run, reference, metric, limit_s, trust_law=trust_law), f"More: {more}")
+        pair = [measure_run(one, only=[metric])[metric] for one in (run, reference)]
+        if not named and run.is_lawless and _is_same(*pair, within=_NEAR):
+            why = (f"Not explained: no failed check names a metric, and {metric} hardly differs.",)
+        else:
+            why = _explain(run, reference, metric, limit_s, trust_law=trust_law)
+        why = (*why, f"More: {more}")
     return [replace(one, why=why) if one is chosen else one for one in results]
 
 
@@ -376,9 +384,10 @@ def _explain(
         )
     except errors.TurtlelogError as err:
         return (f"Not explained: {err}.",)
-    from turtlelog.explain.difference_report import write_difference_sentences
+    from turtlelog.explain.difference_report import write_difference_sentences, write_side_notes
 
-    return write_difference_sentences(found, are_recorded=are_recorded)[:2]
+    sentences = write_difference_sentences(found, are_recorded=are_recorded)[:2]
+    return *sentences, *(one for one in write_side_notes(found) if one not in sentences)
 
 
 def _explain_metrics(
@@ -427,11 +436,10 @@ def _simulate_again(reference: MetricsFile, *, trust_law: bool) -> Run:
     return simulate_run(scenario)
 
 
-def _is_same(found: Metric, expected: Metric) -> bool:
+def _is_same(found: Metric, expected: Metric, *, within: tuple[float, float] = _SAME) -> bool:
     if found.value is None or expected.value is None:
         return found.status == expected.status
-    least, part = _SAME
-    return abs(found.value - expected.value) <= max(least, part * abs(expected.value))
+    return math.isclose(found.value, expected.value, abs_tol=within[0], rel_tol=within[1])
 
 
 def _describe_apart(run: Run, again: Run, reference: MetricsFile, found: Metric) -> tuple[str, ...]:

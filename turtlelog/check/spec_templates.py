@@ -27,9 +27,10 @@ from turtlelog.measure import (
     list_metrics,
     measure_run,
 )
-from turtlelog.measure.pose_quality import find_scatter
+from turtlelog.measure.pose_quality import find_scatter, measure_noise
+from turtlelog.measure.rates import space_poses
 from turtlelog.plants import TURTLESIM, find_plant
-from turtlelog.run import Run
+from turtlelog.run import Run, take_rows
 from turtlelog.run.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.run.stop_reasons import LAW_FAILED, STEP_BUDGET, find_goal_end
 
@@ -49,9 +50,21 @@ _MOST: Final = 0.2
 """Largest margin: two digits are readable, but round up by as much as 21 %; then three digits are
 used."""
 
-_GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad/s": 1e-6}
-"""Smallest margin by unit, for values near zero. Poses differ by up to 1e-6 m and rad between
-platforms, which is 1e-4 % of an angle of a radian. For times, the margin is a tick."""
+_GRAINS: Final[Mapping[str, float]] = {
+    "m": 1e-4,
+    "m/s": 1e-3,
+    "deg": 1e-2,
+    "rad/s": 1e-3,
+    "%": 0.1,
+    "1": 1e-6,
+    "s": TURTLESIM.period_s,
+}
+"""Smallest margin by unit, for values near zero: less than a robot's localisation resolves, a
+twentieth of the usual band of 2 %, and a tick."""
+
+_NOISES: Final = 4.0
+"""Smallest margin of a place or an angle in standard deviations of the noise of the poses: of two
+noisy poses, one of 400 is further off."""
 
 
 def format_first_spec(run: Run, *, reference: str, read: ReadChoice | None = None) -> str:
@@ -124,6 +137,9 @@ def _list_read(read: ReadChoice) -> Iterator[str]:
 _COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_steps"})
 """Metrics of the driving style, which a good run limits on both sides."""
 
+_OF_POSES: Final = ("run.cross_track_max", "run.pose_jumps")
+"""Metrics that are bounded although they are not essential: wrong poses may also end well."""
+
 
 def _list_of_law(run: Run) -> Iterator[str]:
     kinds, essential = list_metrics(run.declaration), list_essential_metrics(run.declaration)
@@ -136,8 +152,8 @@ def _list_of_law(run: Run) -> Iterator[str]:
             yield ""
             yield f"# {metric.id}: no value here: {metric.status.value} ({_comment(metric.reason)})"
         else:
-            tick_s = find_plant(run).period_s
-            yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
+            grains = {**_GRAINS, "s": find_plant(run).period_s}
+            yield from _list_check(metric, metric.value, kinds[metric.id], grains)
     if run.goal_xy_m is None or not len(run.samples):
         return
     metric = measure_run(run, only=["run.cross_track_max"])["run.cross_track_max"]
@@ -151,20 +167,45 @@ def _list_of_law(run: Run) -> Iterator[str]:
 
 def _list_of_motion(run: Run) -> Iterator[str]:
     """Yield checks for a third-party bag, on the metrics that have a value and on its commands."""
-    kinds = list_metrics(run.declaration)
-    steps_s = np.diff(run.poses.time_ns) / 1e9
-    tick_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    kinds, grains = list_metrics(run.declaration), _find_grains(run)
     scatter = find_scatter(run)
     lengths = {"run.path_length": scatter.path_m, "run.total_turning": scatter.turning_rad}
-    noisy = {name for name, left in lengths.items() if left is not None}
-    for metric in measure_run(run, only=list_essential_metrics(run)).values():
-        if metric.id in noisy:
-            yield ""
-            yield f"# {metric.id} <= ...: not read off, as much of it is noise of the poses"
-        elif metric.value is not None and metric.id not in _COUNTS:
-            yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
-    if not len(run.commands):
+    asked = dict.fromkeys([*list_essential_metrics(run), *_OF_POSES])
+    for metric in measure_run(run, only=[*asked]).values():
+        if metric.value is None or metric.id in _COUNTS:
+            continue
+        if metric.id == "run.pose_jumps":
+            yield from _list_jumps(metric.id, metric.value)
+            continue
+        meaning = "" if lengths.get(metric.id) is None else ": with the noise of its poses"
+        yield from _list_check(metric, metric.value, kinds[metric.id], grains, meaning)
+    if len(run.commands):
+        yield from _list_of_commands(run)
+
+
+def _find_grains(run: Run) -> Mapping[str, float]:
+    """Return the smallest margins of a run of any robot, by unit or metric."""
+    if len(run.poses) < 2:
+        return {**_GRAINS, "s": 0.0}
+    spaced = space_poses(run)
+    noise = measure_noise(take_rows(run.poses, spaced.rows))
+    sizes = {"m": noise.position_m, "deg": math.degrees(noise.heading_rad)}
+    if run.poses.measured_speed_m_s is None:  # differences of two noisy poses
+        per_s = math.sqrt(2.0) / float(np.median(np.diff(spaced.time_s)))
+        sizes["run.measured_speed_max"] = per_s * noise.position_m
+        sizes["run.measured_turn_rate_max"] = per_s * noise.heading_rad
+    least = {key: max(_GRAINS.get(key, 0.0), _NOISES * size) for key, size in sizes.items()}
+    return {**_GRAINS, **least, "s": float(np.median(np.diff(run.poses.time_ns))) / 1e9}
+
+
+def _list_jumps(name: str, count: float) -> Iterator[str]:
+    if count:
+        yield from ("", f"# {name} <= ...: not read off, as its poses jump; here {count:g}")
         return
+    yield from _write_check(f'"{name}"', f'expect = "{name} <= 0"', "0", "nothing")
+
+
+def _list_of_commands(run: Run) -> Iterator[str]:
     if find_ending(run) is RunEnding.LOST:
         yield ""
         yield "# always(abs(speed) <= ...): not read off, as part of the run is lost"
@@ -193,25 +234,31 @@ def _write_check(
     yield f'reason = "observed, and {spare} to spare{meaning}"'
 
 
-def _list_check(metric: Metric, value: float, kind: MetricKind, tick_s: float) -> Iterator[str]:
+def _list_check(
+    metric: Metric, value: float, kind: MetricKind, grains: Mapping[str, float], meaning: str = ""
+) -> Iterator[str]:
     is_higher = kind.better == "higher"
     base = value if kind.floor is None or is_higher else max(value, kind.floor)
     operator = ">=" if is_higher else "<="
-    bound, spare = choose_bound(base, metric.unit, up=not is_higher, tick_s=tick_s)
+    grain = max(grains.get(key, 0.0) for key in (metric.unit, metric.id))
+    bound, spare = choose_bound(base, metric.unit, up=not is_higher, grain=grain)
     if metric.id.endswith("_share") and not is_higher and bound >= 1.0:
         yield ""
         yield f"# {metric.id} <= ...: not read off, as no share exceeds 1; here {value:.5g}"
         return
     formula = f'expect = "{metric.id} {operator} {bound:.10g}"'
-    yield from _write_check(f'"{metric.id}"', formula, format_number(value, metric.unit), spare)
+    here = format_number(value, metric.unit)
+    yield from _write_check(f'"{metric.id}"', formula, here, spare, meaning)
 
 
 def choose_bound(
-    value: float, unit: str, *, up: bool, tick_s: float = TURTLESIM.period_s
+    value: float, unit: str, *, up: bool, grain: float | None = None
 ) -> tuple[float, str]:
-    """Return a bound beyond an observed value, and its margin in words."""
-    spare = abs(value) * _SHARE
-    grain = tick_s if unit == "s" else _GRAIN.get(unit, 0.0)
+    """Return a bound beyond an observed value, and its margin in words.
+
+    `grain` is the smallest margin; None: that of the unit.
+    """
+    spare, grain = abs(value) * _SHARE, _GRAINS.get(unit, 0.0) if grain is None else grain
     if spare < grain:
         words = f"{grain:.3g}" if unit == "1" else f"{grain:.3g} {unit}"
         return _round(value + grain if up else value - grain, digits=3, up=up), words

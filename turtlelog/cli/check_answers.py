@@ -32,13 +32,18 @@ _MOST_NAMES: Final = 8
 """Largest number of recordings that are named as failing."""
 
 
+def _order(result: "CheckResult") -> tuple[bool, bool, float]:
+    return result.verdict != "FAIL", result.margin is None, result.margin or 0.0
+
+
 class CountedResults:
     """Results counted one by one, so that memory does not grow with them.
 
     Attributes:
         verdicts: Number of each verdict.
         of_checks: Number of each verdict, by check.
-        nearest: For each check, the result nearest to its limit, or furthest beyond it.
+        nearest: For each check, the result nearest to its limit, or furthest beyond it; if a file
+            fails, a result of a file that fails.
         failures: First failed results.
         told: First checks that pass with a reason, and their reasons.
         valueless: Number of checks that failed because a value is missing.
@@ -66,10 +71,9 @@ class CountedResults:
         self.file = self.file or result.file
         self.verdicts[result.verdict] += 1
         self.of_checks.setdefault(result.check, Counter())[result.verdict] += 1
-        if result.margin is not None:
+        if result.margin is not None or result.verdict == "FAIL":
             nearest = self.nearest.setdefault(result.check, result)
-            if result.margin < (nearest.margin or 0.0):
-                self.nearest[result.check] = result
+            self.nearest[result.check] = min(nearest, result, key=_order)
         if result.verdict == "PASS" and result.reason and len(self.told) < _MOST_NAMES:
             self.told[result.check, result.reason] = None
         if result.verdict != "FAIL":
@@ -279,7 +283,10 @@ def _advise(failed: "CheckResult", spec: "Spec", reading: Sequence[str]) -> str 
     formulas = (check.formula for check in spec.checks if check.name == failed.check)
     is_error = any(name.startswith(("ate.", "rpe.")) for one in formulas for name in one.names)
     if spec.reference is not None and is_error:
-        words = console.quote_file(failed.file, "--reference", spec.reference, "--ate", *reading)
+        from turtlelog.cli.compare_trajectories import list_setting_words
+
+        settings = list_setting_words(spec.trajectory)
+        words = console.quote_file(failed.file, "--reference", spec.reference, *settings, *reading)
         return f"turtlelog compare {words} --plot FILE.pdf"
     name = failed.check.removeprefix("metrics.")
     is_metric = tl.measure.find_metric_kind(name) is not None
@@ -289,7 +296,7 @@ def _advise(failed: "CheckResult", spec: "Spec", reading: Sequence[str]) -> str 
 
 
 def count_checks(counted: CountedResults, *, shows_all: bool) -> "tl.compare.Table":
-    """Return the number of passes of each check, and its result nearest to the limit.
+    """Return the number of passes of each check, and its worst result with the margin and file.
 
     Checks that never fail are included only with `shows_all`.
     """

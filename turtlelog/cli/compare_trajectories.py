@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from turtlelog.cli.compare import ReferenceOptions
     from turtlelog.compare import ErrorStatistics, Table, TrajectoryComparison, TrajectorySettings
     from turtlelog.run import Trajectory
+
+
+_APART_S: Final = 0.01
+"""Default of `--max-difference` [s]."""
 
 
 @Parameter(name="*", group=Group("Trajectories", sort_key=1))
@@ -87,7 +91,7 @@ class TrajectoryOptions:
             raise UsageError(
                 f"--align {align[:60]}: must be {join_words(ALIGN_IN, 'or')} with --ate and --rpe"
             )
-        most_s = 0.01 if self.max_difference is None else self.max_difference
+        most_s = _APART_S if self.max_difference is None else self.max_difference
         if not 0.0 <= most_s < LATEST_S:
             raise UsageError(
                 f"--max-difference {most_s:g}: must be a time from 0 to {LATEST_S:g} s"
@@ -117,6 +121,24 @@ class TrajectoryOptions:
         if not abs(offset_s) < LATEST_S:
             raise UsageError(f"--time-offset {self.time_offset}: must be a time in s, or start")
         return offset_s
+
+
+def list_setting_words(settings: "TrajectorySettings") -> list[str]:
+    """Return the words of a command that compares trajectories as a specification does."""
+    from turtlelog.check.spec import USUAL_TRAJECTORY
+
+    deltas = settings.deltas if settings.deltas != USUAL_TRAJECTORY.deltas else ()
+    offset_s = "start" if settings.offset_s is None else f"{settings.offset_s!r}"
+    options = TrajectoryOptions(
+        ate=True,
+        rpe=[f"{one.value:.10g}{one.unit}" for one in deltas],
+        all_pairs=settings.overlaps,
+        associate="linear" if settings.interpolates else None,
+        max_difference=None if settings.most_apart_s == _APART_S else settings.most_apart_s,
+        time_offset=offset_s if settings.offset_s != 0.0 else None,
+    )
+    align = [] if settings.align is None else [f"--align={settings.align}"]
+    return [*list_option_words(options), *align]
 
 
 def compare_with_trajectory(

@@ -51,7 +51,7 @@ def report(
     """
     options.require_files(files)
     options.require_there(files)
-    files = options.list_files(files)
+    typed, files = files, options.list_files(files)
     specs = [] if spec is None else [spec]
     options.require_new_target(output, [*files, *specs], suffix=".html")
     runs = options.read_runs(files, topics)
@@ -59,7 +59,7 @@ def report(
     pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
     results = [] if spec is None else [*tl.check_runs(tl.load_spec(spec), pairs)]
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
-    words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
+    words = [*map(str, typed), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
     words += options.list_option_words(topics)
     with show_progress("drawing"):

@@ -14,7 +14,7 @@ from turtlelog.explain.answers import (
     DividedDifference,
     Side,
 )
-from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES
+from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES, is_place
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes
 
@@ -164,7 +164,7 @@ def write_difference_headline(found: DividedDifference) -> str:
 def _write_parts(found: DividedDifference) -> str:
     """Return the contributions of the changes; those not in the headline are added up."""
     parts = [
-        f"{name_change(one)} {_write_move(found, one.size, is_many=one.name in _PLURALS)}"
+        f"{name_change(one)} {_write_move(found, one.size, is_many=_is_plural(one))}"
         for one in choose_told(found)
     ]
     if found.unexplained is not None:
@@ -175,6 +175,10 @@ def _write_parts(found: DividedDifference) -> str:
         parts.append(f"{len(rest)} other changes together {_write_move(found, size, is_many=True)}")
     told = join_words(parts) if len(parts) > 2 else ", ".join(parts)
     return f"in the mean over {found.seeds} seeds {told}" if told and found.seeds > 1 else told
+
+
+def _is_plural(one: Change) -> bool:
+    return one.name in _PLURALS or (is_place(one.keys) and len(one.keys) > 1)
 
 
 def _list_divided(found: DividedDifference) -> list[Change]:
@@ -349,16 +353,25 @@ def _format_pair(key: str, before: Any, after: Any) -> str:
     of_axis = UNITS["speed" if axis == "speed" else "turn_rate"]
     factor, unit = (1e3, " ms") if name in _MS else (1.0, f" {of_axis}")
     unit = _AFTER[name] if name.endswith("gain") else unit + _AFTER.get(name, "")
-    shown = ["none" if one is None else f"{factor * one:.3g}" for one in (before, after)]
+    for digits in (3, 4, 5, 6):  # as many as show that they differ
+        shown = ["none" if one is None else f"{factor * one:.{digits}g}" for one in (before, after)]
+        if shown[0] != shown[1]:
+            break
     if after is None:
         return f"{shown[0]}{unit} -> none"
     return f"{' -> '.join(shown)}{unit}"
 
 
+def write_side_notes(found: DividedDifference) -> list[str]:
+    """Return what is to know of each robot's log: that its law is known, that its poses jump."""
+    sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
+    return [f"{side.name}: {side.note}." for side in sides if side.note]
+
+
 def _write_robot_basis(found: DividedDifference) -> list[str]:
     """Return the basis of the contributions of two robots' parts; empty for simulated runs."""
     sides = [side for side in (found.first, found.second) if side.basis == ROBOT]
-    said = [f"{side.name}: {side.note}." for side in sides if side.note]
+    said = write_side_notes(found)
     for side in sides:
         if side.unknown:
             names = join_words([NAMES[axis] for axis in AXES if axis in side.unknown])

@@ -20,6 +20,7 @@ from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, NAMES, Axis, predict_response
 from turtlelog.identify.robot_model import AxisModel
 from turtlelog.measure import measure_run
+from turtlelog.measure.pose_quality import describe_breaks
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.columns import take_rows
@@ -49,10 +50,12 @@ def explain_robots(
     Each robot's model is driven with recorded commands, with every set of parts taken from the
     other log. The remaining difference is a part of its own.
     """
-    runs = [_leave_controller(run) for run in (first, second)]
-    left = [run is not given for run, given in zip(runs, (first, second), strict=True)]
+    runs = _leave_paths([_leave_controller(run) for run in (first, second)], metric)
+    left = [not given.is_lawless for given in (first, second)]
     logged = [measure_run(run, only=[metric])[metric] for run in runs]
-    notes = [_LAW_ACTS if is_left and not all(left) else "" for is_left in left]
+    laws = [_LAW_ACTS if is_left and not all(left) else "" for is_left in left]
+    jumps = [describe_breaks(run).get("jumps", "") for run in runs]  # which no model explains
+    notes = ["; ".join(filter(None, pair)) for pair in zip(laws, jumps, strict=True)]
     sides = [
         Side(name=run.name, as_logged=one.value, reason=one.reason, basis=ROBOT, note=note)
         for run, one, note in zip(runs, logged, notes, strict=True)
@@ -111,6 +114,16 @@ def _leave_controller(run: Run) -> Run:
         parameters=kept,
         scenario_is_complete=False,
     )
+
+
+def _leave_paths(runs: list[Run], metric: str) -> list[Run]:
+    """Return runs without their paths, if the metric does not depend on them."""
+    bare = [
+        replace(run, parameters={k: v for k, v in run.parameters.items() if "path." not in k})
+        for run in runs
+    ]
+    values = [[measure_run(run, only=[metric])[metric].value for run in of] for of in (runs, bare)]
+    return bare if values[0] == values[1] else runs
 
 
 def _divide(
@@ -252,6 +265,7 @@ class RobotGame(Game):
         """Store the logs. A removed part gives the second robot the first robot's values."""
         super().__init__(parts, tuple(parts), work, is_random=True)
         self._logs, self._metric = (first, second), metric
+        self._place = next((n for n, one in parts.items() if robot_log.is_place(one.neutral)), "")
         self._models: dict[int | None, list[dict[Axis, AxisModel]]] = {}
         self._ways: dict[object, tuple[Values, Values]] = {}
 
@@ -271,7 +285,7 @@ class RobotGame(Game):
 
     def drive(self, out: Coalition, seed: int | None = None) -> Run:
         """Return the recording of the commands, with the poses of the robot without some parts."""
-        base, places = self._get(COMMANDS, out).run, self._get(robot_log.PATH, out).run
+        base, places = self._get(COMMANDS, out).run, self._get(self._place, out).run
         noise = self._get(robot_log.NOISE, out).noise
         rng = np.random.default_rng(0 if seed is None else seed)
         time_ns = self._find_times(out)

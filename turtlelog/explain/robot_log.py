@@ -13,6 +13,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import join_words
 from turtlelog.errors import ReplayError
 from turtlelog.identify.axis_fit import NORMAL_95
 from turtlelog.identify.axis_motion import AXES, Axis, measure_axis_steps, read_axis_motion
@@ -29,9 +30,8 @@ from turtlelog.run.loops import Cause
 
 COMMANDS: Final = "commands"
 NOISE: Final = "noise"
-PATH: Final = "path"
 TIMES: Final = "pose times"
-"""Parts that belong to no axis."""
+"""Parts that belong to no axis. A further one is named by its keys: start, goal and path."""
 
 ROBOT: Final = "robot"
 """Basis of a robot's log: its model, driven by the recorded commands."""
@@ -167,8 +167,9 @@ def find_parts(first: RobotLog, second: RobotLog, axes: Iterable[Axis]) -> dict[
         NOISE: {f"{NOISE}.{key}": one for key, one in noise.items() if one != noise_after[key]},
         TIMES: {"poses": len(first.run.poses)},
         COMMANDS: {"commands": len(first.run.commands)},
-        PATH: {key: one for key, one in places.items() if one != places_after[key]},
     }
+    moved = {key: one for key, one in places.items() if one != places_after[key]}
+    values[join_words([*moved])] = moved
     return {
         name: Cause(name=name, kind="effect", neutral=found, meaning=f"as in {first.run.name}")
         for name, found in values.items()
@@ -212,7 +213,12 @@ def differs_surely(part: str, keys: Iterable[str], logs: Sequence[RobotLog]) -> 
             return bool(one != other)
         return bool(one.high < other.low or other.high < one.low)
 
-    return part == PATH or any(lie_apart(key) for key in keys)
+    return is_place(keys) or any(lie_apart(key) for key in keys)
+
+
+def is_place(keys: Iterable[str]) -> bool:
+    """Return whether keys belong to the part that is exchanged as a whole: start, goal and path."""
+    return not {"start", "goal", "path"}.isdisjoint(keys)
 
 
 def show_value(value: Any) -> Any:

@@ -128,7 +128,9 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
         list_noise(model, runs),
         _find_start_and_goal(runs[0]),
     )
-    values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
+    # Without changed keys in the name: this scenario has other values, and another law.
+    name = " ".join(word for word in model.files[0].split() if "=" not in word)
+    values: dict[str, Any] = {"name": name or "robot", "loop.pose_precision": "float64"}
     doubts = [doubt for axis in model.axes for doubt in axis.doubts]
     notes = [_DOUBT + doubt for doubt in doubts]
     notes += [_NOTE + note for note in model.notes if note not in doubts]

@@ -1,9 +1,8 @@
 """Rates of a robot, their outliers, and its commands, one axis at a time.
 
 Rates are reported by the robot. turtlesim and some robots report speeds without a sign, which comes
-from the poses. If no rates are reported, they are differences of poses: the forward speed is the
-displacement along the mean heading divided by the time. Differences of poses close in time are
-mostly noise: 1 mm over 1 ms is 1 m/s. Therefore only every n-th pose is used if poses are fast.
+from the poses. Otherwise they are differences of poses: the forward speed is the displacement along
+the mean heading divided by the time. Of fast poses, every n-th is used: 1 mm over 1 ms is 1 m/s.
 """
 
 from collections.abc import Mapping, Sequence
@@ -134,13 +133,16 @@ def read_rates(run: Run, axis: Axis, spaced: SpacedPoses | None = None) -> Rates
 
 def _read_applied(run: Run, axis: Axis) -> Values | None:
     """Return the command that the plant applied before each pose; None if it is not recorded."""
-    poses = run.poses
-    if axis == "turn_rate" or poses.speed_m_s is None:
-        return poses.turn_rate_rad_s if axis == "turn_rate" else None
-    ways_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
-    heading_rad = poses.heading_rad
-    forward_m = ways_m[:, 0] * np.cos(heading_rad) + ways_m[:, 1] * np.sin(heading_rad)
-    return np.asarray(poses.speed_m_s * np.sign(forward_m))
+    speed, rate = run.poses.speed_m_s, run.poses.turn_rate_rad_s
+    if axis == "turn_rate" or speed is None:
+        return rate if axis == "turn_rate" else None
+    return np.asarray(speed * np.sign(measure_forward_steps(run.poses)))
+
+
+def measure_forward_steps(poses: PoseColumns) -> Values:
+    """Return the way along the heading before each pose [m], negative backward; 0 at the first."""
+    x_m, y_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1]).T
+    return np.asarray(x_m * np.cos(poses.heading_rad) + y_m * np.sin(poses.heading_rad))
 
 
 def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:

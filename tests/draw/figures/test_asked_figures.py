@@ -1,6 +1,7 @@
 """Figures that are drawn only where they are asked for: what they show is what was measured."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -228,6 +229,28 @@ def test_a_run_without_a_value_is_a_cross() -> None:
     assert [line.get_xdata()[0] for line in crosses] == [50.0]  # type: ignore[index]
 
 
+def test_metrics_stand_over_the_gain_that_differs() -> None:
+    def set_gains(rotate: float, translate: float) -> tl.Run:
+        gains = {"law.kp_angular": rotate, "law.kp_linear": translate}
+        return replace(read(4), parameters={**read(4).parameters, **gains})
+
+    def list_titles(*runs: tl.Run, metrics: Sequence[str] | None = None) -> set[str]:
+        figure = make_figure()
+        draw_gains(figure, runs, metrics=metrics)
+        return {axes.get_xlabel() for axes in figure.axes} - {""}
+
+    one = set_gains(4.0, 1.0), set_gains(4.0, 2.0)
+    assert list_titles(*one) == {"Kp of translate [1/s]"}
+    figure = make_figure()
+    draw_gains(figure, one)
+    assert figure.get_supxlabel() == "Kp of rotate is always 4 1/s"
+    assert any("final position error" in axes.get_ylabel() for axes in figure.axes)
+    both = {"Kp of rotate [1/s]", "Kp of translate [1/s]"}
+    assert list_titles(*one, metrics=["overshoot"]) == both
+    assert list_titles(*one, set_gains(4.1, 2.0)) == both
+    assert list_titles(one[0]) == both
+
+
 def test_without_a_gain_there_is_nothing_to_draw_it_against() -> None:
     unknown = replace(read(4), parameters={})
     assert not find_loop_gains([unknown])
@@ -427,6 +450,44 @@ def test_the_motion_after_every_change_lies_under_its_model_and_shows_the_spread
     ]
     assert halves_s[0] < 0.02
     assert min(halves_s[1:]) > 0.07
+
+
+def test_responses_end_at_the_gain_and_commands_where_the_next_change_begins() -> None:
+    """The turn rate changes between -0.5 and 0.5 rad/s, and back 0.1 s before the robot arrives."""
+    log = Log(duration_s=24.0, noise_m=0.0, noise_rad=0.0, jitter_s=0.0)
+    log = replace(log, turn_rate=replace(log.turn_rate, gain=0.9))
+    time_s = np.arange(0.5, 23.5, 0.1)
+    values = np.where(np.floor(time_s / 3.0) % 2.0, -0.5, 0.5)
+    run, figure = make_run(log, 1, turn=(time_s, values), speed=(time_s, values)), make_figure()
+    draw_rates(figure, [run])
+    (axes,) = [one for one in figure.axes if "turn rate: " in one.get_title("right")]
+    lines = {
+        color: [one.get_xydata() for one in axes.get_lines() if one.get_color() == color]
+        for color in ("0.3", "0.6")
+    }
+    models = [one.get_xydata() for one in axes.get_lines() if one.get_zorder() == 2.4]
+    ends = [float(np.asarray(line)[-1, 1]) for line in (*models[1:], *lines["0.6"][1:])]
+    assert ends == pytest.approx([0.9] * len(ends), abs=5e-3)
+    assert len(ends) == 2 * (len(models) - 1) > 8
+    commands = np.concatenate([np.asarray(line) for line in lines["0.3"]])
+    assert commands[commands[:, 0] >= 0.0, 1] == pytest.approx(1.0)
+
+
+def test_rates_over_the_whole_run_are_drawn_as_the_means_that_they_are() -> None:
+    """Lines between the middles of means would begin a tenth of a second before the command."""
+    figure = make_figure()
+    draw_rates(figure, [read(10)])
+    means = [
+        line
+        for axes in figure.axes
+        for line in axes.get_lines()
+        if line.get_drawstyle() == "steps-mid"
+    ]
+    assert len(means) == 6
+    assert {*map(str, (line.get_label() for line in means[:2]))} == {
+        "motion, means of 0.1 s",
+        "model, means of 0.1 s",
+    }
 
 
 def test_without_commands_there_are_no_rates(robot: tl.Run) -> None:

@@ -269,11 +269,11 @@ def test_the_tolerance_stands_around_the_goal_close_up() -> None:
 )
 def test_one_run_s_commands_are_commanded_applied_and_wanted(name: str, column: str) -> None:
     run, axes = simulate_unequal(), draw_alone(name).axes[0]
-    # turtlesim publishes no sign of the speed.
-    applied = "|applied|" if name == "speed" else "applied"
-    for label, source in (("commanded", run.samples), (applied, run.poses)):
+    for label, source in (("commanded", run.samples), ("applied", run.poses)):
         ((_, values),) = find_lines(axes, label)
-        assert np.array_equal(values, getattr(source, column))
+        # turtlesim publishes no sign of the speed.
+        sized = np.abs(values) if (label, name) == ("applied", "speed") else values
+        assert np.array_equal(sized, getattr(source, column))
     low, high = axes.get_ylim()
     assert low < getattr(run.samples, column).min()
     assert 1.0 < high < 2.0
@@ -319,3 +319,34 @@ def test_marks_of_a_curve_that_swings_stand_at_equal_times() -> None:
         every.append(axes.get_lines()[0].get_markevery())
     # Each swing goes its height up and down: eight heights are four swings.
     assert every == [(0.1, 0.3), (100, 300)]
+
+
+def test_runs_that_do_not_settle_are_named_once_and_their_commands_are_in_view() -> None:
+    calm = tl.simulate_run(get_preset("paper-kp4"))
+    gains = {"law.kp_angular": 25.0, "law.kp_linear": 25.0}
+    swinging = tl.simulate_run(override_scenario(get_preset("paper-kp1"), gains, source="test"))
+    long = replace(swinging, name="swinging law.kp_angular=25 law.kp_linear=25 run.long=name")
+    figure = tl.draw.draw_figure("panel", [calm, replace(calm, name="again"), long])
+    told = [axes.get_title("right") for axes in figure.axes if "settled" in axes.get_title("right")]
+    assert told == ["pale: swinging l...n.long=name,\nnot settled"]
+    figure.draw_without_rendering()
+    (rate,) = [axes for axes in figure.axes if axes.get_ylabel().startswith("turn rate")]
+    low, high = rate.get_ylim()
+    turning = long.samples.turn_rate_rad_s
+    assert low < turning.min() < turning.max() < high
+
+
+def test_the_applied_speed_is_negative_where_the_turtle_moves_backward() -> None:
+    run = tl.simulate_run(get_preset("posture"))
+    axes = tl.draw.draw_figure("speed", [run]).axes[0]
+    ((_, commanded),), ((_, applied),) = (
+        find_lines(axes, label) for label in ("commanded", "applied")
+    )
+    assert (commanded.min(), applied.min()) == (-1.0, -1.0)
+    assert run.poses.speed_m_s is not None
+    assert np.array_equal(np.abs(applied), run.poses.speed_m_s)
+    # At a wall, the turtle does not move, but the speed is applied.
+    still = replace(run.poses, xy_m=0.0 * run.poses.xy_m + 5.0)
+    axes = tl.draw.draw_figure("speed", [replace(run, poses=still)]).axes[0]
+    ((_, applied),) = find_lines(axes, "applied")
+    assert applied.max() == 1.0

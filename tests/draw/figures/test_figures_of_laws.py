@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -261,3 +262,15 @@ def test_limits_are_those_that_loops_declare() -> None:
     axes = tl.draw.draw_figure("speed", [run]).axes[0]
     levels = {float(np.asarray(line.get_ydata())[0]) for line in axes.get_lines()[1:3]}
     assert levels == {0.7, -0.7}
+
+
+def test_a_recorded_reference_and_the_bearing_of_the_goal_have_different_dashes() -> None:
+    runs = [tl.simulate_run(get_preset(name)) for name in ("track-square", "posture")]
+    axes = tl.draw.draw_figure("heading", runs).axes[0]
+    lines: list[Any] = [*axes.get_lines()]
+    found = {
+        label: {str(line._dash_pattern) for line in lines if line.get_label() == label}
+        for label in ("reference", "bearing of the goal")
+    }
+    assert [len(dashes) for dashes in found.values()] == [1, 1]
+    assert found["reference"] != found["bearing of the goal"]

@@ -85,3 +85,13 @@ def test_the_bar_tells_gains_in_three_digits() -> None:
     _, bar = draw_figure("heading", thirds).axes
     labels = [text.get_text() for text in bar.get_xticklabels()]
     assert labels[:3] == ["0.333", "0.667", "1"]
+
+
+def test_the_name_of_a_bar_of_long_names_fits_the_figure() -> None:
+    runs = [replace(RUN, name=f"{number} {'wide ' * 5}{number}") for number in range(8)]
+    figure = draw_figure("heading", runs)
+    figure.draw_without_rendering()
+    _, bar = figure.axes
+    assert "\n" in bar.get_xlabel()
+    shown = bar.xaxis.label.get_window_extent()
+    assert figure.bbox.x0 <= shown.x0 < shown.x1 <= figure.bbox.x1

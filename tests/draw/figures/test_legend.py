@@ -28,7 +28,7 @@ def test_what_looks_alike_in_several_panels_shares_an_entry() -> None:
     names = list_legend(tl.draw.draw_figure("panel", RUNS[-1:]))
     assert names == [
         *("paper-kp10, commanded", "start", "goal", "goal bearing, goal", "ideal"),
-        *("tolerance, limit", "applied, |applied|"),
+        *("tolerance, limit", "applied"),
     ]
 
 

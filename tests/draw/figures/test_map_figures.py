@@ -234,7 +234,7 @@ def test_dots_of_curves_are_small_where_there_are_many(
     assert dots.get_markersize() == size
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.009, [" 0 to 0.009"]), (0.011, [])])
+@pytest.mark.parametrize(("share", "told"), [(0.009, [" 0 to 0.009"]), (0.011, []), (0.0, [" 0"])])
 def test_a_bar_too_thin_to_see_has_its_ends_in_words(
     tmp_path: Path, share: float, told: list[str]
 ) -> None:
@@ -243,3 +243,34 @@ def test_a_bar_too_thin_to_see_has_its_ends_in_words(
     )
     figure = lay_out(view, find_loop_limits(view), "tornado", Page())
     assert [text.get_text() for text in figure.axes[0].texts] == told
+
+
+def test_a_limit_for_the_least_dead_time_says_so_and_the_only_loop_has_no_name(
+    tmp_path: Path,
+) -> None:
+    def name_limits(preset: str, **changes: float) -> set[str]:
+        metrics = {"translate.overshoot": lambda kp: kp, "final.position_error": lambda kp: kp}
+        plan = [f"{KP}=1:9"]
+        path = write_table(tmp_path / "t", plan, metrics, preset=preset, changes=changes)
+        view = choose_view(read_swept_results(path, ["*"]))
+        (legend,) = lay_out(view, find_loop_limits(view), "curves", Page(kind="page")).legends
+        return {text.get_text() for text in legend.get_texts() if "begins" in text.get_text()}
+
+    assert name_limits("paper-kp4") == {"overshoot begins (theory, least dead time)"}
+    assert name_limits("textbook", **{"loop.transport_delay_ticks": 6}) == {
+        "overshoot begins (theory)"
+    }
+
+
+@pytest.mark.parametrize(("value", "is_one"), [(0.0085214, True), (0.00853, False), (-1.0, True)])
+def test_a_metric_that_prints_as_one_value_is_a_level_line(
+    tmp_path: Path, *, value: float, is_one: bool
+) -> None:
+    least = 0.00852 if value > 0.0 else value - 1e-6
+    metric = {"final.position_error": lambda kp: value if kp > 4 else least}
+    view = view_table(write_table(tmp_path / "t.parquet", [f"{KP}=1:9"], metric))
+    axes = Figure().subplots()
+    draw_curves(axes, view, view.results.metrics[0], [])
+    low, high = axes.get_ylim()
+    assert low < min(least, value) < max(least, value) < high
+    assert bool(abs(value - least) < 0.01 * (high - low)) is is_one

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from turtlelog.charts.many_runs import (
 )
 from turtlelog.charts.palette import FEW
 from turtlelog.draw import write_comparison_rrd
-from turtlelog.draw.rerun.pictures import arrange_names
+from turtlelog.draw.rerun.pictures import arrange_names, choose_names, view_legend
 from turtlelog.run import Run
 from turtlelog.scenario import get_preset, override_gains
 from turtlelog.simulate import simulate_run
@@ -280,8 +281,54 @@ def test_titles_name_two_runs_that_never_rest(count: int, told: str, tmp_path: P
 def test_names_in_a_legend_stand_in_as_many_columns_as_have_room(
     letters: int, columns: int
 ) -> None:
-    places = arrange_names(["x" * letters] * 8)
-    assert len({*places[:, 0].tolist()}) == columns
+    for count in (8, 100):
+        names = ["x" * letters] * count
+        bounds: Any = view_legend(names).properties["VisualBounds2D"]
+        ranges = bounds.range.as_arrow_array().to_pylist()[0]
+        (left, right), (top, bottom) = ranges.values()
+        places = arrange_names(len(choose_names(names)), columns)
+        assert len({*places[:, 0].tolist()}) == columns
+        assert left < places[:, 0].min() <= places[:, 0].max() < right
+        assert top < 0.0 <= places[:, 1].max() < bottom <= 7.0
+        # The view keeps the ratio of the picture, which must not be narrower than the view.
+        assert right - left >= 2.6 * (bottom - top)
+
+
+def test_many_runs_that_differ_in_a_few_numbers_show_one_that_is_in_their_order() -> None:
+    run = simulate_preset("paper-kp4")
+
+    def sweep(**more: float) -> list[Run]:
+        return [
+            replace(
+                run,
+                parameters={
+                    **run.parameters,
+                    "law.kp_linear": 1.0 + number // 4,
+                    "law.kp_angular": 1.0 + number % 4,
+                    **more,
+                    "seed": number,
+                },
+            )
+            for number in range(8)
+        ]
+
+    scale = find_color_scale(sweep())
+    assert scale is not None
+    assert (scale.word, scale.unit, scale.values) == ("kp_linear", "1/s", (*[1.0] * 4, *[2.0] * 4))
+    assert find_color_scale(sweep()[::-1]) is None
+    paused = [
+        set_gain(run, 4.0, **{KEYS[1]: 4.0 + number, "law.pause_ticks": 3 + number // 4, "seed": 1})
+        for number in range(8)
+    ]
+    finest = find_color_scale(paused)
+    assert finest is not None
+    assert finest.word == "kp_linear"
+    third, fourth = (
+        {f"start.{name}": float(number) for name in names}
+        for number, names in enumerate((["x_m"], ["x_m", "y_m"]), 1)
+    )
+    assert find_color_scale([*sweep()[:4], *sweep(**third)[4:]]) is not None
+    assert find_color_scale([*sweep()[:4], *sweep(**fourth)[4:]]) is None
 
 
 def test_a_scale_needs_one_number_that_differs() -> None:

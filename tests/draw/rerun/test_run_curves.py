@@ -24,13 +24,18 @@ BEARING_DEG = float(np.degrees(LINE.bearing_rad))
 LENGTH_M = LINE.length_m
 
 
+def move_backward() -> NDArray[np.bool_]:
+    return np.diff(read_values("along_track"), prepend=0.0) < 0.0
+
+
 POSE_CURVES: dict[str, Callable[[], NDArray[np.float64] | None]] = {
     "/heading_deg": lambda: np.degrees(read_values("heading")),
     "/heading_error_deg": lambda: np.degrees(read_values("heading_error")),
     "/along_track": lambda: read_values("along_track"),
     "/cross_track": lambda: read_values("cross_track"),
     "/distance": lambda: read_values("distance"),
-    "/speed/applied": lambda: RUN.poses.speed_m_s,
+    # turtlesim publishes no sign; the last commands of paper-kp10 oscillate.
+    "/speed/applied": lambda: RUN.poses.speed_m_s * np.where(move_backward(), -1.0, 1.0),
     "/turn_rate/applied": lambda: RUN.poses.turn_rate_rad_s,
 }
 

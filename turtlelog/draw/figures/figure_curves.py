@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from math import ceil
+from textwrap import fill
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +17,12 @@ from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
 
 from turtlelog.charts import curves, palette
-from turtlelog.charts.many_runs import choose_colors_by_value, find_color_scale, shorten_run_names
+from turtlelog.charts.many_runs import (
+    choose_colors_by_value,
+    cut_alike,
+    find_color_scale,
+    shorten_run_names,
+)
 from turtlelog.compare import name_runs
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
@@ -79,7 +85,6 @@ _OF_ALL_RUNS: Final = frozenset({"ideal", IDEAL_ENDS, curves.REFERENCE, curves.B
 _ALIKE: Final = (
     ("goal bearing", "goal heading", "goal", "zero"),
     ("tolerance", "limit"),
-    ("applied", "|applied|"),
 )
 """Labels that share a style in different panels; each panel shows its own label."""
 
@@ -154,6 +159,7 @@ def count_legend_columns(labels: Sequence[str], width_points: float) -> int:
 
 _BAR_INCH: Final = 0.42  # height of a bar with its numbers and its name [inch]
 _MOST_TICKS: Final = 7  # labels with three digits that fit a column
+_BAR_LETTERS: Final = 36  # letters of the bar's name that fit a column
 
 
 def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
@@ -178,7 +184,8 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     scale = find_color_scale(runs)
     if scale is None:
         bar.set_ticks([])
-        bar.set_label(f"{count} runs, from {names[0]} to {names[-1]}")
+        first, *_, last = cut_alike(names)
+        bar.set_label(fill(f"{count} runs, from {first} to {last}", _BAR_LETTERS))
     else:
         places, labels = zip(*scale.list_ticks(_MOST_TICKS), strict=True)
         bar.set_ticks(places, labels=labels)

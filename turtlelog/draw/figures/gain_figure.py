@@ -61,10 +61,16 @@ def draw_gains(
     columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
     own = {one.loop for one in found} - {""}
     columns = [loop for loop in columns if loop.name in own] or columns[:1] if own else columns[:1]
+    notes = []
+    constant = [loop for loop in columns if len({*loop.gains[np.isfinite(loop.gains)]}) < 2]
+    if metrics is None and len(constant) < len(columns):
+        # Of a constant gain, there would be one place.
+        columns = [loop for loop in columns if loop not in constant]
+        notes = [f"Kp of {one.name} is always {np.nanmax(one.gains):g} 1/s" for one in constant]
     if len(columns) > _MOST_LOOPS:
-        note = f"the first {_MOST_LOOPS} of {len(columns)} loops; --metric LOOP.METRIC chooses"
-        figure.supxlabel(note, fontsize=7.0, color="0.4")
+        notes += [f"the first {_MOST_LOOPS} of {len(columns)} loops; --metric LOOP.METRIC chooses"]
         columns = columns[:_MOST_LOOPS]
+    figure.supxlabel("\n".join(notes), fontsize=7.0, color="0.4")
     shown_loops = {"", *(loop.name for loop in columns)}
     rows = list(dict.fromkeys(one.name for one in found if one.loop in shown_loops))
     width = figure.get_figwidth()

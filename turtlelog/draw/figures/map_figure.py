@@ -237,7 +237,12 @@ def _draw_limits(
 
 
 def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
-    """Return the legend text of a limit. The metric of a loop already names the loop."""
+    """Return the legend text of a limit. The metric of a loop already names the loop.
+
+    Figures of runs draw limits for the dead times of the runs, which may be longer.
+    """
+    if name != GROWN and any(one is not None and one.grown is not None for one in found.columns):
+        name = name.replace("(theory)", "(theory, least dead time)")
     return name if metric.loop == found.loop else f"{found.loop}: {name}"
 
 

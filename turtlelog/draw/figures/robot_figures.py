@@ -16,7 +16,7 @@ from turtlelog import identify
 from turtlelog.charts.curves import Command, Curve, Values, read_applied, read_command
 from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
 from turtlelog.charts.plane_scene import find_time_breaks, list_time_gaps
-from turtlelog.charts.plotted_curves import CommandChange, find_command_changes, label_time
+from turtlelog.charts.plotted_curves import find_command_changes, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, label_error, read_measured
 from turtlelog.compare import ErrorGrowth, RobotComparison, TrajectoryComparison
 from turtlelog.compare.robot_comparison import SHOWN_UNITS
@@ -148,12 +148,15 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
         values = np.append(command.values, command.values[-1])
         command = replace(command, time_ns=np.append(command.time_ns, end_ns), values=values)
     draw_curve(axes, command, **_COMMAND, label="command")
+    # Means extend over their steps: lines between their middles would begin before a command.
+    looks: dict[str, Any] = {} if one.traces is None else {"drawstyle": "steps-mid"}
+    told = "" if one.traces is None else f", means of {np.median(np.diff(one.traces.time_s)):.2g} s"
     if one.measured is not None:
         time_s, values = one.measured
-        draw_thinned(axes, time_s, values, values, **pages.MEASURED, label="motion")
+        draw_thinned(axes, time_s, values, values, **pages.MEASURED, **looks, label=f"motion{told}")
     if one.traces is not None:
         time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.modelled
-        draw_thinned(axes, time_s, values, values, **pages.MODELLED, label="model")
+        draw_thinned(axes, time_s, values, values, **pages.MODELLED, **looks, label=f"model{told}")
     axes.set_ylabel(TIME_PLOTS[one.model.axis].label)
     axes.margins(x=0.01)
     if one.traces is not None:
@@ -170,7 +173,7 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.axhline(0.0, **REFERENCE)
     unit = COMMAND_UNITS[one.model.axis]
     time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
-    draw_thinned(axes, time_s, values, values, **pages.MEASURED)
+    draw_thinned(axes, time_s, values, values, **pages.MEASURED, drawstyle="steps-mid")
     if len(one.outliers_s):
         # An outlier has the time of the pose after its step, traces that of the middle of one or
         # more steps.
@@ -190,7 +193,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     """Draw all large changes of the command over each other, with robot and model."""
     found = one.model.dead_time_s
     dead_s, lag_s = _read(found), _read(one.model.lag_s)
-    longest_s = 0.0 if found is None else max(found.high, 0.0)
+    gain = 1.0 if one.model.gain is None else one.model.gain.value
     after_s = max(_LENGTHS * (dead_s + lag_s), _LEAST_AFTER_S)
     if one.model.is_known:
         if dead_s > 0.0:
@@ -202,23 +205,26 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
             axes.axvspan(dead_s, dead_s + lag_s, **_LAG)
     changes = find_command_changes(one.command)
     for change in changes:
-        until_s = min(change.end_s + longest_s, change.half_s + after_s)
+        until_s = min(change.end_s + dead_s, change.half_s + after_s)
         # Before that time the robot still follows the previous change.
         from_s = min(change.begin_s + dead_s, change.half_s)
         command, last_s = one.command, min(change.end_s, until_s)
-        rows = (command.time_s >= change.begin_s) & (command.time_s <= last_s)
+        is_own = (command.time_s < last_s) | (command.time_s <= change.half_s)
+        rows = (command.time_s >= change.begin_s) & is_own
         held_s = np.array([change.half_s - _BEFORE_S, *command.time_s[rows], last_s])
         held = np.array([change.before, *command.values[rows], command.values[rows][-1]])
         looks: dict[str, Any] = {**_COMMAND, "drawstyle": "steps-post"}
         axes.plot(held_s - change.half_s, change.scale(held), **looks)
         if one.measured is not None:
             # Not averaged over tenths of a second like the whole run: delays are shorter.
-            _draw_followed(axes, change, *_read_fine(one, run), (from_s, until_s), **_EACH)
+            time_s, values, half_s = _read_fine(one, run)
+            rows = (time_s >= from_s) & (time_s + half_s <= until_s)
+            axes.plot(time_s[rows] - change.half_s, change.scale(values[rows], gain), **_EACH)
         if one.traces is not None:
             fine_s = np.linspace(from_s, until_s, _FINE)
             _, rate = identify.predict_axis(one.model, run, fine_s + run.start_ns / 1e9)
             looks = {**pages.MODELLED, "linewidth": 0.9, "zorder": 2.4}
-            _draw_followed(axes, change, fine_s, rate, (from_s, until_s), **looks)
+            axes.plot(fine_s - change.half_s, change.scale(rate, gain), **looks)
     axes.set(xlim=(-_BEFORE_S, after_s), ylim=(-0.35, 1.45))
     axes.set_title(tell_model(one, len(changes)), fontsize=7.0, loc="right")
     axes.set_xlabel("time from the change [s]")
@@ -226,26 +232,13 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.locator_params(axis="x", nbins=5)
 
 
-def _draw_followed(
-    axes: Axes,
-    change: CommandChange,
-    time_s: Values,
-    values: Values,
-    span_s: tuple[float, float],
-    **looks: Any,
-) -> None:
-    """Draw the response to a change, over the time since half of the commanded change."""
-    rows = (time_s >= span_s[0]) & (time_s <= span_s[1])
-    axes.plot(time_s[rows] - change.half_s, change.scale(values[rows]), **looks)
-
-
-def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
-    """Return the mean rate of each step between two poses, at its middle [s]."""
+def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values, Values | float]:
+    """Return the middle of each step between two poses [s], its mean rate and half its length."""
     if one.traces is None:
-        return one.measured or (np.empty(0), np.empty(0))
+        return *(one.measured or (np.empty(0), np.empty(0))), 0.0
     time_s, moved, _ = measure_axis_steps(run.poses, one.model.axis)
     apart_s = np.diff(time_s)
-    return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s
+    return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s, 0.5 * apart_s
 
 
 def _read(found: identify.Estimate | None) -> float:

@@ -58,7 +58,7 @@ MapKind = Literal["map", "curves", "tornado"]
 """Content of a sweep figure."""
 
 _METHODS: Final = (
-    "range along each key, below it its values at both ends; at the line all keys are held at",
+    "bars: range along each key, from the first to the second value below; line: all keys held at",
     "Spearman's rank correlation; grey: 95 % of independent keys",
 )
 """Descriptions of the sensitivities, in a grid and in a sample."""
@@ -158,6 +158,8 @@ def lay_out(view: SweptView, limits: Sequence[LoopLimits], kind: MapKind, page: 
         words = [_METHODS[view.results.is_sampled], *filter(None, [found[0].held])]
         _write_below(figure, words)
     else:
+        if len(limits) == 1:  # the only loop needs no name
+            named = {one.removeprefix(f"{limits[0].loop}: "): look for one, look in named.items()}
         _add_legend(figure, named, view)
     page.fit(figure)
     return figure
@@ -235,7 +237,7 @@ def _name(one: Sensitivity) -> str:
     name = one.axis.name.replace(", ", ",\n")
     if one.least_place is not None and one.most_place is not None:
         ends = (one.axis.tell_place(place) for place in (one.least_place, one.most_place))
-        unit = f" {one.axis.unit}" if one.axis.unit else ""
+        unit = f" [{one.axis.unit}]" if one.axis.unit else ""
         name += f"\n{' to '.join(ends)}{unit}" if one.size else "\nmakes no difference"
     return name.replace("$", r"\$")
 
@@ -256,8 +258,8 @@ def _draw_ranges(axes: Axes, found: Sensitivities, keys: Sequence[Sensitivity]) 
             told = f" {one.left_out} of {len(one.axis)} values: no value"
             axes.text(high, number, told, fontsize=6.2, va="center", color=_NO_VALUE)
         elif high - low < _THIN * widest:
-            told = f" {low:.3g} to {high:.3g}"
-            axes.text(high, number, told, fontsize=6.2, va="center", color="0.25")
+            told = " to ".join(dict.fromkeys((f"{low:.3g}", f"{high:.3g}")))
+            axes.text(high, number, f" {told}", fontsize=6.2, va="center", color="0.25")
         ends += [low, high]
     if found.center is not None:
         axes.axvline(scale(found.center), **REFERENCE)
@@ -442,4 +444,7 @@ def _set_axes(axes: Axes, along: SweptAxis, metric: SweptMetric, values: Values)
         axes.set_ylim(-0.15, 1.2)
     elif len(known) and known.min() > 0.0 and known.max() / known.min() >= map_figure.DECADES:
         axes.set_yscale("log")
+    elif len(known) and f"{known.min():.3g}" == f"{known.max():.3g}":
+        # Printed as one value; on its own scale, differences in later digits look like an effect.
+        axes.set_ylim(*sorted((0.9 * known[0], 1.1 * known[0])) if known[0] else (-0.1, 0.1))
     axes.margins(x=0.03)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.charts import many_runs, palette, plotted_curves
-from turtlelog.charts.curves import find_disturbed_time, lack_samples
+from turtlelog.charts.curves import BEARING_NOW, find_disturbed_time, lack_samples
 from turtlelog.charts.plane_scene import find_origin, label_coordinate, list_seen_gaps, move_near
 from turtlelog.charts.plotted_curves import POINTS, PlottedCurve, Scale, TimePlot, list_plotted
 from turtlelog.charts.time_plots import find_plot
@@ -61,6 +61,8 @@ _OUTLIER: Final = fix_style(
 
 _GAP: Final = fix_style(facecolor="0.95", edgecolor="0.8", hatch="////", linewidth=0.0, zorder=0.45)
 
+_BEARING: Final = (0, (6, 1.2, 1, 1.2, 1, 1.2))  # dash-dot-dot, in multiples of the line's width
+
 _DIMMED: Final = fix_style(alpha=0.35, linewidth=0.6, zorder=1.4)
 """Style of a run that never settles, below runs that settle."""
 
@@ -93,12 +95,16 @@ def draw_time_plot(
     label = label_coordinate(name, origin_m) if origin_m else label
     _finish(axes, runs, re.sub(r"Kp e(\w)", r"$K_p e_\1$", label))
     calm = [run for number, run in enumerate(runs) if number not in restless]
-    _fit(axes, calm, plot, scale, is_forced=bool(restless))
+    is_left_out = plotted_curves.leaves_out(len(runs), plot)
+    # Commands have limits: pale ones fit, too.
+    fitted = calm if plot.command is None or is_left_out else runs
+    _fit(axes, fitted, plot, scale, is_forced=bool(restless))
     if restless:
         axes.set_xlim(right=1.02 * max(float(run.duration_s) for run in calm))
-        how = "without" if plotted_curves.leaves_out(len(runs), plot) else "pale:"
-        words = f"{how} {many_runs.describe_restless(runs, restless)}, not settled"
-        axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
+        how = "without" if is_left_out else "pale:"
+        words = f"{how} {many_runs.describe_restless(runs, restless)},\nnot settled"
+        if all(words != other.get_title("right") for other in axes.figure.axes):
+            axes.set_title(words, fontsize=WORDS_POINTS, color="0.3", loc="right", pad=3.0)
     if len(runs) == 1:
         _shade(axes, runs[0], plot)
     if plot.command is not None:
@@ -185,6 +191,8 @@ def _choose_looks(
     if found.kind not in ("run", "measured"):
         own["marker"] = ""
     own |= _LOOKS.get(found.kind, {})
+    if found.label == BEARING_NOW:  # another aim than a recorded reference
+        own["linestyle"] = _BEARING
     if found.kind in ("ideal", "aim") or (is_alone and found.entry.name):
         own["label"] = found.label
     if found.kind in POINTS:

@@ -115,6 +115,9 @@ class _Overlay:
         content = describe_content(
             self.runs, self.prefixes, self.series, self.references, documents, names=self.names
         )
+        if content.legend_names:
+            brief = many_runs.cut_names(self.name_briefly())
+            content = replace(content, legend_names=brief)
         calm = [number for number in range(len(self.runs)) if number not in self.restless]
         if (scale := self.scale) is not None:
             span = f"{min(scale.values):g} to {max(scale.values):g}"
@@ -155,13 +158,9 @@ class _Overlay:
 
     def name_briefly(self) -> tuple[str, ...]:
         """Return short names of the runs."""
-        if self.scale is not None:
-            return tuple(map(self.name_run, range(len(self.runs))))
-        return many_runs.cut_alike(self.names)
-
-    def name_run(self, number: int) -> str:
-        """Return the name of a run among many in a picture: the value that the colours show."""
-        return self.names[number] if self.scale is None else self.scale.name_run(number)
+        if self.scale is None or len({*self.scale.values}) < len(self.runs):
+            return many_runs.cut_alike(self.names)
+        return tuple(map(self.scale.name_run, range(len(self.runs))))
 
 
 def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[str]:
@@ -233,7 +232,7 @@ def _draw_overlay(stream: rr.RecordingStream, overlay: _Overlay, content: Conten
     if overlay.scale is not None:
         pictures.draw_scale(stream, overlay.scale, overlay.colors)
     elif content.legend_names:
-        pictures.draw_legend(stream, overlay.names, overlay.colors)
+        pictures.draw_legend(stream, content.legend_names, overlay.colors)
     if len(overlay.runs) > many_runs.MANY:
         _show_ends(stream, overlay, content)
     for number, run in enumerate(overlay.runs):
@@ -279,7 +278,8 @@ def _show_ends(stream: rr.RecordingStream, overlay: _Overlay, content: Content) 
     if not furthest:
         return
     places = [overlay.runs[number].poses.xy_m[-1] for number in furthest]
-    names = [overlay.name_run(number) for number in furthest]
+    brief = overlay.name_briefly()
+    names = [brief[number] for number in furthest]
     plane.log_words(
         stream, entities.EXTREMES, places, names, [overlay.colors[number] for number in furthest]
     )

@@ -40,7 +40,8 @@ def view_picture(
 _SCALE_WIDTH: Final = 12.0  # width of the colour bar of many runs, in multiples of its height
 
 _SCALE_DEPTH: Final = 2.5
-_LEGEND_WIDTH: Final = 12.0  # in multiples of a row's height
+_LEGEND_WIDTH: Final = 12.0  # least width, in multiples of a row's height
+_LEGEND_ASPECT: Final = 2.6  # width per height of its view: with more rows, columns would touch
 
 _LEGEND_LETTERS: Final = 48
 """Number of letters of all columns together; with dots and gaps they take 400 of 430 pixels."""
@@ -48,7 +49,7 @@ _LEGEND_LETTERS: Final = 48
 _MOST_COLUMNS: Final = 4
 """Largest number of columns of names; more columns of short names would look like lines of text."""
 
-_MOST_NAMES: Final = 28  # names, in four columns and seven lines of a window of 1200 x 860
+_MOST_ROWS: Final = 7  # lines of names in a window of 1200 x 860
 _LEGEND_RADIUS: Final = 5.0  # [points]
 _SCALE_HEIGHT: Final = 1.0
 
@@ -66,10 +67,10 @@ def view_scale(title: str) -> rrb.View:
 
 def view_legend(names: Sequence[str]) -> rrb.View:
     """Return the view of the names of runs."""
-    shown = [names[number] for number in choose_names(len(names))]
-    last_row = float(arrange_names(shown)[-1, 1])
+    shown = choose_names(names)
+    rows = -(-len(shown) // _count_columns(names))
     title = "Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs"
-    ranges = (0.0, _LEGEND_WIDTH), (-0.5, last_row + 1.0)
+    ranges = (0.0, _find_width(rows)), (-0.5, float(rows))
     return view_picture(title, [join_path(entities.LEGEND)], *ranges)
 
 
@@ -77,10 +78,11 @@ def draw_legend(
     stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[palette.Color]
 ) -> None:
     """Draw the names of runs in their colours."""
-    chosen = choose_names(len(names))
+    chosen = choose_names(names)
     shown, hues = [names[number] for number in chosen], [colors[number] for number in chosen]
     looks: dict[str, Any] = {"labels": shown, "show_labels": True}
-    log_points(stream, entities.LEGEND, arrange_names(shown), hues, _LEGEND_RADIUS, **looks)
+    places = arrange_names(len(shown), _count_columns(names))
+    log_points(stream, entities.LEGEND, places, hues, _LEGEND_RADIUS, **looks)
 
 
 def draw_scale(
@@ -105,23 +107,29 @@ def draw_scale(
     log_words(stream, f"{entities.LEGEND}/values", places, [value for _, value in ticks], hues)
 
 
-def choose_names(count: int) -> tuple[int, ...]:
+def choose_names(names: Sequence[str]) -> tuple[int, ...]:
     """Return the indices of the named runs among many, as room allows, including the last run.
 
     Colours of many runs follow their order, so neighbouring names identify unnamed runs.
     """
-    if count <= _MOST_NAMES:
-        return tuple(range(count))
-    return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
+    most = min(len(names), _MOST_ROWS * _count_columns(names))
+    return tuple(np.linspace(0, len(names) - 1, most).round().astype(int).tolist())
 
 
-def arrange_names(names: Sequence[str]) -> Values:
-    """Return places in a grid, y downward, shape (n, 2). The longest name sets the column width."""
-    longest = max(len(name) for name in names)
-    columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
-    number = np.arange(len(names))
-    across = (number % columns + 0.5) * (_LEGEND_WIDTH / columns)
+def arrange_names(count: int, columns: int) -> Values:
+    """Return places in a grid, y downward, shape (n, 2)."""
+    number, width = np.arange(count), _find_width(-(-count // columns))
+    across = (number % columns + 0.5) * (width / columns)
     return np.column_stack([across, number // columns])
+
+
+def _count_columns(names: Sequence[str]) -> int:
+    """Return the number of columns of names. The longest name sets their width."""
+    return max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // max(map(len, names))))
+
+
+def _find_width(rows: int) -> float:
+    return max(_LEGEND_WIDTH, _LEGEND_ASPECT * (rows + 0.5))
 
 
 _WIDTH: Final = 100.0

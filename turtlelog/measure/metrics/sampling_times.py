@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.arithmetic import compiled_as
+from turtlelog.measure.breaks import find_jumps
 from turtlelog.measure.metric import (
     FOUND,
     ONE_POSE,
@@ -216,6 +217,14 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
     periods_s = np.append(context.pose_period_s, context.duration_s - context.last_pose_s)
     row = int(periods_s.argmax())
     return Found(float(periods_s[row]), float(context.pose_time_s[row]))
+
+
+@run_metric("run.pose_jumps", "1")
+def _count_jumps(context: RunContext) -> Result:
+    """Number of steps from pose to pose that the robot cannot have driven."""
+    if not len(context.pose_period_s):
+        return ONE_POSE
+    return Found(float(len(find_jumps(context.run))))
 
 
 @run_metric(
