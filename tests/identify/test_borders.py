@@ -172,6 +172,27 @@ def test_a_silence_must_be_long_to_be_a_stop(silence_s: float, stops: int) -> No
     assert all(stop.stop_s == pytest.approx(1.25, abs=0.06) for stop in found)
 
 
+@pytest.mark.parametrize(
+    ("silence_s", "wait_s", "stops"),
+    [
+        *((0.49, 0.75, 0), (0.52, 0.75, 1), (1.38, 0.75, 1), (1.47, 0.75, 0)),
+        *((0.62, 1.0, 0), (0.72, 1.0, 1)),
+    ],
+)
+def test_silences_as_long_as_that_of_a_known_stop_may_hide_another(
+    silence_s: float, wait_s: float, stops: int
+) -> None:
+    # Commanded again and again, the robot stops after the last command at 3 s.
+    time_s = np.arange(0.0, 6.0, 0.01)
+    moved = np.where(time_s[:-1] < 3.0 + wait_s, 0.01, 0.0)
+    later_s = np.arange(1.0 + silence_s, 2.95, 0.2)
+    command_s = np.array([*np.arange(0.0, 1.01, 0.2), *later_s, 3.0])
+    found = find_silent_stops(command_s, np.ones(len(command_s)), time_s, moved)
+    assert [stop.is_seen for stop in found] == [False] * stops + [True]
+    assert found[-1].stop_s == pytest.approx(3.0 + wait_s, abs=0.06)
+    assert all(stop.stop_s < 1.0 + silence_s < stop.end_s for stop in found[:-1])
+
+
 @pytest.mark.parametrize(("share", "stops"), [(0.05, 1), (0.2, 0)])
 def test_a_robot_that_still_moves_has_not_stopped(share: float, stops: int) -> None:
     time_s = np.arange(0.0, 4.0, 0.01)

@@ -182,6 +182,25 @@ def test_a_bag_that_is_cut_is_refused_with_what_repairs_it(
         read_run(cut)
 
 
+@pytest.mark.parametrize(("share", "is_read"), [(0.02, False), (0.6, True)])
+def test_the_messages_before_the_cut_of_a_bag_are_read_on_request(
+    share: float, bag: Path, tmp_path: Path, *, is_read: bool
+) -> None:
+    cut = tmp_path / "cut.bag"
+    data = bag.read_bytes()
+    cut.write_bytes(data[: max(len(START), int(share * len(data)))])
+    if not is_read:
+        with pytest.raises(LogError, match="the bag is cut"):
+            read_run(cut, allow_partial=True)
+        return
+    with pytest.warns(UserWarning, match="the number of lost messages is unknown .* is cut"):
+        part = read_run(cut, allow_partial=True)
+    whole = read_run(bag)
+    assert 1 < len(part.poses) < len(whole.poses)
+    assert (part.poses.xy_m == whole.poses.xy_m[: len(part.poses)]).all()
+    assert part.origin.lost == "rows"
+
+
 def test_a_bag_that_was_never_finished_is_told(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.bag.active", CONNECTION, say(), index=0)
     with pytest.raises(LogError, match="the bag is cut or was never finished"):

@@ -11,6 +11,7 @@ from tests.measure.driven import make_driven_run, respond
 from tests.measure.driven_robots import AT_20_HZ, drive, measure, read, tell
 from turtlelog.measure import Status
 from turtlelog.measure.metrics.travel import compute_spectral_arc_length
+from turtlelog.measure.pose_quality import describe_poses
 from turtlelog.measure.rates import read_rates, thin_poses
 from turtlelog.measure.signals import sign_speeds
 from turtlelog.run.angles import wrap_angle
@@ -310,3 +311,27 @@ def test_a_robot_that_drives_sideways_is_not_said_to_stand() -> None:
     aside = replace(run.poses, xy_m=run.poses.xy_m[:, ::-1].copy())
     found = measure(replace(run, poses=aside), "run.spectral_arc_length")
     assert (found.value, found.reason) == (None, "the robot does not drive forward or back")
+
+
+@pytest.mark.parametrize("silent_s", [0.02, 3.0])
+def test_the_time_from_the_last_pose_to_the_last_command_is_without_poses(silent_s: float) -> None:
+    end_s = float(AT_20_HZ[-1])
+    commands = np.array([0.0, end_s + silent_s]), np.zeros(2), np.zeros(2)
+    run = make_driven_run(AT_20_HZ, speed=(AT_20_HZ * 0.0, AT_20_HZ * 0.0), commands=commands)
+    gap = tl.measure_run(run)["run.largest_pose_gap"]
+    assert gap.value == pytest.approx(max(silent_s, 0.05))
+
+
+@pytest.mark.parametrize(("late_s", "is_told"), [(0.02, False), (0.03, True), (0.3, True)])
+def test_a_motion_before_its_commands_is_told(late_s: float, *, is_told: bool) -> None:
+    steps = [(2.0 + at_s, 0.3 * (at_s % 4.0 == 0.0)) for at_s in np.arange(0.0, 16.0, 2.0).tolist()]
+    moved = respond(AT_20_HZ, steps, 0.0)
+    at_s, speeds = (np.array(one) for one in zip(*steps, strict=True))
+    run = make_driven_run(
+        AT_20_HZ, speed=moved, reports=True, commands=(at_s + late_s, speeds, 0.0 * speeds)
+    )
+    metrics = tl.measure_run(run)
+    assert metrics["run.speed_lag"].value == pytest.approx(-late_s, abs=0.03)
+    assert ("leads" in describe_poses(run, metrics)) is is_told
+    reason = tl.identify_robot(run).speed.reason
+    assert late_s < 0.1 or "the motion may lead the commands" in reason

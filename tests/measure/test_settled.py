@@ -35,9 +35,7 @@ def test_a_limit_cycle_does_not_settle(end_s: float) -> None:
         simulate("paper", law__kp_angular=50.0, max_duration_s=end_s), "rotate.settling_time"
     )
     assert (metric.value, metric.status) == (None, tl.measure.Status.NOT_REACHED)
-    assert "s after the response came into the band: it settles where it stays for 1 s" in (
-        metric.reason
-    )
+    assert "s after it came into the band: it settles where it stays for 1 s" in (metric.reason)
 
 
 def test_a_rotation_that_the_law_ended_settles_however_short_it_stays() -> None:

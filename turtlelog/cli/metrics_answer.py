@@ -270,9 +270,15 @@ def list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
     steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
     if not steps:
         return []
+    leads = (one.notes["leads"] for one in summaries if "leads" in one.notes)
     return [
         f"Measured rates are {join_words([*steps])} apart: lags are known to half of it, rise times"
-        " to twice it."
+        " to twice it.",
+        *(
+            f"The motion leads the commands by {lead}: they were recorded late, or their clock"
+            " differs from that of the poses."
+            for lead in leads
+        ),
     ]
 
 

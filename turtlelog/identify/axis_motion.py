@@ -68,12 +68,14 @@ class SilentStop:
     Attributes:
         begin_s: Time of the last command [s].
         stop_s: Time at which the rate has dropped to half [s].
-        end_s: Time of the next command, or of the last pose [s].
+        end_s: Time of the next command, or of the last pose [s]; later for an unseen stop.
+        is_seen: Whether the poses show the rest; else other silences do.
     """
 
     begin_s: float
     stop_s: float
     end_s: float
+    is_seen: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -302,9 +304,9 @@ def split_motions(motions: Sequence[AxisMotion]) -> list[Parts]:
     return splits
 
 
-_SILENCE_S: Final = 0.4
-"""Shortest silence after which a robot may stop by itself [s]: mobile bases wait for at least 0.5
-s."""
+_WATCHDOG_S, _SILENCE_S = 0.5, 0.4
+"""Shortest time for which mobile bases wait before they stop by themselves [s], and the same with
+an allowance for jitter."""
 
 LOOK_S: Final = 0.3
 """Time for which a robot must be at rest before the end of a silence or a first command [s]."""
@@ -327,21 +329,28 @@ _ABOVE_NOISE: Final = 3.0
 def find_silent_stops(
     command_s: Values, command: Values, time_s: Values, moved: Values
 ) -> list[SilentStop]:
-    """Return the silences after a nonzero command at the end of which a robot is at rest.
+    """Return the silences after a nonzero command in which a robot stops, or may stop.
 
     `time_s` are the times of the poses [s], shape (n + 1,), `moved` the steps between them, (n,).
     """
     if not len(command) or not len(moved):
         return []
     ends_s = np.append(command_s[1:], time_s[-1])
-    silent = np.flatnonzero((ends_s - command_s > _SILENCE_S + LOOK_S) & (command != 0.0))
-    found = [
-        _look_at_silence(
-            float(command_s[row]), float(ends_s[row]), abs(float(command[row])), time_s, moved
-        )
-        for row in silent.tolist()
-    ]
-    return [stop for stop in found if stop is not None]
+    silent = np.flatnonzero((ends_s - command_s > _SILENCE_S) & (command != 0.0))
+    rows = np.column_stack([command_s, ends_s, np.abs(command)])[silent].tolist()
+    long = [row for row in rows if row[1] - row[0] > _SILENCE_S + LOOK_S]
+    looks = (_look_at_silence(row[0], row[1], row[2], time_s, moved) for row in long)
+    seen = [stop for stop in looks if stop is not None]
+    if not seen:
+        return []
+    known, wait_s = {one.begin_s for one in seen}, min(one.stop_s - one.begin_s for one in seen)
+    for begin_s, end_s, _ in rows:
+        # The robot may also stop in silences that are too short to show its rest.
+        is_near = -LOOK_S <= end_s - begin_s - wait_s <= LOOK_S + _SILENCE_S
+        if begin_s not in known and is_near and end_s - begin_s > _WATCHDOG_S:
+            stop_s, until_s = min(begin_s + wait_s, end_s - 1e-9), end_s + LOOK_S
+            seen.append(SilentStop(begin_s=begin_s, stop_s=stop_s, end_s=until_s, is_seen=False))
+    return sorted(seen, key=lambda stop: stop.begin_s)
 
 
 def _look_at_silence(

@@ -118,6 +118,10 @@ _FIRST: Final[Mapping[Refusal, str]] = {
 """Advice before the test drive."""
 
 
+_EARLY: Final = "no delay fits best, and the intervals are wide: the motion may lead the commands"
+_ONE_CLOCK: Final = "record commands without delay, by the clock of the poses"
+
+
 def refuse_axis(axis: Axis, refusal: Refusal, *, drive: str = "", **facts: Any) -> AxisModel:
     """Return an axis without values. `drive` completes the advised test drive."""
     advice = f"step the {NAMES[axis]} ten times for 2 s{drive}"
@@ -238,6 +242,8 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
         return refuse_axis(found.axis, "jump", count=count, steps=len(size))
     fine_s = float(np.median(fit.model.duration_s))
     refused = _refuse_wide(found, fine_s)
+    if refused and not fit.parameters[[DEAD_TIME, LAG]].any():
+        return replace(refused, reason=_EARLY, advice=_ONE_CLOCK)
     if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
         return refused
     differing = find_differing_parts(found.axis, fit)

@@ -101,7 +101,10 @@ def _read_bag(path: Path, choice: ReadChoice) -> "Run":
             if report is None or report.complete:
                 raise
             run = ros2.read_bag(copy, **_list_options(choice))
-    lost = run.notes["recovered"]
+    # Without a part of the bag, the other parts may be sound.
+    lost = run.notes.get("recovered", "; ".join(loss.reason for loss in report.lost))
+    origin = run.origin if "recovered" in run.notes else replace(run.origin, lost="rows")
+    run = replace(run, origin=origin, notes={**run.notes, "recovered": lost})
     warnings.warn(f"{path}: {lost}", recording.PartialRecordingWarning, stacklevel=4)
     return run
 
@@ -225,12 +228,19 @@ def _note_unused(run: "Run", choice: ReadChoice, kind: FileKind) -> "Run":
 
 def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
     """Return the run in a file or bag by turtlelog; None for third-party files."""
-    files = ros2.list_bag_files(path) if path.is_dir() else (path,)
+    try:
+        files = ros2.list_bag_files(path) if path.is_dir() else (path,)
+    except LogError:
+        if not allow_partial:
+            raise
+        return None
     if len(files) != 1:
         return None
     try:
         return recording.read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
+        if allow_partial and ".bag" in files[0].suffixes:  # recovered as any other bag
+            return None
         if is_bag_file(files[0]):
             with suppress(LogError):
                 if read_info(files[0]).format_version is None:

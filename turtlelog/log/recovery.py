@@ -86,9 +86,9 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
 
 
 def _recover_bag(source: Path, target: Path) -> RecoveryReport:
-    files = list_present_files(source)
+    files, absent = list_present_files(source)
     reports: list[tuple[Path, RecoveryReport]] = []
-    lost: list[Loss] = []
+    lost = [Loss(start=0, end=0, reason=f"{name} is missing") for name in absent]
     errors: list[LogError] = []
     with create_folder(target) as folder:
         for file in files:
@@ -107,10 +107,10 @@ def _recover_bag(source: Path, target: Path) -> RecoveryReport:
         text = describe_bag([place for place, _ in reports], read_compression(source))
         (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
     found = [report for _, report in reports]
-    is_known = not errors and all(report.missing is not None for report in found)
+    is_known = not errors and not absent and all(report.missing is not None for report in found)
     return RecoveryReport(
         file=str(source),
-        complete=not errors and all(report.complete for report in found),
+        complete=not errors and not absent and all(report.complete for report in found),
         recovered=_sum_counts(report.recovered for report in found),
         unchecked=_sum_counts(report.unchecked for report in found),
         missing=_sum_counts(report.missing or {} for report in found) if is_known else None,
@@ -142,6 +142,8 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
             if found.fault is not None:
                 copied.lose(Loss(start=size, end=size, reason=found.fault))
             report = _build_report(str(source), copied, summary)
+            if found.fault is not None:  # the summary counts what was unpacked
+                report = replace(report, missing=None)
             if found.bag is not None:
                 # A bag has no message counts, but a tree of pages without a gap is complete.
                 report = replace(report, missing={} if report.complete else None)
@@ -171,7 +173,7 @@ def _copy(source: Path, found: Damaged, output: BinaryIO, summary: FileSummary |
 
 
 def _find_file(source: Path) -> Path:
-    files = list_present_files(source) if source.is_dir() else (source,)
+    files = list_present_files(source)[0] if source.is_dir() else (source,)
     if len(files) != 1:
         names = ", ".join(file.name for file in files)
         raise LogError(

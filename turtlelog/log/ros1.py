@@ -10,6 +10,7 @@ counts the zero after a text.
 import bz2
 import struct
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -101,10 +102,13 @@ class _Copy:
         self.records, self.index = bytearray(), {}
 
 
-def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
+def copy_ros1_bag(
+    stream: BinaryIO, place: Path, stored_size: int, faults: list[str] | None = None
+) -> None:
     """Write the messages of a ROS 1 bag as an MCAP file.
 
-    `stored_size` is the size of the bag before unpacking [bytes], which sets the limits.
+    `stored_size` is the size of the bag before unpacking [bytes], which sets the limits. `faults`
+    takes the place where a bag is cut, of which the whole chunks are then written.
 
     Raises:
         LogError: If the file is no complete bag of version 2.0, or exceeds the limits for its size.
@@ -121,17 +125,18 @@ def copy_ros1_bag(stream: BinaryIO, place: Path, stored_size: int) -> None:
             messages_left=grow_bound(_MESSAGES, stored_size),
             bz2_left=grow_bound(_BZ2_BYTES, stored_size),
         )
-        if not _copy_records(stream, copy):
-            raise DamageError(
-                f"byte {stream.tell()}: the bag is cut or was never finished: rosbag reindex FILE"
-                " keeps what it holds"
-            )
+        if not _copy_records(stream, copy, is_partial=faults is not None):
+            cut = f"byte {stream.tell()}: the bag is cut or was never finished"
+            if faults is None:
+                fix = "rosbag reindex FILE and --partial keep its whole chunks"
+                raise DamageError(f"{cut}: {fix}")
+            faults.append(cut)
         copy.flush()
         file.describe(copy.schemas.values(), (channel for _, channel in copy.channels.values()))
         file.finish()
 
 
-def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
+def _copy_records(stream: BinaryIO, copy: _Copy, *, is_partial: bool) -> bool:
     """Copy all records, and return whether the bag was finished and is complete."""
     index_byte = 0
     while True:
@@ -147,11 +152,25 @@ def _copy_records(stream: BinaryIO, copy: _Copy) -> bool:
             if operation in {_INDEX, _CHUNK_INFO, _BAG}:
                 stream.seek(size, 1)
                 continue
-            _take(copy, operation, header, _read(stream, size))
+            _take_next(stream, copy, header, size, is_partial=is_partial)
         except _EndError:
             return False
         except LogError as err:
             raise LogError(f"byte {byte}: {err}") from err
+
+
+def _take_next(
+    stream: BinaryIO, copy: _Copy, header: Mapping[str, bytes], size: int, *, is_partial: bool
+) -> None:
+    """Take the data of a record; of a chunk that is cut, the records before it, if plain."""
+    operation = _find(header, "op", 1)[0]
+    try:
+        _take(copy, operation, header, _read(stream, size))
+    except _EndError as err:
+        if is_partial and operation == _CHUNK:
+            with suppress(LogError):
+                _take(copy, operation, header, err.args[0])
+        raise
 
 
 def _take(copy: _Copy, operation: int, header: Mapping[str, bytes], data: bytes) -> None:
@@ -294,7 +313,7 @@ def _read(stream: BinaryIO, size: int) -> bytes:
     while len(found) < size:
         part = stream.read(min(_STEP, size - len(found)))
         if not part:
-            raise _EndError
+            raise _EndError(bytes(found))
         found += part
     return bytes(found)
 

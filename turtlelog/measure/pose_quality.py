@@ -411,7 +411,11 @@ def _describe_resolution(run: Run, metrics: Mapping[str, Metric]) -> dict[str, s
         return {}
     is_reported = run.poses.measured_speed_m_s is not None
     time_s = run.poses.time_ns / 1e9 if is_reported else space_poses(run).time_s
-    return {"rate_step": format_short(1e3 * compute_median(subtract_neighbours(time_s)), "ms")}
+    step_s = compute_median(subtract_neighbours(time_s))
+    lead_s = -min((lag for axis in AXES if (lag := _get(metrics, f"run.{axis}_lag"))), default=0.0)
+    # A robot without delays has a lag of 0 within half a step.
+    leads = {"leads": format_short(lead_s, "s")} if lead_s > step_s else {}
+    return {"rate_step": format_short(1e3 * step_s, "ms"), **leads}
 
 
 def _describe_times(run: Run) -> dict[str, str]:

@@ -18,7 +18,7 @@ from tests.log.ros2.bags import (
 )
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log import read_columns, read_info, read_run
+from turtlelog.log import read_columns, read_info, read_run, recover_recording
 from turtlelog.log.engine import limits
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
 from turtlelog.log.ros2.bag_files import parse_bag_metadata
@@ -101,7 +101,10 @@ def test_files_that_were_all_renamed_are_read_in_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("names", "found"),
-    [(["a.db3", "b.db3", "c.db3"], "none"), (["c.db3"], "a.db3, b.db3")],
+    [
+        (["a.db3", "b.db3", "c.db3"], "none; --partial reads the others"),
+        (["c.db3"], "a.db3, b.db3"),
+    ],
 )
 def test_a_file_that_may_be_any_is_missing(names: list[str], found: str, tmp_path: Path) -> None:
     write_metadata(write_split(tmp_path, "a.db3", "b.db3"), names, storage="sqlite3")
@@ -280,3 +283,16 @@ def test_a_file_under_two_names_is_no_bag(tmp_path: Path) -> None:
     line = r"expected each file once, found a_0\.mcap and a_1\.mcap are one"
     with pytest.raises(LogError, match=line):
         read_bag_info(tmp_path)
+
+
+def test_the_parts_of_a_bag_that_are_there_are_read_on_request(tmp_path: Path) -> None:
+    write_metadata(
+        write_split(tmp_path, "a.db3", "b.db3"), ["a.db3", "b.db3", "c.db3"], storage="sqlite3"
+    )
+    with pytest.warns(UserWarning, match="c.db3 is missing"):
+        run = read_run(tmp_path, allow_partial=True)
+    assert len(run.poses) > 1
+    assert run.origin.lost == "rows"
+    assert (
+        recover_recording(tmp_path, tmp_path.parent / "copy").lost[0].reason == "c.db3 is missing"
+    )

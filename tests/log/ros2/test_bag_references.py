@@ -147,6 +147,19 @@ def test_a_trace_ends_within_a_robots_width(
     assert (read(tmp_path, say_odometry(), path).path is None) == is_trace
 
 
+@pytest.mark.parametrize(("off_m", "is_trace"), [(0.09, False), (0.11, True)])
+def test_plans_after_the_arrival_do_not_make_the_others_a_trace(
+    off_m: float, *, is_trace: bool, tmp_path: Path
+) -> None:
+    plans = [say_path((float(x), 0.0), (5.0, 0.0), at_s=x) for x in (0, 1, 2)]
+    last = [say_path((5.0, -off_m), (5.0, -0.01), at_s=5.0 + k / 20) for k in range(9)]
+    odometry = say_odometry(count=6)
+    odometry.append(replace(odometry[-1], time_ns=round(6e9)))
+    run = read(tmp_path, odometry, plans, last)
+    assert (run.path is None) == is_trace
+    assert is_trace or run.notes["path"].startswith("the first plan of ")
+
+
 @pytest.mark.parametrize(("size_m", "is_trace"), [(0.27, True), (0.28, False)])
 def test_a_lap_is_a_plan_if_the_robot_has_not_driven_it(
     size_m: float, *, is_trace: bool, tmp_path: Path

@@ -28,7 +28,8 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
-from turtlelog.log.ros2.bag_inputs import choose_command_topic
+from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.ros2.bag_inputs import choose_command_topic, choose_commands
 from turtlelog.log.ros2.bag_topics import choose_pose_topic
 from turtlelog.log.ros2.reported_motion import describe_leaps
 
@@ -104,6 +105,25 @@ def test_one_message_is_no_motion() -> None:
         ("/base/odom", ["/cmd_vel", "/base/cmd_vel"], "/base/cmd_vel"),
         ("/robot1/odom", ["/robot1_base/cmd_vel"], "/robot1_base/cmd_vel"),
         ("/odom", ["/twist", "/wheels/measured"], "/twist"),
+        (
+            "/gps/fix",
+            ["/joy_teleop/cmd_vel", "/a_base_controller/cmd_vel"],
+            "/a_base_controller/cmd_vel",
+        ),
+        (
+            "/gps/fix",
+            ["/cmd_vel", "/drive_controller/cmd_vel_out"],
+            "/drive_controller/cmd_vel_out",
+        ),
+        ("/drive_controller/odom", ["/cmd_vel", "/joy/cmd_vel"], "/cmd_vel"),
+        (
+            "/joystick_robot2/odom",
+            ["/teleop/cmd_vel", "/controlled/cmd_vel_out"],
+            "/controlled/cmd_vel_out",
+        ),
+        ("/a/base_controller/odom", ["/a/cmd_vel", "/drive_controller/cmd_vel"], "/a/cmd_vel"),
+        ("/odom", ["/monkey/cmd_vel", "/cmd_vel_out"], "/monkey/cmd_vel"),
+        ("/odom", ["/key/cmd_vel", "/cmd_vel_out"], "/cmd_vel_out"),
     ],
 )
 def test_commands_are_those_that_the_base_listens_to(
@@ -381,3 +401,13 @@ def test_a_fifth_of_the_poses_must_leap(share: float, *, is_said: bool) -> None:
 def test_large_noise_is_no_second_program() -> None:
     noise_m = np.random.default_rng(1).normal(scale=5.0, size=(4000, 2))
     assert describe_leaps(noise_m) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "is_told"), [("/control/control_cmd", True), ("/control/status", False)]
+)
+def test_commands_of_an_unread_type_are_named(name: str, *, is_told: bool) -> None:
+    kind = "autoware_auto_control_msgs/msg/AckermannControlCommand"
+    pick, lack = choose_commands(list_topics((name, kind)), ReadChoice(), pose_topic="/odom")
+    assert pick is None
+    assert lack.startswith(f"commands on {name}: {kind} is not read") is is_told

@@ -154,10 +154,8 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
             stream = closing.enter_context(_Unpacked(place, stored_size))
         head = _read_head(stream)
         if head.startswith(_ROS1_MAGIC):
-            if faults is not None:
-                raise LogError("a bag of ROS 1 is not recovered; rosbag reindex FILE does")
             stored_size = measure_stored(stream)
-            place = _copy_ros1(path, stream, stored_size)
+            place = _copy_ros1(path, stream, stored_size, faults)
             stream = closing.enter_context(_Unpacked(place, stored_size))
         if not head and ".db3" in path.suffixes:
             raise LogError("expected a bag in SQLite, found an empty file")
@@ -179,7 +177,7 @@ times."""
 _MOST_COPIES: Final = 4
 
 
-def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
+def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int, faults: list[str] | None) -> Path:
     """Return the path of an MCAP file with a ROS 1 bag's messages, which exists until the exit."""
     import shutil  # few files need these
     import tempfile
@@ -195,7 +193,9 @@ def _copy_ros1(path: Path, stream: BinaryIO, stored_size: int) -> Path:
     # Also at the end of worker processes, which atexit does not notice.
     Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
     copy = folder / "copied.mcap"
-    copy_ros1_bag(stream, copy, stored_size)
+    copy_ros1_bag(stream, copy, stored_size, faults)
+    if faults:  # a cut bag is no whole one for later readers
+        return copy
     if len(_COPIES) == _MOST_COPIES:
         oldest = next(iter(_COPIES))
         shutil.rmtree(_COPIES.pop(oldest).parent, ignore_errors=True)

@@ -6,6 +6,7 @@ topics. Anchors, and lists in brackets over several lines, are refused; no recor
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -277,12 +278,16 @@ def find_bag_files(path: str | Path) -> BagFiles:
     return found
 
 
-def list_present_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of a bag to recover, in the bag's order if known."""
+def list_present_files(folder: Path) -> tuple[tuple[Path, ...], list[str]]:
+    """Return the files of a bag to recover, in order if known, and names of those missing."""
     try:
-        return find_bag_files(folder).files
+        return find_bag_files(folder).files, []
     except LogError as err:
-        return _take_present(folder, _list_present(folder), str(err)).files
+        files = _take_present(folder, _list_present(folder), str(err)).files
+    present, named = {file.name for file in files}, tuple[str, ...]()
+    with suppress(LogError):
+        named = read_bag_metadata(folder).files
+    return files, [name for name in named if PurePosixPath(name).name not in present]
 
 
 def _list_present(folder: Path) -> tuple[Path, ...]:
@@ -337,7 +342,8 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     others = [file for file in present if file not in files]
     names = ", ".join(file.name for file in others) or "none"
     if len(missing) != len(others) or (files and len(others) > 1):
-        raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names[:200]}")
+        names = f"{names[:200]}{'; --partial reads the others' if files else ''}"
+        raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names}")
     found = [*files] or others
     if files:
         found.insert(metadata.files.index(missing[0]), others[0])

@@ -26,7 +26,7 @@ from turtlelog.run.angles import rotate_vectors
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
-"""Topics of a turtlelog recording that have the type of commands but contain none."""
+"""Topics of turtlelog recordings that contain no commands but have their type."""
 
 _VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
 """Names of velocities that are measured if a pose has the same namespace: velocity_local and
@@ -41,15 +41,17 @@ _COMMAND_NAMES: Final = (
 )
 """Patterns for names of command topics; the topic that a base usually listens to is first."""
 
+_CONTROLLER: Final = re.compile(r"(?:\w*_)?(?:velocity|drive|base|steering)_controller")
+_SOURCE: Final = re.compile(r"(?:\w*_)?(?:joy|joystick|teleop|key|keyboard)(?:_\w*)?")
+"""Namespaces of a base's last stage, and of a person's commands, its first: they name no robot."""
+
 _WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
 _LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
 _GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
 
 _AT_ROBOT_M: Final = 0.1
-"""Largest distance of a path's end from the robot at which the path is the robot's trace [m].
-
-The distance is a robot's width, because the last recorded position is a few tenths of a second old.
-A plan, in contrast, ends at the goal, which is farther away."""
+"""Largest distance of a path's end from the robot at which the path is the robot's trace [m]: a
+robot's width, as the last position is a few tenths of a second old. A plan ends at the goal."""
 
 _AT_ROBOT_SHARE: Final = 0.1
 """The same distance as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
@@ -68,7 +70,7 @@ _MOST_LOOKED_AT: Final = 50
 def choose_commands(
     topics: Sequence[TopicInfo], choice: ReadChoice, *, pose_topic: str
 ) -> tuple[bag_topics.Pick | None, str]:
-    """Return the topic of the commands, or the reason why there is none, which may be empty.
+    """Return the topic of the commands, or the reason for none, perhaps empty.
 
     Ackermann commands need a wheelbase, and have priority if one is given.
     """
@@ -85,8 +87,17 @@ def choose_commands(
     if pick is not None and pick.topic.type in steering:
         raise LogError(f"command_topic {pick.source.describe()}: {bag_topics.NEEDS_WHEELBASE}")
     if pick is not None or (steered := choose(None, types=steering)) is None:
-        return pick, ""
+        return pick, _describe_unread(topics) if pose_topic and pick is None else ""
     return None, f"commands on {steered.source.describe()}: {bag_topics.NEEDS_WHEELBASE}"
+
+
+def _describe_unread(topics: Iterable[TopicInfo]) -> str:
+    """Return the first topic that is named as commands and has another type; may be empty."""
+    for one in topics:
+        is_named = bag_topics.rank_name(one.topic, _COMMAND_NAMES) < len(_COMMAND_NAMES)
+        if is_named and one.count and not one.reason and one.type not in bag_topics.COMMAND_TYPES:
+            return f"commands on {one.topic}: {one.type} is not read, Twist and AckermannDrive are"
+    return ""
 
 
 def choose_command_topic(
@@ -99,8 +110,8 @@ def choose_command_topic(
     """Return the requested topic, or else the most likely one; None if there is none.
 
     The topic next to the poses (/turtle2/cmd_vel for /turtle2/pose) has the highest priority, then
-    the usual name for a robot base (cmd_vel before cmd_vel_nav). Topics of other robots are never
-    chosen. Without poses, `pose_topic` is empty.
+    the base's last stage and its usual name (cmd_vel before cmd_vel_nav), whichever of the robot's
+    poses are read. Topics of other robots are never chosen. Without poses, `pose_topic` is empty.
     """
     held = [topic for topic in topics if topic.count]
     if asked is not None:
@@ -122,15 +133,26 @@ def choose_command_topic(
         return None
 
     def rank(topic: TopicInfo) -> tuple[int, ...]:
-        near, depth = bag_topics.rank_place(topic.topic, pose_topic)
+        own, stage = _take_stage(topic.topic)
+        near, depth = bag_topics.rank_place(own, _take_stage(pose_topic)[0])
         name = bag_topics.rank_name(topic.topic, _COMMAND_NAMES)
         # The robot's own commands have priority, and topics named as commands over all others.
-        return int(name == len(_COMMAND_NAMES)), near, name, depth
+        return int(name == len(_COMMAND_NAMES)), near, stage, name, depth
 
     chosen = bag_topics.require_one_topic(bag_topics.list_first(fitting, rank), "command_topic")
     return bag_topics.Pick(
         topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen)
     )
+
+
+def _take_stage(topic: str) -> tuple[str, int]:
+    """Return a topic without namespaces of stages, and its stage: 0 of a controller, 2 a source."""
+    words = topic.split("/")
+    left = [
+        word for word in words[:-1] if not (_CONTROLLER.fullmatch(word) or _SOURCE.fullmatch(word))
+    ]
+    stage = 1 if len(left) == len(words) - 1 else 2 * any(map(_SOURCE.fullmatch, words[:-1]))
+    return "/".join([*left, words[-1]]), stage
 
 
 def order_commands(
@@ -210,8 +232,8 @@ def add_references(
     named = {name_frame(columns) for columns in (*goals, *paths)}
     if track.frame and not track.tree and named - {track.frame, ""}:
         track = replace(track, tree=read_tree(bag, topics, source.home))
-    notes, changes, since_ns = dict[str, str](), dict[str, Any](), 0
-    goal_given_ns, path_given_ns = None, None
+    notes, changes = dict[str, str](), dict[str, Any]()
+    since_ns, goal_given_ns, path_given_ns = 0, None, None
     if given is not None:
         xy_m, heading_rad = parse_goal_option(given)
         changes, notes["goal"] = {"goal_xy_m": xy_m, "goal_heading_rad": heading_rad}, "as given"
@@ -278,12 +300,10 @@ def _choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Topic
     )
 
 
-_Goal = tuple[dict[str, Any], str, int]
-"""Fields of the run, a note in one sentence, and the time on the recorder's clock [ns]."""
-
-
-def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) -> _Goal:
-    """Return the last goal that was set while the robot was recorded, and when it was first given.
+def _find_goal(
+    messages: Sequence[TopicColumns], topic: str, track: RobotTrack
+) -> tuple[dict[str, Any], str, int]:
+    """Return fields of the last goal set in the drive, a note, and when it was first given [ns].
 
     A goal in another frame needs transforms at its time.
     """
@@ -301,9 +321,8 @@ def _find_goal(messages: Sequence[TopicColumns], topic: str, track: RobotTrack) 
     # A goal may be published again and again: it was given first after the last other goal.
     last_other = max((at for at, text in enumerate(texts) if text != texts[-1]), default=-1)
     time_ns = known[last_other + 1][0]
-    said = f"from {topic}"
-    if len(others) > 1:
-        said = f"the last of {len(others)} from {topic}: --goal chooses another"
+    many = f"the last of {len(others)} from {topic}: --goal chooses another"
+    said = f"from {topic}" if len(others) == 1 else many
     if not np.isfinite(place_m).all():
         return {}, f"{topic}: left out: its position is no number", 0
     # The default of the message; programs without a goal heading leave it.
@@ -353,11 +372,10 @@ def find_path(
     since_ns: int = 0,
     is_asked: bool = False,
 ) -> tuple[list[list[float]] | None, str, int]:
-    """Return the points of the path that counts [m], in the frame of the poses, a note and a time.
+    """Return the points of the path that counts [m], None for none, a note and when it was given.
 
     It is the first path with a length after the goal was set (`since_ns`, on the recorder's clock),
-    or, if later paths end elsewhere, the first to the last goal. The time is when it was published
-    [ns]. The points are None without a reference, as of the robot's own trace.
+    or, if later paths end elsewhere, the first to the last goal; in the frame of the poses.
     """
     paths = [
         (time_ns, *_read_points(messages[number], row, time_ns, track))
@@ -369,7 +387,9 @@ def find_path(
         why = reasons.pop() if reasons else "no message of it has a length"
         return None, f"{topic}: left out: {why}", 0
     looked_at = known[:: -(-len(known) // _MOST_LOOKED_AT)]
-    is_trace = float(np.median([_is_trace(*one, track) for one in looked_at])) >= 0.5
+    verdicts = [_is_trace(*one, track) for one in looked_at]
+    told = [verdict for verdict in verdicts if verdict is not None] or [True]
+    is_trace = float(np.median(told)) >= 0.5
     if is_trace and not is_asked:
         return None, f"{topic}: left out: it ends where the robot is, and is its trace", 0
     present = [one for one in known if one[0] <= track.time_ns[-1]] or known
@@ -386,24 +406,23 @@ def find_path(
     place = plans.index(xy_m.tobytes()) + 1
     which = "the first plan" if place == 1 else f"plan {place}"
     said = f"from {topic}" if len(plans) == 1 else f"{which} of {len(plans)} from {topic}"
-    if len(points) < len(xy_m):
-        said += f", {len(points)} of its {len(xy_m)} points"
-    if is_trace:
-        said += ", though it ends where the robot is, as a trace does"
+    said += f", {len(points)} of its {len(xy_m)} points" if len(points) < len(xy_m) else ""
+    said += ", though it ends where the robot is, as a trace does" if is_trace else ""
     return points, said, given_ns
 
 
-def _is_trace(time_ns: int, xy_m: Values, track: RobotTrack) -> bool:
+def _is_trace(time_ns: int, xy_m: Values, track: RobotTrack) -> bool | None:
     """Return whether a path ends at the robot's position at its time of publication.
 
-    The plan of a lap, which also begins there, is longer than the robot's drive up to then.
+    The plan of a lap, which also begins there, is longer than the robot's drive up to then. None
+    for a path that never leaves the robot: its trace at the start, or a plan after the arrival.
     """
     row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
     length_m = _measure(xy_m)
     near_m = max(_AT_ROBOT_M, _AT_ROBOT_SHARE * length_m)
-    begin_m, end_m = np.hypot(*(xy_m[[0, -1]] - track.xy_m[row]).T)
-    is_lap = begin_m <= near_m and length_m > _measure(track.xy_m[: row + 1]) + near_m
-    return bool(end_m <= near_m and not is_lap)
+    away_m = np.hypot(*(xy_m - track.xy_m[row]).T)
+    is_lap = away_m[0] <= near_m and length_m > _measure(track.xy_m[: row + 1]) + near_m
+    return None if away_m.max() <= near_m else bool(away_m[-1] <= near_m and not is_lap)
 
 
 def _read_points(

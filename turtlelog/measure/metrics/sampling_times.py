@@ -208,11 +208,13 @@ _period_metric(
 )(compute_spread)
 
 
-@run_metric("run.largest_pose_gap", "s", "Longest time without a pose.", grows=True)
+@run_metric(
+    "run.largest_pose_gap", "s", "Longest time without a pose, also after the last.", grows=True
+)
 def _find_largest_pose_gap(context: RunContext) -> Result:
-    periods_s = context.pose_period_s
-    if not len(periods_s):
+    if not len(context.pose_period_s):
         return ONE_POSE
+    periods_s = np.append(context.pose_period_s, context.duration_s - context.last_pose_s)
     row = int(periods_s.argmax())
     return Found(float(periods_s[row]), float(context.pose_time_s[row]))
 
