@@ -77,15 +77,15 @@ def test_poses_are_told_where_only_the_command_topic_is_undecided(
 ) -> None:
     commands = [
         say_twist(0.1, row=row, topic=f"/{name}/cmd_vel")
-        for name in ("joy", "nav")
+        for name in ("left", "nav")
         for row in range(5)
     ]
     told = call("info", write_robot(tmp_path, say_odometry(count=5), commands)).flat
     assert "a robot: 5 poses on /odom; not turtlesim; command_topic: expected one topic" in told
-    assert "/joy/cmd_vel, /nav/cmd_vel: choose with --command-topic" in told
+    assert "/left/cmd_vel, /nav/cmd_vel: choose with --command-topic" in told
     assert "cannot be read" not in told
     told = call("info", write_robot(tmp_path, commands)).flat
-    assert "commands without poses; command_topic: expected one topic, found /joy/cmd_vel" in told
+    assert "commands without poses; command_topic: expected one topic, found /left/cmd_vel" in told
     assert "needs" not in told
 
 

@@ -304,8 +304,8 @@ def _list_notes(
     if len(jumps) > _MOST_NAMED:
         yield f"And {describe_count(len(jumps) - _MOST_NAMED, 'jump')} more."
     for axis, motion in motions.items():
-        if motion.stops:
-            many = describe_count(len(motion.stops), "time")
+        if motion.seen_stops:
+            many = describe_count(len(motion.seen_stops), "time")
             yield (
                 f"The {axis_motion.NAMES[axis]} stops by itself where no command comes, {many}; the"
                 " simulated robot is stopped then."
@@ -356,7 +356,7 @@ def _list_commands(
     held = {"speed": speed[first:after].copy(), "turn_rate": turn_rate[first:after].copy()}
     time_ns = np.maximum(time_ns[first:after], begin_ns)
     for axis in AXES:
-        for stop in motions[axis].stops:
+        for stop in motions[axis].seen_stops:
             # It is down to half by then, and the simulated robot takes its own time to get there.
             begun = max(int(np.searchsorted(time_ns, round(stop.begin_s * 1e9), "right")) - 1, 0)
             earlier_s = _find_delay(scenario, axis, float(held[axis][begun]), _HALF)

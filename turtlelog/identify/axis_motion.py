@@ -108,6 +108,11 @@ class AxisMotion:
     waited: tuple[float, float] = (0.0, 0.0)
 
     @property
+    def seen_stops(self) -> tuple[SilentStop, ...]:
+        """Stops whose rest the poses show."""
+        return tuple(stop for stop in self.stops if stop.is_seen)
+
+    @property
     def duration_s(self) -> Values:
         """Duration of each step [s]."""
         return np.asarray(self.time_s[self.first + 1] - self.time_s[self.first])

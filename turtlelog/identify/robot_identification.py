@@ -154,8 +154,7 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         return refused, []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
     correlation_delay_s, correlation_reason = find_correlation_delay(motions)
-    stops = [stop for motion in motions for stop in motion.stops if stop.is_seen]
-    waits_s = [stop.stop_s - stop.begin_s for stop in stops]
+    waits_s = [stop.stop_s - stop.begin_s for motion in motions for stop in motion.seen_stops]
     found = replace(
         found,
         correlation_delay_s=correlation_delay_s,

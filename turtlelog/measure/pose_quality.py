@@ -432,6 +432,8 @@ def _describe_noise(run: Run, metrics: Mapping[str, Metric]) -> dict[str, str]:
         notes["path_without_scatter"] = format_short(scatter.path_m, "m")
     if scatter.turning_rad is not None:
         notes["turning_without_scatter"] = format_short(math.degrees(scatter.turning_rad), "deg")
+    if len(run.poses) < 2:
+        return notes
     silent, noises = _list_silent(run), measure_rate_noise(run)
     for (axis, unit), noise, finest in zip(
         AXES.items(), noises, find_pose_resolution(run), strict=True
