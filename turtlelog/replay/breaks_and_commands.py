@@ -302,14 +302,14 @@ def place_commands(
     from_ns, to_ns = find_disturbance(run.parameters) or (0, 0)
     is_disturbed = (motion.time_ns >= from_ns) & (motion.time_ns < to_ns)
     events = (event.text for event in run.events if event.kind == "commands_lost")
-    lost = (re.match(r"The transport lost (\d+) ", text) for text in events)
+    lost = (re.search(r"\d+", text) for text in events)  # the event's text alone has the count
     use = CommandUse(
         taken=placer.taken,
         unseen=len(run.commands) - placer.taken,
         stops=placer.stops,
         unexplained_ticks=int(is_unexplained.sum()),
         disturbed_ticks=int((is_unexplained & is_disturbed).sum()),
-        never_arrived=sum(int(found[1]) for found in lost if found),
+        never_arrived=sum(int(found[0]) for found in lost if found),
     )
     return tuple(velocities), is_unexplained, use
 
