@@ -1,7 +1,8 @@
 """Reading of any file as a run or a trajectory. The file's content determines its kind."""
 
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Unpack, cast
@@ -91,22 +92,33 @@ def _read_bag(path: Path, choice: ReadChoice) -> "Run":
     except LogError:
         if not choice.allow_partial:
             raise
-        from tempfile import TemporaryDirectory  # sound bags need none
-
-        with TemporaryDirectory() as folder:
-            copy = Path(folder) / (path.name if path.is_dir() else f"{strip_suffixes(path)}.mcap")
-            report = None
-            with suppress(LogError):  # the first error names what is wrong
-                report = log.recover_recording(path, copy)
-            if report is None or report.complete:
-                raise
+        with _recover(path) as recovered:
+            if recovered is None:
+                raise  # the first error names what is wrong
+            copy, lost = recovered
             run = ros2.read_bag(copy, **_list_options(choice))
     # Without a part of the bag, the other parts may be sound.
-    lost = run.notes.get("recovered", "; ".join(loss.reason for loss in report.lost))
+    lost = run.notes.get("recovered", lost)
     origin = run.origin if "recovered" in run.notes else replace(run.origin, lost="rows")
     run = replace(run, origin=origin, notes={**run.notes, "recovered": lost})
     warnings.warn(f"{path}: {lost}", recording.PartialRecordingWarning, stacklevel=4)
     return run
+
+
+@contextmanager
+def _recover(path: Path) -> Iterator[tuple[Path, str] | None]:
+    """Yield a copy of the readable part of a bag, and what is lost; None if all or nothing is."""
+    from tempfile import TemporaryDirectory  # sound bags need none
+
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / (path.name if path.is_dir() else f"{strip_suffixes(path)}.mcap")
+        report = None
+        with suppress(LogError):
+            report = log.recover_recording(path, copy)
+        if report is None or report.complete:
+            yield None
+        else:
+            yield copy, "; ".join(loss.reason for loss in report.lost)
 
 
 def _import_tables(path: Path, choice: ReadChoice, *, is_own: bool) -> "Run":
@@ -160,6 +172,25 @@ def _list_options(choice: ReadChoice) -> ReadOptions:
     return cast("ReadOptions", {one: getattr(choice, one) for one in ReadOptions.__annotations__})
 
 
+def _read_bag_info(path: Path, choice: ReadChoice) -> RecordingInfo:
+    def read(path: Path) -> RecordingInfo:
+        is_folder, is_partial = path.is_dir(), choice.allow_partial
+        return ros2.read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
+
+    try:
+        return read(path)
+    except LogError:
+        if not choice.allow_partial or not (path.is_dir() or is_bag_file(path)):
+            raise
+        with _recover(path) as recovered:
+            if recovered is None:
+                raise
+            copy, lost = recovered
+            found = read(copy)
+    notes = {"recovered": lost, **found.notes}
+    return replace(found, file=str(path), name=path.stem, complete=False, notes=notes)
+
+
 def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> RecordingInfo:
     """Return the contents of any file that `read_run` reads.
 
@@ -181,10 +212,7 @@ def read_file_info(path: str | Path, choice: ReadChoice | None = None) -> Record
         return info
     has_tables, is_log = _recognise(path)
     if not has_tables and not is_log:
-        if path.is_dir():
-            found = ros2.read_bag_info(path)
-        else:
-            found = read_info(path, allow_partial=choice.allow_partial)
+        found = _read_bag_info(path, choice)
         if found.format_version is None:
             return found  # what a bag does not use depends on its topics, which only reading shows
         unused = describe_unused(choice, "recording")

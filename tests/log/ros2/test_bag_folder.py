@@ -19,7 +19,9 @@ from tests.log.ros2.bags import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_run, recover_recording
+from turtlelog.log.any_file import read_file_info
 from turtlelog.log.engine import limits
+from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
 from turtlelog.log.ros2.bag_files import parse_bag_metadata
 from turtlelog.log.ros2.bag_rows import open_bag
@@ -296,3 +298,7 @@ def test_the_parts_of_a_bag_that_are_there_are_read_on_request(tmp_path: Path) -
     assert (
         recover_recording(tmp_path, tmp_path.parent / "copy").lost[0].reason == "c.db3 is missing"
     )
+    info = read_file_info(tmp_path, ReadChoice(allow_partial=True))
+    assert (info.file, info.complete) == (str(tmp_path), False)
+    assert info.notes["recovered"] == "c.db3 is missing"
+    assert sum(topic.count for topic in info.topics) >= len(run.poses)
