@@ -72,7 +72,7 @@ def test_info_and_plot_take_the_recordings_below_a_folder(call: Call, folder: Pa
 def test_info_of_more_than_four_files_has_a_line_for_each(call: Call, folder: Path) -> None:
     files = ["a.mcap", "b.mcap"] * 2 + ["a.mcap"]
     answer = call("info", *(f"runs/{name}" for name in files))
-    assert answer.out.startswith("5 files: 5 recordings; 0 of 5 runs with a goal reached it.\n")
+    assert answer.out.startswith("5 files: 5 recordings; 0 of 5 reached their goal.\n")
     rows = answer.out.partition("---\n")[2].splitlines()[:5]
     assert [row.split()[:2] for row in rows] == [[name, "recording"] for name in files]
     in_full = call("info", *(f"runs/{name}" for name in files[:4])).out

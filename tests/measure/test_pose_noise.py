@@ -16,7 +16,7 @@ from turtlelog.measure.pose_quality import (
     measure_noise,
     measure_rate_noise,
 )
-from turtlelog.run import Origin
+from turtlelog.run import Origin, take_rows
 from turtlelog.run.angles import wrap_angle
 
 SMOOTH = "run.spectral_arc_length"
@@ -236,6 +236,17 @@ def test_rounded_positions_jump_nowhere_and_rest(hz: float, step_m: float) -> No
     assert find_jumps(run) == ()
     share = read(stop_and_go(hz), "run.rest_share")
     assert read(run, "run.rest_share") == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize("every", ["alternate", "lost"])
+def test_steps_of_other_durations_are_no_resolution(every: str) -> None:
+    """One pose in ten is lost, or steps of 10 and 20 ms alternate."""
+    run = stop_and_go(100.0)
+    rows = np.arange(len(run.poses))
+    is_kept = np.random.default_rng(1).random(len(rows)) > 0.1
+    kept = rows[is_kept] if every == "lost" else rows[rows % 3 != 1]
+    run = replace(run, poses=take_rows(run.poses, kept))
+    assert find_pose_resolution(run) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("jump_m", "is_found"), [(0.0022, False), (0.0045, True)])

@@ -332,7 +332,7 @@ def _describe_loss(report: "tl.log.RecoveryReport") -> str:
         count = sum(loss.end - loss.start for loss in report.lost)
         if {loss.reason for loss in report.lost} == {SUMMARY_LOST}:
             return f"{SUMMARY_ALONE} ({count} bytes)"
-        return f"an unknown number of messages is lost ({count} bytes)"
+        return f"an unknown number of messages is lost{f' ({count} bytes)' if count else ''}"
     lost = sum(report.missing.values())
     if not lost:
         return "no message is lost"

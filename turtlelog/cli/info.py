@@ -278,12 +278,13 @@ def _format_answer(
 def _format_answers(answers: Sequence[InfoAnswer]) -> str:
     """Return one line per file, below a line that counts the files of each kind."""
     kinds = Counter(_name_kind(answer) for answer in answers)
-    counts = [describe_count(count, kind) for kind, count in kinds.most_common()]
+    parts = [(*kind.partition(" without "), count) for kind, count in kinds.most_common()]
+    counts = [f"{describe_count(count, noun)}{of}{what}" for noun, of, what, count in parts]
     broken = sum(not answer.complete for answer in answers)
-    judged = [one.verdict for one in answers if one.verdict is not None]
+    judged = [one.verdict for one in answers if one.verdict in {"reached", "missed", "allowed"}]
     reached = f"{judged.count('reached')} of {len(judged)}" if len(judged) > 1 else ""
     state = f"; {broken} not complete" if broken else ""
-    state += f"; {reached} runs with a goal reached it" if reached else ""
+    state += f"; {reached} reached their goal" if reached else ""
     rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
     table = console.build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
     head = f"{len(answers)} files: {join_words(counts)}{state}."

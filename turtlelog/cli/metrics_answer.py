@@ -270,15 +270,9 @@ def list_resolutions(summaries: "Sequence[tl.compare.RunSummary]") -> list[str]:
     steps = dict.fromkeys(one.notes["rate_step"] for one in summaries if "rate_step" in one.notes)
     if not steps:
         return []
-    leads = (one.notes["leads"] for one in summaries if "leads" in one.notes)
     return [
         f"Measured rates are {join_words([*steps])} apart: lags are known to half of it, rise times"
-        " to twice it.",
-        *(
-            f"The motion leads the commands by {lead}: they were recorded late, or their clock"
-            " differs from that of the poses."
-            for lead in leads
-        ),
+        " to twice it."
     ]
 
 
@@ -324,6 +318,8 @@ _OF_MOTION: Final = {
     "changes": "Most positions{which} repeat the one before: they change at {note}.",
     "resolution": "Poses{which} have a resolution of {note}: smaller jumps are hidden, and lags are"
     " less certain.",
+    "leads": "The motion{which} leads the commands by {note}: they were recorded late, or their"
+    " clock differs from that of the poses.",
     "crept": "Rest{which}, judged over half a second, includes {note} of slow or brief motion.",
     "gaps": "Rates and rest{which} leave out {note} without poses; the path length counts a"
     " straight line there.",

@@ -118,8 +118,11 @@ _FIRST: Final[Mapping[Refusal, str]] = {
 """Advice before the test drive."""
 
 
-_EARLY: Final = "no delay fits best, and the intervals are wide: the motion may lead the commands"
-_ONE_CLOCK: Final = "record commands without delay, by the clock of the poses"
+_EARLY: Final = (
+    "no delay fits best, and the intervals are wide: the motion may lead the commands, or noise"
+    " hides the delay"
+)
+_ONE_CLOCK: Final = ", and record commands without delay, by the clock of the poses"
 
 
 def refuse_axis(axis: Axis, refusal: Refusal, *, drive: str = "", **facts: Any) -> AxisModel:
@@ -243,7 +246,7 @@ def _doubt_fit(found: AxisModel, fit: AxisFit) -> AxisModel | None:
     fine_s = float(np.median(fit.model.duration_s))
     refused = _refuse_wide(found, fine_s)
     if refused and not fit.parameters[[DEAD_TIME, LAG]].any():
-        return replace(refused, reason=_EARLY, advice=_ONE_CLOCK)
+        return replace(refused, reason=_EARLY, advice=f"{refused.advice}{_ONE_CLOCK}")
     if not (refused and found.doubts) or _refuse_wide(describe_fit(found.axis, fit, 0), fine_s):
         return refused
     differing = find_differing_parts(found.axis, fit)

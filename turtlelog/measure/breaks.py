@@ -149,9 +149,23 @@ def _find_resolution(poses: PoseColumns) -> _Pair:
     few, many = np.quantile(np.diff(rows), [0.1, 0.9]) if len(rows) > 1 else (1.0, 1.0)
     if many <= STEADY * few:  # poses are repeated, and not coarse
         poses = take_rows(poses, rows)
+    if len(poses) < 3:
+        return 0.0, 0.0
+    step_ns = np.diff(poses.time_ns)
+    poses = take_rows(poses, np.append(True, step_ns >= _CROWDED * compute_median(step_ns)))
+    step_ns = np.diff(poses.time_ns)
     ahead_m, _, turned_rad = measure_steps(poses)  # ahead, encoders count ticks
-    positions_m = (*np.diff(poses.xy_m, axis=0).T, ahead_m)
-    return max(map(find_dither_step, positions_m)), find_dither_step(turned_rad)
+    steps = np.vstack([*np.diff(poses.xy_m, axis=0).T, ahead_m, turned_rad])
+    # Steps over lost poses are longer, and are divided; jitter leaves the others as they are.
+    longer = step_ns / compute_median(step_ns)
+    steps /= np.where(np.abs(longer - 1.0) > _JITTER, longer, 1.0)
+    *positions_m, turns_rad = map(find_dither_step, steps)
+    return max(positions_m), turns_rad
+
+
+_CROWDED, _JITTER = 0.25, 0.2
+"""Share of the usual step below which a pose is left out, and by which times of steps jitter: lost
+poses make steps at least half as long again."""
 
 
 def _find_jumps(run: Run) -> tuple[PoseJump, ...]:

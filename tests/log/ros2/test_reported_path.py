@@ -311,3 +311,23 @@ def test_reported_turn_rates_of_a_bag_that_its_headings_contradict_are_told(
     notes = tl.read_run(write_robot(tmp_path, said)).notes
     assert told in notes.get("turning_by_rate", "")
     assert ("turning_by_rate" in notes) == bool(told)
+
+
+@pytest.mark.parametrize(("scale", "is_told"), [(1.0, False), (1.5, True)])
+def test_noise_of_headings_contradicts_no_turn_rate(
+    scale: float, tmp_path: Path, *, is_told: bool
+) -> None:
+    """Noise makes the turns of the headings longer than those of the robot."""
+    said, noise = say_odometry(straight(0.0, 401), speed=0.0), np.random.default_rng(2)
+    heading_rad = 0.0
+    for row, one in enumerate(said):
+        rate = 0.1 * (row // 40 % 2)  # it turns for 2 s, and rests for 2 s
+        heading_rad += rate / HZ
+        shown_rad = heading_rad + float(noise.normal(0.0, 0.05))
+        one.values["pose"]["pose"] = describe_place(0.0, 0.0, turn(shown_rad))
+        one.values["twist"]["twist"] = {
+            "linear": make_vector(),
+            "angular": make_vector(z=scale * rate),
+        }
+    notes = tl.read_run(write_robot(tmp_path, said)).notes
+    assert ("turning_by_rate" in notes) is is_told

@@ -378,16 +378,23 @@ def describe_turning(
     turned_rad = np.diff(np.unwrap(heading_rad)[rows])
     if min(np.abs(reported_rad).sum(), np.abs(turned_rad).sum()) < _LEAST_TURN_RAD:
         return ""
-    # The median ratio, weighted by turns: a single wrong report may exceed all turns together.
-    turns = np.flatnonzero(turned_rad)
-    ratios = reported_rad[turns] / turned_rad[turns]
-    order = np.argsort(ratios)
-    weights = np.cumsum(np.abs(turned_rad[turns][order]))
-    ratio = float(ratios[order][np.searchsorted(weights, weights[-1] / 2.0)])
+    # A single wrong report may exceed all turns together, and noise of headings all reports.
+    by_turns = _find_median_ratio(reported_rad, turned_rad)
+    by_reports = 1.0 / (_find_median_ratio(turned_rad, reported_rad) or math.inf)
+    ratio = min(by_turns, by_reports, key=lambda ratio: abs(ratio - 1.0))
     if abs(ratio - 1.0) <= _OFF:
         return ""
     found = f"the reported turn rate is {format_short(ratio)} times that of the headings"
     return f"{found}{_propose('turn_rate', column, ratio)}"
+
+
+def _find_median_ratio(values: Values, others: Values) -> float:
+    """Return the median ratio of values to others, weighted by the others' magnitudes."""
+    rows = np.flatnonzero(others)
+    ratios = values[rows] / others[rows]
+    order = np.argsort(ratios)
+    weights = np.cumsum(np.abs(others[rows][order]))
+    return float(ratios[order][np.searchsorted(weights, weights[-1] / 2.0)])
 
 
 def describe_speed(
