@@ -91,6 +91,7 @@ def test_commands_take_a_run_of_bare_poses(call: Call, tmp_path: Path) -> None:
     assert known == {f"run.{name}": 0.0 for name in names}
     assert call("view", path, "--save", tmp_path / "a.rrd").code == 0
     assert call("info", path).code == 0
+    assert call("check", "--init", path, "-o", tmp_path / "a.toml").code == 0
 
 
 def test_info_tells_a_bag_by_its_folder(call: Call) -> None:

@@ -105,3 +105,12 @@ def test_a_robot_with_friction_stops_short_of_its_goal_and_theory_says_so(call: 
     assert "theory's linear loop leaves out plant.speed_friction = 0.1" in text
     # It rests where Kp times the error is the friction, 0.1 m before the goal at Kp = 1.
     assert "With the present gains it missed the goal by 0.1 m (allowed" in text
+
+
+@pytest.mark.parametrize("noise_rad", [0.0, 0.003])
+def test_advice_from_one_random_run_names_its_seed(noise_rad: float, call: Call) -> None:
+    keys = ("--set", "loop.transport_delay_ticks=6", "--set", "seed=2")
+    noise = ("--set", f"sensing.noise_heading_rad={noise_rad}")
+    text = " ".join(call("theory", "textbook", "--kp", "3", *keys, *noise).out.split())
+    told = "These are single runs with random effects (seed 2): others may differ."
+    assert (told in text) is (noise_rad > 0.0)

@@ -263,6 +263,13 @@ def test_what_effects_that_improve_the_value_do_together(size: float, told: str)
     assert ("change it together" in sentences[1]) is (size < 0.0)
 
 
+def test_what_effects_that_alone_do_nothing_take_away_together() -> None:
+    case = Together(causes=("queue", "pause"), value=-0.5)
+    sentences = write_sentences(describe(queue=-0.25, pause=-0.25, together=(case,)))
+    told = "Queue and pause act together: 0.5 m of what they take away arises only if both act."
+    assert told in sentences
+
+
 def test_without_an_effect_a_phase_that_never_ends_is_told() -> None:
     found = describe(queue=-0.2, pause=0.1)
     first, *others = found.contributions

@@ -259,7 +259,7 @@ def choose_bound(
     `grain` is the smallest margin; None: that of the unit.
     """
     spare, grain = abs(value) * _SHARE, _GRAINS.get(unit, 0.0) if grain is None else grain
-    if spare < grain:
+    if spare < grain or value == 0.0:
         words = f"{grain:.3g}" if unit == "1" else f"{grain:.3g} {unit}"
         return _round(value + grain if up else value - grain, digits=3, up=up), words
     bound = value

@@ -265,7 +265,7 @@ def _describe_best(table: "Table", place: int) -> tuple[str, str, str, str, str]
     is_reached = math.isfinite(most)
     least_text, most_text = format_range(least, most if is_reached else least, unit)
     value = "none" if is_none else least_text
-    most_text = most_text if is_reached else tl.measure.Status.NOT_REACHED.words
+    most_text = most_text if is_reached else "never"
     return label, best, name, value, f"worst: {worst}, {most_text}"
 
 

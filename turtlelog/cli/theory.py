@@ -295,6 +295,11 @@ def _choose_gains(subject: _Subject, wanted: WishOptions, *, is_given: bool) -> 
     may_try = is_known and list_changes(models, chosen.groups)
     present = best = simulate(subject.scenario) if may_try else None
     trials: list[GainTrial] = []
+    seed = None
+    if present and subject.scenario:
+        from turtlelog.explain.causes import draws_random
+
+        seed = subject.scenario.seed if draws_random(subject.scenario) else None
     for wish in (wanted,) if is_given else (wanted, replace(wanted, overshoot=0.0)):
         groups = chosen.groups if wish is wanted else wish.recommend_for(models)
         changes = list_changes(models, groups)
@@ -306,6 +311,7 @@ def _choose_gains(subject: _Subject, wanted: WishOptions, *, is_given: bool) -> 
             ending=tell_end(run, loops),
             present_ending=tell_end(present, loops),
             is_better=is_better(run, best, loops),
+            seed=seed,
         )
         if trial.is_better:
             chosen, best = ChosenGains(wish, groups, ()), run

@@ -309,6 +309,8 @@ def _tell_trials(trials: Sequence[GainTrial]) -> Iterator[str]:
         yield f"With {gains} the simulated run {one.ending}."
     for one in trials[-1:]:
         yield f"With the present gains it {one.present_ending}."
+        if one.seed is not None:
+            yield f"These are single runs with random effects (seed {one.seed}): others may differ."
     if not all(one.is_better for one in trials):
         yield "Theory's gains are for a step of one loop, without phases that end by tolerances."
 

@@ -175,12 +175,14 @@ class GainTrial:
 
     Attributes:
         is_better: Whether the run ends nearer to a missed goal, or settles earlier.
+        seed: Seed of both runs; None if nothing is random.
     """
 
     gains: Mapping[str, float]
     ending: str
     present_ending: str
     is_better: bool
+    seed: int | None = None
 
 
 class ChosenGains(NamedTuple):

@@ -439,6 +439,8 @@ def write_joint_parts(
         them, both = capitalise(join_words(of)), "both" if is_pair else "all of them"
         # What they change without this part; of two causes, each alone.
         apart_size = sum(sizes.get(name, 0.0) for name in case.causes) - case.value
+        if abs(apart_size) <= NAMED * abs(case.value):  # alone they change little or nothing
+            apart_size = case.value
         change = "add" if apart_size >= 0.0 else "take away"
         text = f"{them} act together: {size} of what they {change} arises only if {both} act."
         if case.value * apart_size < 0.0:
