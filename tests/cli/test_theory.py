@@ -204,6 +204,7 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["textbook", "--lag", "1"], "--lag: leave it out beside SCENARIO, which has its own"),
         (["textbook", "--period", "1"], "--period: leave it out beside SCENARIO"),
         (["textbook", "--dead-time", "1"], "--dead-time: leave it out beside SCENARIO"),
+        (["textbook", "--dead-time", "0"], "--dead-time: leave it out beside SCENARIO"),
         (["textbook", "--kp", "1,2"], "--kp: takes one gain with SCENARIO, not 2"),
         (["textbuch"], 'no preset or file "textbuch"'),
         (

@@ -51,6 +51,13 @@ def test_three_changes_are_all_named() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("size", "told"), [(0.4998, "from 1.000 m by 0.2 mm"), (0.499, "from 1.000 m to 0.999 m")]
+)
+def test_values_that_print_alike_are_told_by_their_difference(size: float, told: str) -> None:
+    assert make(-0.5, size).sentences[0].startswith(f"final.position_error fell {told}: ")
+
+
 @pytest.mark.parametrize(("part", "is_named"), [(0.0009, False), (0.0011, True)])
 def test_of_few_changes_those_that_change_no_digit_are_not_named(
     part: float, *, is_named: bool

@@ -382,7 +382,7 @@ def _read_subject(word: str, options: LoopOptions, topics: ReadingOptions) -> _S
     """Return the loops of a scenario or a recording."""
     given = options.list_terms()
     timing = {"--period": options.period, "--dead-time": options.dead_time}
-    given += [name for name, value in timing.items() if value]
+    given += [name for name, value in timing.items() if value is not None]
     if given:
         raise UsageError(f"{given[0]}: leave it out beside SCENARIO, which has its own")
     path = make_path(word)

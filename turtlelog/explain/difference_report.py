@@ -5,7 +5,14 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Any, Final
 
-from turtlelog.display import describe_count, format_html, format_notebook, format_pair, join_words
+from turtlelog.display import (
+    describe_count,
+    format_html,
+    format_notebook,
+    format_pair,
+    format_short,
+    join_words,
+)
 from turtlelog.explain.answers import (
     SAME,
     SEED,
@@ -148,7 +155,9 @@ def write_difference_headline(found: DividedDifference) -> str:
     if abs(apart) <= SAME * max(abs(first.as_logged), abs(second.as_logged)):
         moves = f"is {sizes[0]} in both runs"
     else:
-        moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} to {sizes[1]}"
+        is_alike = sizes[0] == sizes[1]  # in the digits that are printed
+        end = f"by {format_short(abs(apart), found.unit)}" if is_alike else f"to {sizes[1]}"
+        moves = f"{'rose' if apart > 0.0 else 'fell'} from {sizes[0]} {end}"
     if _is_negligible(found) and found.contributions:
         size = f"{format_magnitude(found, found.resolution.size)} ({found.resolution.reason})"
         return f"{found.metric} {moves}: no change adds more than the resolution, {size}."
