@@ -164,6 +164,18 @@ def test_a_robot_that_swings_does_not_rest_when_it_is_back(
     assert "judged over half a second" not in answer
 
 
+@pytest.mark.parametrize("digits", [3, 6])
+def test_a_resolution_of_poses_is_told_in_json_too(digits: int, call: Call, tmp_path: Path) -> None:
+    rows = [f"{i / 50},{0.137 * i / 50:.{digits}f},0,0" for i in range(500)]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["time,x,y,theta", *rows]), encoding="utf-8")
+    (answer,) = call("metrics", table, "--json").json
+    assert ((answer["resolution"] or "").partition(" (")[0], answer["leads"]) == (
+        "Poses have a resolution of 1 mm" if digits == 3 else "",
+        None,
+    )
+
+
 @pytest.mark.parametrize(("speed_m_s", "crept"), [(0.001, "0.1 m"), (0.02, None)])
 def test_motion_that_counts_as_rest_is_told(
     speed_m_s: float, crept: str | None, call: Call, tmp_path: Path

@@ -96,11 +96,13 @@ class MeasuredFile:
     Attributes:
         file: Name of the file as given.
         name: Name of the run.
-        ending: End at the goal, in words.
-        jumps: Jumps that the path length contains, in words.
-        scatter: Path and turning without steps back and forth, in words.
-        gaps: Time without poses, in words.
-        rest: Motion that counts as rest, in words.
+        ending: End at the goal.
+        jumps: Jumps that the path length contains.
+        scatter: Path and turning without steps back and forth.
+        gaps: Time without poses.
+        rest: Motion that counts as rest.
+        resolution: Resolution of the poses.
+        leads: Motion that leads its commands.
         metrics: Requested metrics. Default: all metrics.
     """
 
@@ -111,6 +113,8 @@ class MeasuredFile:
     scatter: str | None
     gaps: str | None
     rest: str | None
+    resolution: str | None
+    leads: str | None
     metrics: list[dict[str, Any]]
 
 
@@ -221,6 +225,8 @@ def _build_measured(one: "tl.compare.RunSummary") -> MeasuredFile:
         scatter=next(list_scatter(one, "", one.metrics), None),
         gaps=next(list_motion(one, "", ["gaps"]), None),
         rest=next(list_motion(one, "", ["crept"]), None),
+        resolution=next(list_motion(one, "", ["resolution"]), None),
+        leads=next(list_motion(one, "", ["leads"]), None),
         metrics=[metric.to_dict() for metric in one.metrics.values()],
     )
 

@@ -156,9 +156,10 @@ def _find_resolution(poses: PoseColumns) -> _Pair:
     step_ns = np.diff(poses.time_ns)
     ahead_m, _, turned_rad = measure_steps(poses)  # ahead, encoders count ticks
     steps = np.vstack([*np.diff(poses.xy_m, axis=0).T, ahead_m, turned_rad])
-    # Steps over lost poses are longer, and are divided; jitter leaves the others as they are.
+    # Steps over lost poses are longer, and are divided. Jitter leaves the others as they are, and
+    # repeated poses all: the resolution decides when they change.
     longer = step_ns / compute_median(step_ns)
-    steps /= np.where(np.abs(longer - 1.0) > _JITTER, longer, 1.0)
+    steps /= np.where((np.abs(longer - 1.0) > _JITTER) & (few <= 1.0), longer, 1.0)
     *positions_m, turns_rad = map(find_dither_step, steps)
     return max(positions_m), turns_rad
 
