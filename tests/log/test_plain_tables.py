@@ -1,31 +1,19 @@
 """Tables that other people's programs write, as runs."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.log.plain_tables import ROWS, write
 from tests.log.runs import assert_same, simulate_short_run
 from turtlelog.errors import LogError
-from turtlelog.log import export_csv, export_tum
+from turtlelog.log import export_csv
 from turtlelog.log.any_file import read_file_info, read_run, read_trajectory
 from turtlelog.log.read_choice import ReadChoice
-from turtlelog.log.table_files import require_same_poses
 from turtlelog.measure import measure_run
 from turtlelog.measure.signals import find_no_commands
-from turtlelog.run import Clock, Origin, build_planar_trajectory
-
-ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
-
-
-def write(path: Path, header: str, *rows: Any, suffix: str = "csv", sign: str = ",") -> Path:
-    lines = [row if isinstance(row, str) else sign.join(map(str, row)) for row in rows]
-    file = path / f"drive.{suffix}"
-    file.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
-    return file
 
 
 def test_a_table_is_read_and_says_what_it_took(tmp_path: Path) -> None:
@@ -54,26 +42,6 @@ def test_a_table_is_read_and_says_what_it_took(tmp_path: Path) -> None:
     )
     assert "samples" in run.absent
     assert "commands" not in run.absent
-
-
-NAMES = [
-    "t,x,y,heading",
-    "time,pos_x,pos_y,theta",
-    "timestamp,x_m,y_m,heading_rad",
-    "%time,field.pose.pose.position.x,field.pose.pose.position.y,yaw",
-    "__time,/odom/pose/pose/position/x,/odom/pose/pose/position/y,/odom/yaw",
-    "header.stamp,position.x,position.y,psi",
-    "Time (s),X (m),Y (m),Yaw (rad)",
-    "elapsed_time,px,py,yaw_angle",
-]
-
-
-@pytest.mark.parametrize("header", NAMES)
-def test_usual_names_of_columns_are_known(header: str, tmp_path: Path) -> None:
-    run = read_run(write(tmp_path, header, *ROWS))
-    assert run.poses.time_ns.tolist() == [0, 100_000_000, 200_000_000]
-    assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5], [2.0, 3.0]]
-    assert run.poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -111,11 +79,6 @@ def test_delimiters_and_decimal_commas(suffix: str, sign: str, point: str, tmp_p
     names = sign.join(["t [s]", "x", "y", "yaw [rad]"])
     path = write(tmp_path, f"# a drive\n\n{names}", *rows, "# end", suffix=suffix)
     assert read_run(path).poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5], [2.0, 3.0]]
-
-
-def test_a_comment_may_name_the_columns(tmp_path: Path) -> None:
-    path = write(tmp_path, "# made by hand\n# t x y theta", *ROWS, suffix="txt", sign=" ")
-    assert read_run(path).poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -286,43 +249,6 @@ def test_wrong_table_is_one_line(text: str, message: str, tmp_path: Path) -> Non
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "encoding"),
-    [
-        ("t,x,y,yaw\n", "utf-16"),
-        ("t [s],x,y,yaw [°]\n", "latin-1"),
-        ("# Fahrt über den Hof\nt,x,y,yaw\n", "latin-1"),
-        ("% Log of robot 3\n%\n% t x y yaw\n", "ascii"),
-        ("// Log of robot 3\nt,x,y,yaw\n", "ascii"),
-        ("#\n\n%Log\nt,x,y,yaw\n", "ascii"),
-    ],
-)
-def test_other_comments_and_encodings_are_read(text: str, encoding: str, tmp_path: Path) -> None:
-    path = tmp_path / "drive.csv"
-    rows = "0,1,2,0.5\n0.1,1.5,2.5,0.75\n"
-    path.write_bytes((text + (rows.replace(",", " ") if "% t" in text else rows)).encode(encoding))
-    run = read_run(path)
-    assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5]]
-    scale = math.pi / 180 if "°" in text else 1.0
-    assert run.poses.heading_rad == pytest.approx([0.5 * scale, 0.75 * scale])
-
-
-def test_damaged_utf16_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "drive.csv"
-    path.write_bytes("t,x,y,yaw\n0,0,0,0\n".encode("utf-16")[:-1])
-    with pytest.raises(LogError, match=r"drive\.csv: expected UTF-16 text, found a damaged file"):
-        read_run(path)
-
-
-@pytest.mark.parametrize(
-    ("first", "name"),
-    [("Objects", "Vicon"), ("Trajectories,,,", "Vicon"), ("Format Version,1.23,Ta", "OptiTrack")],
-)
-def test_headers_of_motion_capture_are_named(first: str, name: str, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=f"a table of {name} with several rows of names: keep one"):
-        read_run(write(tmp_path, first, "120", "Frame,X,Y", "1,2,3"))
-
-
 def test_texts_of_the_time_of_day_are_read(tmp_path: Path) -> None:
     rows = [("23:59:59.5", 1, 2, 0), ("0:00:00,25", 1, 3, 0)]
     run = read_run(write(tmp_path, "t;x;y;yaw", *rows, sign=";"))
@@ -348,73 +274,6 @@ def test_an_incomplete_last_row_may_be_left_out(last: str, tmp_path: Path) -> No
     path = write(tmp_path, "t,x,y,yaw", *ROWS[:1], last, *ROWS[1:])
     with pytest.raises(LogError, match=r"line 3: expected 4 cells, found \d$"):
         read_run(path, allow_partial=True)
-
-
-def test_repeated_headers_are_left_out(tmp_path: Path) -> None:
-    path = write(tmp_path, "t,x,y,yaw", ROWS[0], "t, x,y,yaw", *ROWS[1:], "t,x,y,yaw")
-    run = read_run(path)
-    assert run.poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
-    assert run.notes["repeated_headers"] == "2 rows left out"
-    path = write(tmp_path, "t,x,y,yaw", ROWS[0], "t,x,y,theta")
-    with pytest.raises(LogError, match="line 3, column t: expected a number, found 't'"):
-        read_run(path)
-    with pytest.raises(LogError, match="no rows below the header t, x, y, yaw"):
-        read_run(write(tmp_path, "t,x,y,yaw", "t,x,y,yaw"))
-
-
-@pytest.mark.parametrize("unit", ["UTC", "iso8601"])
-def test_dates_need_no_unit_in_a_row_of_units(unit: str, tmp_path: Path) -> None:
-    rows = [("2024-01-01T00:00:00.100", 1, 2, 0), ("2024-01-01T00:00:00.300", 1, 3, 0)]
-    run = read_run(write(tmp_path, "t,x,y,yaw", f"{unit},m,cm,rad", *rows))
-    assert run.poses.time_ns.tolist() == [0, 200_000_000]
-    assert run.poses.xy_m.tolist() == [[1.0, 0.02], [1.0, 0.03]]
-
-
-@pytest.mark.parametrize("units", ["ms,mm,cm,deg,", "[ms],(mm),[cm],[deg],-", "ms, mm, cm,°,V"])
-def test_a_row_of_units_is_read(units: str, tmp_path: Path) -> None:
-    run = read_run(write(tmp_path, "t,x,y,yaw,battery", units, (0, 5, 5, 90, 1), (5, 6, 7, 90, 1)))
-    assert run.poses.time_ns.tolist() == [0, 5_000_000]
-    assert run.poses.xy_m[0].tolist() == [0.005, 0.05]
-    assert run.poses.heading_rad == pytest.approx([math.pi / 2] * 2)
-    assert run.notes["columns"].startswith("t from t [ms], x from x [mm], y from y [cm]")
-
-
-@pytest.mark.parametrize(
-    ("units", "message"),
-    [
-        (
-            "s,ft,ft,deg",
-            "column x: expected a unit of m, cm, mm, found 'ft': --column x='x [UNIT]'",
-        ),
-        ("a,b,c,d", "line 2, column t: expected a number, found 'a'"),
-        ("0,m,m,rad", "line 2, column x: expected a number, found 'm'"),
-        ("2024-01-01T00:00:00Z,m,m,rad", "line 3, column t: expected a time, found '0.0'"),
-    ],
-)
-def test_other_rows_below_the_header_are_values(units: str, message: str, tmp_path: Path) -> None:
-    with pytest.raises(LogError) as caught:
-        read_run(write(tmp_path, "t,x,y,yaw", units, *ROWS))
-    assert message in str(caught.value)
-    with pytest.raises(LogError, match="no rows below the header t, x, y, yaw"):
-        read_run(write(tmp_path, "t,x,y,yaw", "s,m,m,rad"))
-
-
-def test_excels_line_of_the_separator_is_no_header(tmp_path: Path) -> None:
-    path = write(tmp_path, "sep=;", "t;x;y;yaw", *ROWS, sign=";")
-    assert read_run(path).poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
-
-
-def test_columns_without_a_name_of_their_own_have_numbers(tmp_path: Path) -> None:
-    path = write(tmp_path, ",t,x,y,yaw,x,", *[(7, *row, 9, "") for row in ROWS])
-    with pytest.raises(LogError, match=r"found x \(#3\) and x \(#6\): --column x='#3' chooses"):
-        read_run(path)
-    run = read_run(path, columns={"x": "#6 [mm]"})
-    assert run.poses.xy_m[0] == pytest.approx([0.009, 2.0])
-    assert "x from #6 [mm]" in run.notes["columns"]
-    assert "; not read: #1, x (#3), #7; " in run.notes["columns"]
-    for name in ("#0", "#8", "#x"):
-        with pytest.raises(LogError, match="expected a column of the table, found"):
-            read_run(path, columns={"x": name})
 
 
 @pytest.mark.parametrize("sign", ["_", ".", "/"])
@@ -483,69 +342,6 @@ def test_goal_and_info_of_a_table(tmp_path: Path) -> None:
     assert read_file_info(path).notes["rows"] == "3 poses, 0 commands, 0 samples"
 
 
-def test_a_tum_trajectory_is_read(tmp_path: Path) -> None:
-    rows = ["1700000000.5 1 2 0 0 0 0 1", "1700000001.5 1.5 2 0.2 0 0 1 1"]
-    for suffix in ("tum", "txt"):
-        run = read_run(write(tmp_path, "# made by hand", *rows, suffix=suffix))
-        assert run.source == f"tum: drive.{suffix}"
-        assert run.poses.time_ns.tolist() == [0, 1_000_000_000]
-        assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.0]]
-        assert run.poses.heading_rad.tolist() == [0.0, math.pi / 2]
-        assert run.notes["columns"].startswith("t from timestamp [s], x from tx [m], y from ty [m]")
-        assert "height varies by 0.2 m" in run.notes["plane"]
-        assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.500000000Z"
-
-
-def test_rotations_too_long_for_a_heading_are_refused_in_one_line(tmp_path: Path) -> None:
-    rows = (f"{row} 0 0 0 1e308 1e308 1e308 1e308" for row in range(3))
-    path = write(tmp_path, *rows, suffix="tum")
-    with pytest.raises(LogError, match="no row has x, y and heading"):
-        read_run(path)
-
-
-def test_a_tum_trajectory_comes_back_to_the_last_bit(tmp_path: Path) -> None:
-    run = simulate_short_run()
-    (path,) = export_tum(run, tmp_path / "kp4.tum")
-    lines = path.read_text(encoding="ascii").splitlines()
-    assert {len(line.split(" ")) for line in lines} == {8}
-    assert lines[1].startswith("0.016000000 ")
-    found = read_run(path).poses
-    assert found.time_ns.tolist() == run.poses.time_ns.tolist()
-    assert found.xy_m.tolist() == run.poses.xy_m.tolist()
-    assert np.abs(found.heading_rad - run.poses.heading_rad).max() < 1e-15
-    require_same_poses(path, run)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "column"),
-    [("0.016000000", "0.016000001", "time_ns"), (" 5.5", " 5.6", "xy_m"), ("1.0\n", "0.9\n", "")],
-)
-def test_a_trajectory_that_is_not_what_was_written_is_refused(
-    old: str, new: str, column: str, tmp_path: Path
-) -> None:
-    run = simulate_short_run()
-    (path,) = export_tum(run, tmp_path / "kp4.tum")
-    path.write_text(path.read_text().replace(old, new))
-    if not column:  # a quaternion of another length is the same rotation
-        require_same_poses(path, run)
-        return
-    with pytest.raises(LogError, match=rf"kp4\.tum: .* found other values in {column}"):
-        require_same_poses(path, run)
-
-
-@pytest.mark.parametrize("turned", [1.5e-15, 3e-15])
-def test_headings_may_be_rounded_but_no_more(turned: float, tmp_path: Path) -> None:
-    run = simulate_short_run()
-    poses = replace(run.poses, heading_rad=np.full(len(run.poses), 1.5))
-    other = replace(run, poses=replace(poses, heading_rad=poses.heading_rad + turned))
-    (path,) = export_tum(other, tmp_path / "kp4.tum")
-    if turned < 2e-15:
-        require_same_poses(path, replace(run, poses=poses))
-    else:
-        with pytest.raises(LogError, match="other values in heading_rad"):
-            require_same_poses(path, replace(run, poses=poses))
-
-
 @pytest.mark.parametrize(
     ("step", "unit"), [(1500, "ms"), (1700, "us"), (1_500_000, "us"), (1_700_000, "ns")]
 )
@@ -584,29 +380,6 @@ def test_of_euler_angles_psi_is_the_heading(tmp_path: Path) -> None:
         read_run(write(tmp_path, "t,x,y,phase,theta,psi", row))
 
 
-def test_a_first_row_like_the_second_is_no_header(tmp_path: Path) -> None:
-    rows = [(5, 100_000_000 * row, "odom", 1.0 + row, 0, 0.0) for row in range(3)]
-    path = write(tmp_path, ",".join(map(str, rows[0])), *rows[1:])
-    with pytest.raises(LogError, match="no column for t, x, y and heading; there are #1, #2, #3"):
-        read_run(path)
-    columns = {"t": "#1", "t_nanosec": "#2", "x": "#4", "y": "#5", "heading": "#6"}
-    run = read_run(path, columns=columns)
-    assert run.poses.xy_m[:, 0].tolist() == [1.0, 2.0, 3.0]
-    assert run.poses.time_ns.tolist() == [0, 100_000_000, 200_000_000]
-    assert "t_nanosec from #2 [ns]" in run.notes["columns"]
-    micro = read_run(path, columns={**columns, "t_nanosec": "#2 [us]"})
-    assert micro.poses.time_ns[1] == 100_000_000_000
-    headed = write(tmp_path, "5,t,frame,x,y,yaw", *rows)
-    assert len(read_run(headed, columns={"t": "t [ns]"}).poses) == 3
-
-
-def test_a_column_without_a_name_is_shown_by_its_number(tmp_path: Path) -> None:
-    path = write(tmp_path, ",x,y,yaw", ("2024-03-31 01:59:50", 0, 0, 0))
-    with pytest.raises(LogError, match="no column for t; there are #1, x, y, yaw: "):
-        read_run(path)
-    assert len(read_run(path, columns={"t": "#1"}).poses) == 1
-
-
 def write_robots(path: Path, *, rows: int, name: str = "id") -> Path:
     """Write 40 poses of a robot 1 and `rows` of a robot 2, 5 m beside it, in order of time."""
     poses = [(0.1 * row, 0.01 * row, 0.0, 0.0, 1) for row in range(40)]
@@ -636,37 +409,6 @@ def test_other_numbers_of_rows_are_no_robots(tmp_path: Path) -> None:
     for numbers in (range(40), [row // 10 % 2 for row in range(40)]):  # rows, and laps
         numbered = [(*row, number) for row, number in zip(rows, numbers, strict=True)]
         assert len(read_run(write(tmp_path, "t,x,y,yaw,id", *numbered)).poses) == 40
-
-
-@pytest.mark.parametrize(
-    ("start_ns", "offset_s", "first"),
-    [
-        (1_700_000_000_500_000_001, None, "1700000000.500000001"),
-        (1_700_000_000_500_000_001, 0.003, "1700000000.497000001"),  # times are stamps
-        (-100_000_000, None, "-0.100000000"),
-        (None, None, "0.000000000"),  # as in the paper's logs, whose date is not of the first pose
-    ],
-)
-def test_a_trajectory_has_the_times_of_its_source(
-    start_ns: int | None, offset_s: float | None, first: str, tmp_path: Path
-) -> None:
-    clock = None if offset_s is None else Clock(used="stamp", ratio=1.0, offset_s=offset_s)
-    origin = Origin(began_ns=1_700_000_000_000_000_000, start_ns=start_ns)
-    run = replace(simulate_short_run(), origin=origin, clock=clock)
-    (path,) = export_tum(run, tmp_path / "kp4.tum")
-    assert path.read_text().startswith(f"{first} ")
-    require_same_poses(path, run)
-    assert read_trajectory(path).time_ns[0] == build_planar_trajectory(run).time_ns[0]
-
-
-@pytest.mark.parametrize("rows", [-1, 1])
-def test_a_trajectory_of_more_or_fewer_poses_is_refused(rows: int, tmp_path: Path) -> None:
-    run = simulate_short_run()
-    (path,) = export_tum(run, tmp_path / "kp4.tum")
-    lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(lines[:-1] if rows < 0 else [*lines, "9.5 0 0 0 0 0 0 1\n"]))
-    with pytest.raises(LogError, match="other values in time_ns"):
-        require_same_poses(path, run)
 
 
 @pytest.mark.parametrize(
