@@ -79,6 +79,7 @@ def test_hardly_any_well_excited_axis_is_refused() -> None:
 
 @pytest.mark.thorough
 def test_the_dead_time_is_found_within_two_milliseconds() -> None:
+    """The first of these tests identifies all robots of first order."""
     assert score_all().find_median_error("dead_time_s", 1.5 * NOISE_M) < 2e-3
 
 
