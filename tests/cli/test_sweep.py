@@ -210,3 +210,30 @@ def test_rate_and_time_left_count_from_where_a_sweep_goes_on(
     assert rate.describe(50, 150) == ""
     assert rate.describe(60, 150) == ", 5.0/s, 0:00:18 left"
     assert rate.describe(70, 150) == ", 10/s, 0:00:08 left"
+
+
+NOISE = ("--set", "sensing.noise_position_m=0.01")
+GRID_OF_SEEDS = ("--grid", "seed=0:3", *NOISE)
+
+
+def test_rows_of_one_seed_are_told_if_chance_has_a_part(call: Call) -> None:
+    told = "Every row has the same random effects, of seed 0."
+    noisy = call("sweep", "textbook", "--grid", "law.kp_linear=1,2", *NOISE, "-o", "a.parquet")
+    assert told in " ".join(noisy.out.split())
+    varied = call("sweep", "textbook", "--grid", f"{NOISE[1][:-5]}=0,0.01", "-o", "b.parquet")
+    assert told in " ".join(varied.out.split())
+    exact = call("sweep", "textbook", "--grid", "law.kp_linear=1,2", "-o", "c.parquet")
+    assert "seed" not in exact.out
+
+
+def test_over_seeds_the_least_mean_is_told(call: Call) -> None:
+    """The first line agrees with the map: at a noise of 0.1 m the run ends elsewhere."""
+    grid = ("--grid", "sensing.noise_position_m=0,0.1", "--grid", "seed=0:7")
+    done = call("sweep", "textbook", *grid, "-o", "s.parquet")
+    told = " ".join(done.out.split())
+    assert "; its mean over 8 seeds is least with sensing.noise_position_m = 0." in told
+    assert "same random effects" not in told
+    alike = call(
+        "sweep", "textbook", "--grid", "law.kp_linear=1,2", *GRID_OF_SEEDS, "-o", "t.parquet"
+    )
+    assert "over 4 seeds, all differences of the means may be chance" in " ".join(alike.out.split())

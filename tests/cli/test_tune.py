@@ -342,3 +342,13 @@ def test_keys_that_decide_whether_there_is_a_value_are_not_said_to_change_nothin
     first = call("tune", "paper", "--kp", "20", *pause, "--evaluations", "20").out.split("\n\n")[0]
     assert "no key changes it" not in first
     assert " others have no value or break a constraint." in " ".join(first.split())
+
+
+def test_candidates_of_one_seed_are_told_if_chance_has_a_part(call: Call) -> None:
+    told = "Every candidate has the same random effects, of seed 0."
+    few, noise = ("--evaluations", "8"), ("--set", "sensing.noise_position_m=0.01")
+    noisy = call("tune", "textbook", *VARY, *SETTLING, *few, *noise)
+    assert told in " ".join(noisy.out.split())
+    spread = call("tune", "textbook", *VARY, *SETTLING, *few, *noise, "--monte-carlo", "4")
+    exact = call("tune", "textbook", *VARY, *SETTLING, *few)
+    assert "random effects, of" not in spread.out + exact.out

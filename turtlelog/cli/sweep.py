@@ -149,7 +149,7 @@ def sweep(
         json: Print one JSON object instead of a line.
     """
     begun = time.monotonic()
-    prepared = _prepare(base, table, plan, changes, work)
+    scenario, prepared = _prepare(base, table, plan, changes, work)
     rows = prepared.plan.row_count
     if rows > _MANY_ROWS and not work.yes:
         _ask_consent(prepared, table.output, work.jobs)
@@ -166,7 +166,8 @@ def sweep(
                 f"{int(progress.done)} of {rows} rows are done; the same command goes on"
             )
             raise
-    _answer(found, prepared.plan, time.monotonic() - begun, json=json)
+    seed = _find_seed(scenario, prepared.plan)
+    _answer(found, prepared.plan, seed, time.monotonic() - begun, json=json)
     return console.EXIT_FINE
 
 
@@ -183,12 +184,13 @@ def _prepare(
     plan: PlanOptions,
     changes: LawOptions,
     work: SweepOptions,
-) -> "tl.sweep.Sweep":
+) -> "tuple[tl.Scenario, tl.sweep.Sweep]":
     inputs = [] if base is None else [make_path(base)]
     options.require_new_target(table.output, inputs, suffix=".parquet")
     rows, records = plan.build_plan(), table.build_records(work)
+    scenario = load_changed_scenario(base, changes)
     prepared = tl.sweep.prepare_sweep(
-        load_changed_scenario(base, changes),
+        scenario,
         rows,
         metrics=options.split_names(table.metric, "--metric"),
         records=records,
@@ -199,7 +201,7 @@ def _prepare(
     for key in list_given_keys(changes):
         if key in prepared.plan.keys:
             raise UsageError(f"--set: {key} is varied by --grid; leave one of them out")
-    return prepared
+    return scenario, prepared
 
 
 def _ask_consent(prepared: "tl.sweep.Sweep", output: Path, jobs: int | None) -> None:
@@ -239,7 +241,12 @@ class SweepAnswer:
 
 
 def _answer(
-    found: "tl.sweep.SweepSummary", plan: "tl.sweep.SweepPlan", elapsed_s: float, *, json: bool
+    found: "tl.sweep.SweepSummary",
+    plan: "tl.sweep.SweepPlan",
+    seed: int | None,
+    elapsed_s: float,
+    *,
+    json: bool,
 ) -> None:
     for name, reason in found.valueless.items():
         console.print_note(f"metric {name}: no row has a value ({reason})")
@@ -260,11 +267,27 @@ def _answer(
         console.fill_lines(
             [
                 f"{rows}: {_describe_best(found.output)}.",
+                *(() if seed is None else (_SAME_SEED.format(seed=seed),)),
                 f"{found.output}: {found.samples:,} samples in {elapsed_s:.1f} s.{recorded}",
                 f"Map: turtlelog plot {shlex.quote(str(found.output))} -o map.png",
             ]
         )
     )
+
+
+_SAME_SEED: Final = (
+    "Every row has the same random effects, of seed {seed}. --grid seed=0:31 shows how far they"
+    " scatter."
+)
+
+
+def _find_seed(scenario: "tl.Scenario", plan: "tl.sweep.SweepPlan") -> int | None:
+    """Return the one seed of all random effects; None without such effects, or with many seeds."""
+    from turtlelog.explain.causes import draws_random
+    from turtlelog.simulate.loop_parts import RANDOM_KEYS
+
+    is_random = draws_random(scenario) or not RANDOM_KEYS.isdisjoint(plan.keys)
+    return scenario.seed if is_random and "seed" not in plan.keys else None
 
 
 _TOLD: Final = ("final.position_error", "run.duration")
@@ -292,7 +315,23 @@ def _describe_range(results: "tl.sweep.SweptResults", metric: "tl.sweep.SweptMet
     if low == high:
         where = "every run" if np.isfinite(values).all() else "every run that has a value"
         return f"{metric.name} is {low} in {where}"
-    least = results.tell_row(int(np.nanargmin(values)))
-    is_one = any("seed" in axis.keys and len(axis) > 1 for axis in results.axes)
-    run = " in a single run," if is_one else ""
-    return f"{metric.name} is {low} to {high}, least{run} with {least}"
+    return f"{metric.name} is {low} to {high}{_tell_least(results, metric)}"
+
+
+def _tell_least(results: "tl.sweep.SweptResults", metric: "tl.sweep.SweptMetric") -> str:
+    """Return with which keys a metric is least; over seeds, with which its mean is least."""
+    import numpy as np
+
+    view, kind = tl.sweep.choose_view(results), tl.measure.find_metric_kind(metric.name)
+    is_whole = len(view.rows) == results.row_count and kind is not None and kind.better == "lower"
+    best = tl.sweep.find_best_row(view, metric) if is_whole else None
+    if best is None or best.others is None:
+        is_one = any("seed" in axis.keys and len(axis) > 1 for axis in results.axes)
+        run = " in a single run," if is_one else ""
+        return f", least{run} with {results.tell_row(int(np.nanargmin(metric.values)))}"
+    seeds = describe_count(view.seeds, "seed")
+    if best.is_open:
+        return f"; over {seeds}, all differences of the means may be chance"
+    row = results.row_numbers.index(best.row)
+    keys = ", ".join(axis.tell_row(row) for axis in results.axes if "seed" not in axis.keys)
+    return f"; its mean over {seeds} is least with {keys}"

@@ -297,9 +297,9 @@ def _choose_gains(subject: _Subject, wanted: WishOptions, *, is_given: bool) -> 
     trials: list[GainTrial] = []
     seed = None
     if present and subject.scenario:
-        from turtlelog.explain.causes import draws_random
+        from turtlelog.explain.causes import find_drawn_seed
 
-        seed = subject.scenario.seed if draws_random(subject.scenario) else None
+        seed = find_drawn_seed(subject.scenario)
     for wish in (wanted,) if is_given else (wanted, replace(wanted, overshoot=0.0)):
         groups = chosen.groups if wish is wanted else wish.recommend_for(models)
         changes = list_changes(models, groups)

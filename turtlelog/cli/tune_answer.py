@@ -10,6 +10,7 @@ import turtlelog as tl
 from turtlelog.cli.console import build_table, copy_fields, fill_lines, fit_table
 from turtlelog.display import describe_count, format_number, format_short, join_words
 from turtlelog.errors import ScenarioError
+from turtlelog.explain.causes import find_drawn_seed
 
 if TYPE_CHECKING:
     from turtlelog.sweep.tune import Spread, TunedScenario
@@ -77,6 +78,7 @@ class TuneAnswer:
             better value of an objective that jumps.
         largest_step: Largest distance between neighbouring tried values in the searched range; None
             if several keys vary.
+        seed: Seed of every candidate; None if the scenario draws no random numbers.
         spread: Spread of variants; None if no variants were simulated.
     """
 
@@ -97,6 +99,7 @@ class TuneAnswer:
     slack: float | None
     jump: "ObjectiveJump | None"
     largest_step: float | None
+    seed: int | None
     spread: SpreadAnswer | None
 
 
@@ -126,6 +129,7 @@ def build_tune_answer(found: "TunedScenario", spread: "Spread | None") -> TuneAn
         ],
         slack=found.around.slack if found.around else None,
         jump=found.around.jump if found.around else None,
+        seed=find_drawn_seed(found.scenario),
         spread=None
         if spread is None
         else copy_fields(
@@ -152,7 +156,8 @@ def format_tune_answer(found: "TunedScenario", spread: "Spread | None") -> str:
         heads = ("constraint", "value", "margin", "holds")
         tables.append(build_table("Constraints", heads, rows))
     tables += [] if spread is None else [_tabulate_spread(found, spread)]
-    head = fill_lines([_conclude(found), *_describe_room(found)])
+    told = [] if spread else _describe_seed(found)
+    head = fill_lines([_conclude(found), *_describe_room(found), *told])
     return "\n".join([head, "", *map(fit_table, tables)])
 
 
@@ -193,6 +198,16 @@ def _describe_room(found: "TunedScenario") -> Iterator[str]:
             " best."
         )
         yield from _describe_jump(found)
+
+
+def _describe_seed(found: "TunedScenario") -> Iterator[str]:
+    """Yield that all candidates have one seed, with which the best may be an accident."""
+    seed = find_drawn_seed(found.scenario)
+    if seed is not None and found.tuned.best.is_feasible:
+        yield (
+            f"Every candidate has the same random effects, of seed {seed}. --monte-carlo 100 shows"
+            " how the best values do with other seeds."
+        )
 
 
 def _describe_jump(found: "TunedScenario") -> Iterator[str]:

@@ -79,6 +79,11 @@ def draws_random(scenario: Scenario) -> bool:
     )
 
 
+def find_drawn_seed(scenario: Scenario) -> int | None:
+    """Return the seed of a scenario, or None if its run does not depend on the seed."""
+    return scenario.seed if draws_random(scenario) else None
+
+
 def find_causes(scenario: Scenario) -> Mapping[str, Cause]:
     """Return the possible causes of a scenario by name: of the loop, the plant and the law.
 
