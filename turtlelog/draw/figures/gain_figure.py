@@ -16,6 +16,7 @@ from turtlelog.charts.many_runs import cut_alike
 from turtlelog.charts.palette import UNSTABLE, to_hex
 from turtlelog.draw.figures import strip_figure
 from turtlelog.draw.figures.figure_curves import choose_colors, label_runs
+from turtlelog.draw.figures.figure_needs import GAIN
 from turtlelog.draw.figures.page import STROKES, fix_style
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
@@ -56,7 +57,7 @@ def draw_gains(
     """
     loops = find_loop_gains(runs)
     if not loops:
-        raise ShowError("figure gains needs the law's gain")
+        raise ShowError(f"figure gains needs {GAIN.words}")
     found = strip_figure.measure_for_figure("gains", runs, metrics)
     columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
     own = {one.loop for one in found} - {""}

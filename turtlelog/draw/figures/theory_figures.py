@@ -95,14 +95,6 @@ class _LoopCurve:
         return self.run if self.is_many else told
 
 
-def find_lack_of_theory(run: Run) -> str:
-    """Return why theory has no loop of a run; empty if it has one."""
-    models = model_run_loops(run)
-    if not models:
-        return "a law that declares a loop"
-    return "" if theory.list_known(models) else f"a loop that theory knows ({models[0].reason})"
-
-
 def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw magnitude and phase of the open loops, with their margins marked."""
     size, phase = figure.subplots(2, 1, sharex=True)
