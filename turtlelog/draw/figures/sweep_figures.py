@@ -416,15 +416,16 @@ def _draw_limits(
     column = found.columns[place if len(found.columns) > 1 else 0]
     low, high = float(along.numbers[0]), float(along.numbers[-1])
     named: dict[str, Any] = {}
-    for name, looks in map_figure.LIMITS.items():
-        for branch in map_figure.list_branches([column], name):
+    for limit in map_figure.LIMITS:
+        looks = limit.looks
+        for branch in map_figure.list_branches([column], limit):
             at = float(branch[0])
             if not low <= at <= high:
                 continue
             own = {**looks, **({} if color is None else {"color": color})}
             axes.axvline(at, **own, zorder=1.5)
             grey = {} if color is None else {"color": "0.4"}
-            named[map_figure.name_limit(found, metric, name)] = Line2D([], [], **{**looks, **grey})
+            named[map_figure.name_limit(found, metric, limit)] = Line2D([], [], **{**looks, **grey})
             if color is None:
                 text = axes.text(at, 1.01, f"{at:.4g}", fontsize=6.2, color=looks["color"])
                 text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
