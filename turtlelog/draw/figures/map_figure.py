@@ -15,7 +15,13 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
+from turtlelog.charts.palette import (
+    OVERSHOOT_ON_CELLS,
+    UNSTABLE,
+    VERDICTS,
+    choose_shades,
+    to_hex,
+)
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import STROKES, fix_style, to_rgb
 from turtlelog.sweep.sweep_analysis import ColumnLimits, LoopLimits, choose_limits
@@ -34,8 +40,7 @@ _MOST_EDGED: Final = 1_000  # dots with an edge; of more, smaller dots only edge
 _HALO: Final = 1.4
 """Width of the white border around a line, which separates it from any colour below [points]."""
 
-VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Colours of unstable, between and stable: of differing lightness, and light below lines."""
+VERDICT_COLORS: Final = tuple(map(to_hex, VERDICTS))
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
@@ -69,7 +74,11 @@ LIMITS: Final = (
     TheoryLimit(
         text="overshoot begins",
         list_ends=lambda column: () if column.overshoot is None else (column.overshoot,),
-        looks={"color": "#7a4b00", "linewidth": 1.0, "linestyle": STROKES["dashed"]},
+        looks={
+            "color": to_hex(OVERSHOOT_ON_CELLS),
+            "linewidth": 1.0,
+            "linestyle": STROKES["dashed"],
+        },
     ),
 )
 """Theory's limits in the order of a legend."""

@@ -171,7 +171,7 @@ def _write_below(figure: Figure, words: Sequence[str]) -> None:
     lines = [line for one in words for line in textwrap.wrap(one, letters)]
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _LINE_INCH * (len(lines) - len(words)))
-    figure.supxlabel("\n".join(lines).replace("$", r"\$"), fontsize=7.0, color="0.4")
+    figure.supxlabel("\n".join(lines).replace("$", r"\$"), **pages.NOTE)
 
 
 def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
