@@ -99,7 +99,11 @@ COST_COLORS: Final[tuple[tuple[int, int, int, int], ...]] = tuple(
 PATH_OF_MANY: Final[Color] = (105, 105, 105)
 """Colour of the paths of very many runs on dark ground; only their ends have other colours."""
 
-GOAL: Final[Color] = (255, 255, 255)
+GOAL: Final[Color] = (255, 255, 255)  # colour of goals on `GROUND`
+GOAL_ON_WHITE: Final[Color] = (0, 0, 0)  # colour of goals in print
+
+GOAL_ON_ANY: Final[Color] = (138, 138, 138)
+"""Colour of goals, and of the rings around them, on pages whose theme is light or dark."""
 
 START: Final[Color] = (190, 190, 190)
 
@@ -133,6 +137,18 @@ VIOLATION: Final[Color] = (208, 52, 44)
 """Colour of violations: 5:1 to white, 3.7:1 to dark. No run and no phase has this red."""
 
 FULFILLED: Final[Color] = (0, 103, 75)  # colour of a check that holds, on white
+
+OUTLIER: Final[Color] = (198, 40, 40)  # colour of measurements left out of a fit, on white
+
+TIME_CONSTANT: Final[Color] = (86, 180, 233)  # colour of time constants, beside `DEAD_TIME`
+
+OVERSHOOT: Final[Color] = (176, 112, 0)  # colour of gains from which a loop overshoots, on white
+OVERSHOOT_ON_CELLS: Final[Color] = (122, 75, 0)  # the same on coloured cells
+OVERSHOOTING: Final[Color] = (230, 159, 0)  # colour of the range of such gains, transparent
+
+VERDICTS: Final[tuple[Color, Color, Color]] = ((232, 162, 143), (217, 217, 217), (154, 199, 224))
+"""Colours of cells that are unstable, between and stable: of differing lightness, and light below
+lines."""
 
 UNSTABLE: Final[Color] = (179, 38, 30)
 """Colour of unstable settings and of missing values, on white."""

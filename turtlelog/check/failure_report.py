@@ -26,7 +26,14 @@ from turtlelog.files.urls import make_path
 from turtlelog.laws import LAWS
 from turtlelog.log import write_recording
 from turtlelog.measure import Metric, Signal, find_signal, list_metrics, list_signals, measure_run
-from turtlelog.run import Run, describe_changes, list_software_changes, slice_run
+from turtlelog.run import (
+    Run,
+    SourceKind,
+    describe_changes,
+    find_source_kind,
+    list_software_changes,
+    slice_run,
+)
 from turtlelog.scenario import build_scenario
 from turtlelog.simulate import simulate_run
 
@@ -119,7 +126,7 @@ _ROWS: Final = 2
 
 def describe_clock(run: Run) -> str:
     """Return the meaning of a run's times."""
-    is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
+    is_simulated = find_source_kind(run.source) in {SourceKind.SIMULATION, SourceKind.REPLAY}
     clock = "simulated time" if is_simulated else "the recording's clock"
     return f"{clock}, from the first {run.first_row}"
 

@@ -327,10 +327,10 @@ def _describe_loss(report: "tl.log.RecoveryReport") -> str:
     if report.complete:
         return "nothing was lost: the file is complete and undamaged"
     if report.missing is None:
-        from turtlelog.log.recording.head import SUMMARY_ALONE, SUMMARY_LOST
+        from turtlelog.log.recording.head import SUMMARY_ALONE
 
         count = sum(loss.end - loss.start for loss in report.lost)
-        if {loss.reason for loss in report.lost} == {SUMMARY_LOST}:
+        if report.lost_summary_alone:
             return f"{SUMMARY_ALONE} ({count} bytes)"
         return f"an unknown number of messages is lost{f' ({count} bytes)' if count else ''}"
     lost = sum(report.missing.values())

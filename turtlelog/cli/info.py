@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -19,6 +19,8 @@ from turtlelog.cli.info_summary import (
     Summary,
     count_read,
     holds_nothing,
+    name_bag,
+    name_kind,
     summarise,
 )
 from turtlelog.cli.options import (
@@ -115,6 +117,8 @@ class InfoAnswer:
         notes: Remarks by name.
         run: Poses and commands of the file; None if they were not read.
         robots: Robots of a bag with several robots; --robot NAME chooses one.
+        described: Description from which the texts are made; not in JSON.
+        was_clock_set: Whether the recorder's clock was set while it recorded; not in JSON.
     """
 
     file: str
@@ -139,6 +143,8 @@ class InfoAnswer:
     notes: Mapping[str, str]
     run: ReadRun | None
     robots: tuple[RobotTopics, ...] = ()
+    described: Summary = field(repr=False)
+    was_clock_set: bool = field(repr=False)
 
 
 def info(
@@ -208,7 +214,7 @@ def _read(
         verdict=None if summary.end is None else summary.end.verdict,
         run_duration_s=None if summary.run is None else summary.run.duration_s,
         absent=_list_absent(recording, summary),
-        missing=summary.missing,
+        missing=(*(f"no {one}" for one in summary.missing), *summary.needs),
         clock=summary.clock,
         notes={**recording.notes, **summary.notes},
         run=summary.run,
@@ -220,6 +226,8 @@ def _read(
             )
             for robot in robots
         ),
+        described=summary,
+        was_clock_set=recording.was_clock_set or summary.was_clock_set,
     )
 
 
@@ -277,15 +285,19 @@ def _format_answer(
 
 def _format_answers(answers: Sequence[InfoAnswer]) -> str:
     """Return one line per file, below a line that counts the files of each kind."""
-    kinds = Counter(_name_kind(answer) for answer in answers)
-    parts = [(*kind.partition(" without "), count) for kind, count in kinds.most_common()]
-    counts = [f"{describe_count(count, noun)}{of}{what}" for noun, of, what, count in parts]
+    kinds = Counter(name_kind(answer) for answer in answers)
+    counts = [
+        f"{describe_count(count, kind.noun)}{kind.rest}" for kind, count in kinds.most_common()
+    ]
     broken = sum(not answer.complete for answer in answers)
     judged = [one.verdict for one in answers if one.verdict in {"reached", "missed", "allowed"}]
     reached = f"{judged.count('reached')} of {len(judged)}" if len(judged) > 1 else ""
     state = f"; {broken} not complete" if broken else ""
     state += f"; {reached} reached their goal" if reached else ""
-    rows = ((_name_file(one), _name_kind(one), one.duration_s, _tell_state(one)) for one in answers)
+    rows = (
+        (_name_file(one), "".join(name_kind(one)), one.duration_s, _tell_state(one))
+        for one in answers
+    )
     table = console.build_table("Files", ("file", "kind", "duration [s]", "ended"), rows)
     head = f"{len(answers)} files: {join_words(counts)}{state}."
     more = "Each in full: turtlelog info FILE, or all of them with --json."
@@ -296,20 +308,11 @@ def _name_file(answer: InfoAnswer) -> str:
     return escape_controls(tl.log.split_topic(Path(answer.file))[0].name or answer.file)
 
 
-def _name_kind(answer: InfoAnswer) -> str:
-    """Return the kind of a file as text that can be counted."""
-    if answer.format_version is not None:
-        return "recording"
-    if answer.run is None or not answer.topics:
-        return "table" if answer.run is not None else "file without a run"
-    return f"ROS {1 if answer.source == 'ros1' else 2} bag"
-
-
 def _tell_state(answer: InfoAnswer) -> str:
     if not answer.complete:
         return "truncated: nothing left" if holds_nothing(answer) else "not complete"
-    ending, _, _ = (answer.ending or "").removeprefix("ended ").partition(" after ")
-    return ending or _tell_reason(answer)
+    end = answer.described.end
+    return _tell_reason(answer) if end is None else end.describe_distance()
 
 
 def _tell_reason(answer: InfoAnswer) -> str:
@@ -322,7 +325,7 @@ def _fill(head: str, text: str) -> str:
 
 def _write_head(answer: InfoAnswer) -> str:
     length = "" if answer.duration_s is None else f", {answer.duration_s:.1f} s"
-    if answer.run is not None and tl.log.CLOCK_SET in answer.notes:
+    if answer.run is not None and answer.was_clock_set:
         length = f", {answer.run.duration_s:.1f} s"  # without the steps of the clock
     if answer.format_version is not None:
         state = "complete" if answer.complete else "not complete"
@@ -334,7 +337,7 @@ def _write_head(answer: InfoAnswer) -> str:
     if not answer.topics:
         return f"{what}{length}"
     what += " (not turtlesim)" if answer.run.is_robot else ""
-    return f"ROS {1 if answer.source == 'ros1' else 2} bag of {what}{length}"
+    return f"{name_bag(answer)} of {what}{length}"
 
 
 def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
@@ -352,9 +355,11 @@ def _list_rows(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
             if topic is not None
         ]
         yield f"robot {robot.name}", "; ".join(parts)
-    told = [_tell_reason(answer), (answer.ending or "").removeprefix("ended ")]
-    if any(told) and not holds_nothing(answer):
-        yield "ended", ": ".join(filter(None, told))
+    end = answer.described.end
+    how = "" if end is None else f"{end.describe_distance()} {end.describe_duration()}"
+    told = ": ".join(filter(None, [_tell_reason(answer), how]))
+    if told and not holds_nothing(answer):
+        yield "ended", told
 
 
 def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
@@ -362,7 +367,7 @@ def _describe_durations(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if answer.duration_s is None:
         return
     what = "message of any topic" if answer.topics else "row"
-    how = ", by the clock that was set" if tl.log.CLOCK_SET in answer.notes else ""
+    how = ", by the clock that was set" if answer.was_clock_set else ""
     yield "duration", f"{answer.duration_s:.3f} s, from the first to the last {what}{how}"
     if answer.run is None:
         return
@@ -378,9 +383,8 @@ _WORDS: Final = MappingProxyType({"goal_xy_m": "goal", "goal_heading_rad": "head
 
 def _list_lacks(answer: InfoAnswer, *, topics: bool) -> Iterator[tuple[str, str]]:
     """Yield the missing data of a file with their use, and unreadable data."""
-    for text in answer.missing:
-        lack, _, rest = text.partition(": ")
-        yield "missing", f"{lack.removeprefix('no ')}: {rest}" if rest else lack
+    for text in (*answer.described.missing, *answer.described.needs):
+        yield "missing", text
     if answer.absent and (topics or not answer.missing):
         yield "absent", ", ".join(_WORDS.get(name, name) for name in answer.absent)
     if answer.not_understood:
@@ -392,7 +396,8 @@ def _list_own(answer: InfoAnswer) -> Iterator[tuple[str, str]]:
     if answer.name != Path(answer.file).stem:
         yield "run", answer.name
     if answer.scenario is not None:
-        source = "simulated" if answer.source == "simulation" else f"from {answer.source}"
+        is_simulated = tl.run.find_source_kind(answer.source) is tl.run.SourceKind.SIMULATION
+        source = "simulated" if is_simulated else f"from {answer.source}"
         yield "robot", f"{known.get('plant.kind', 'turtlesim')}, {source}"
     elif answer.source:
         yield "source", answer.source

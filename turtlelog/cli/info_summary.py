@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import turtlelog as tl
 from turtlelog.display import describe_count, join_words
@@ -101,6 +101,8 @@ class Summary:
         end: How the run ended at its goal; None if unknown.
         run: Summary of the run in the file; None if the run was not read.
         missing: Missing data, each with its use.
+        needs: What the file needs to be measured.
+        was_clock_set: Whether the recorder's clock was set while it recorded.
         clock: Clock that times the poses; None if there is only one clock, or poses were not read.
         notes: Notes on the poses, by name.
     """
@@ -109,6 +111,8 @@ class Summary:
     end: GoalEnd | None = None
     run: ReadRun | None = None
     missing: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    was_clock_set: bool = False
     clock: "tl.run.Clock | None" = None
     notes: Mapping[str, str] = field(default_factory=dict)
 
@@ -133,13 +137,34 @@ def summarise(
         if replace(choice, allow_partial=False) != tl.log.ReadChoice():
             raise  # the requested data do not exist
         reason = str(err).removeprefix(f"{path}: ")
-        return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))
+        return Summary(text=_summarise_topics(info, reason), needs=_list_needs(info))
     return _summarise_run(run, info)
 
 
 def holds_nothing(info: "tl.log.RecordingInfo | InfoAnswer") -> bool:
     """Return whether a file was not finished and has no messages."""
     return not info.complete and not any(topic.count for topic in info.topics)
+
+
+class FileKind(NamedTuple):
+    """Kind of a file as text that can be counted."""
+
+    noun: str
+    rest: str = ""  # what follows the noun, also in the plural
+
+
+def name_kind(answer: "InfoAnswer") -> FileKind:
+    """Return the kind of a file."""
+    if answer.format_version is not None:
+        return FileKind("recording")
+    if answer.run is None:
+        return FileKind("file", " without a run")
+    return FileKind(name_bag(answer) if answer.topics else "table")
+
+
+def name_bag(answer: "InfoAnswer") -> str:
+    """Return the kind of a bag."""
+    return f"ROS {1 if answer.source == 'ros1' else 2} bag"
 
 
 def count_read(path: Path, *, is_asked: bool) -> int:
@@ -153,7 +178,8 @@ def count_read(path: Path, *, is_asked: bool) -> int:
 
 def _summarise_own(info: "tl.log.RecordingInfo") -> str:
     law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
-    origin = "" if info.source == "simulation" else f", from {info.source}"
+    is_simulated = tl.run.find_source_kind(info.source) is tl.run.SourceKind.SIMULATION
+    origin = "" if is_simulated else f", from {info.source}"
     counts = {
         noun: sum(topic.count for topic in info.topics if topic.type == kind)
         for kind, noun in ((CONTROL, "sample"), ("turtlesim/msg/Pose", "pose"))
@@ -301,6 +327,7 @@ def _summarise_run(run: "tl.Run", info: "tl.log.RecordingInfo") -> Summary:
         end=find_goal_end(run),
         run=read,
         missing=tuple(_list_missing(run, info)),
+        was_clock_set=run.origin.was_clock_set,
         clock=run.clock,
         notes=notes,
     )
@@ -398,6 +425,6 @@ def _list_missing(run: "tl.Run", info: "tl.log.RecordingInfo") -> "Iterator[str]
     for lack in lacks:
         is_told = lack in tl.compare.UNLOCKS and tl.compare.can_unlock(lack, lacks)
         if lack in {"poses", "commands"} and lack in run.notes:
-            yield f"no {run.notes[lack]}"
+            yield run.notes[lack]
         elif is_told and (lack != "commands" or info.topics):
-            yield f"no {tl.compare.UNLOCKS[lack]}"
+            yield tl.compare.UNLOCKS[lack]

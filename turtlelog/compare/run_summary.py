@@ -16,7 +16,7 @@ from turtlelog.log import NOTES, ReadChoice, read_as_chosen
 from turtlelog.measure import MeasureSettings, Metric, Metrics
 from turtlelog.measure.metric import Status
 from turtlelog.processes import map_in_processes
-from turtlelog.run import Origin, Parameter, Run, require_run
+from turtlelog.run import Origin, Parameter, Run, SourceKind, find_source_kind, require_run
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import GoalEnd, describe_wall, find_goal_end
 
@@ -361,7 +361,7 @@ def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
     """Return which inputs would add metrics, if all runs are third-party bags without them."""
     if not summaries or not all(found.is_lawless for found in summaries):
         return []
-    is_table = all(found.source.startswith("table: ") for found in summaries)
+    is_table = all(find_source_kind(found.source) is SourceKind.TABLE for found in summaries)
     unlocks = {**UNLOCKS, "commands": _COMMAND_COLUMN} if is_table else UNLOCKS
     return [
         f"No {unlock}."

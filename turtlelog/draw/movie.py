@@ -33,7 +33,7 @@ from turtlelog.charts.plane_scene import part_path
 from turtlelog.charts.time_plots import TIME_PLOTS, TIMELINE, Film
 from turtlelog.compare import order_by_gain
 from turtlelog.draw.figures.figure_curves import NAMES_HEIGHT, choose_run_lines, name_runs_above
-from turtlelog.draw.figures.page import LOOKS, fix_style, use_looks
+from turtlelog.draw.figures.page import GOAL, LOOKS, START, fix_style, use_looks
 from turtlelog.draw.figures.plane_panels import find_named_close_up
 from turtlelog.errors import ShowError
 from turtlelog.files.urls import make_path
@@ -289,9 +289,9 @@ def _set_plane(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> Non
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         axes.plot(*part_path(run).T, **look, alpha=_FAINT)
         stage.trails.append(_start_trail(axes, run, zero_ns, look))
-    axes.plot(*plane_scene.list_starts(runs).T, "s", ms=8.0, color="0.3", zorder=3)
+    axes.plot(*plane_scene.list_starts(runs).T, **START, ms=8.0)
     if len(goals):
-        axes.plot(*goals.T, "x", ms=13.0, mew=2.5, color="black", zorder=3)
+        axes.plot(*goals.T, **GOAL, ms=13.0, mew=2.5)
     points = np.concatenate([*(run.poses.xy_m for run in runs), *outlines, goals])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     center, half_m = (low + high) / 2.0, max(0.6 * float((high - low).max()), 1e-3)
@@ -375,7 +375,7 @@ def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_u
             goal[0], goal[1] - ring_m, format_length(ring_m), color="0.4", fontsize=11.0
         )
         name.set(ha="center", va="top", clip_on=True)
-    axes.plot(*goal, "x", ms=13.0, mew=2.5, color="black", zorder=3)
+    axes.plot(*goal, **GOAL, ms=13.0, mew=2.5)
     for run, zero_ns, look in zip(runs, stage.film.zeros_ns, looks, strict=True):
         trail = _start_trail(axes, run, zero_ns, look)
         trail.line.set_animated(False)

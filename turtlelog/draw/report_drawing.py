@@ -10,11 +10,19 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import many_runs, plane_scene
 from turtlelog.charts.close_up import CloseUp, format_length
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Values, choose_rows
-from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, choose_turtle_size, to_hex
+from turtlelog.charts.palette import (
+    ALLOWED,
+    GOAL_ON_ANY,
+    MAIN,
+    VIOLATION,
+    Color,
+    choose_turtle_size,
+    to_hex,
+)
 from turtlelog.charts.plane_scene import find_break_rows, part_path
 from turtlelog.charts.plotted_curves import CurveKind
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import describe_count
 from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
@@ -26,7 +34,7 @@ MOST_POINTS: Final = 2000  # points of a curve: a screen has fewer columns
 _FAR: Final = 1e3
 """Magnitude from which 64 bits are used: 32 bits lose a tenth of a millimetre or millisecond."""
 
-RING: Final = "#8a8a8a"
+RING: Final = to_hex(GOAL_ON_ANY)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -342,7 +342,8 @@ class RobotGame(Game):
 
     def _predict(self, axis: Axis, out: Coalition, seed: int | None) -> tuple[Values, Values]:
         """Return the distance or turn, and the rate, at each pose of the recording."""
-        parts = frozenset(name for name in out if name.endswith(robot_log.MOTIONS[axis]))
+        own = {name for name, (of, _) in robot_log.AXIS_PARTS.items() if of == axis}
+        parts = frozenset(out & own)
         log = self._get(COMMANDS, out)
         key = axis, parts, COMMANDS in out, robot_log.TIMES in out, seed
         if key not in self._ways:
@@ -375,10 +376,7 @@ class RobotGame(Game):
         first, second = (one[axis] for one in self._models[seed])
         if not second.is_known or not first.is_known:
             return second if second.is_known else first
-        motion = f" {robot_log.MOTIONS[axis]}"
-        fields = [
-            name for part in parts for name in robot_log.list_part_fields(part.removesuffix(motion))
-        ]
+        fields = [name for part in parts for name in robot_log.AXIS_PARTS[part][1]]
         return replace(second, **{name: getattr(first, name) for name in fields})
 
 

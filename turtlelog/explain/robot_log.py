@@ -42,7 +42,7 @@ CHANCE: Final = (NOISE, TIMES)
 MOTIONS: Final[Mapping[Axis, str]] = {"speed": "driving", "turn_rate": "turning"}
 """Words for the motions of the axes, for names of parts."""
 
-FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
+_FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
     "gain": ("gain", "reverse_gain"),
     "dead time": ("dead_time_s",),
     "time constant": ("lag_s", "lag_product_s2", "model"),
@@ -55,8 +55,20 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """Fields of an axis that are exchanged together."""
 
-_MIXED: Final = ("gain", "dead time", "time constant and limits", "friction", "drift")
-"""Names of parts that are used if no model has one robot's time constant and the other's limits."""
+_JOINED: Final[Mapping[str, tuple[str, ...]]] = {
+    **{name: _FIELDS[name] for name in ("gain", "dead time")},
+    "time constant and limits": (*_FIELDS["time constant"], *_FIELDS["limits"]),
+    **{name: _FIELDS[name] for name in ("friction", "drift")},
+}
+"""Fields that are exchanged together if no model has one robot's time constant and the other's
+limits."""
+
+AXIS_PARTS: Final[Mapping[str, tuple[Axis, tuple[str, ...]]]] = {
+    f"{part} {motion}": (axis, names)
+    for axis, motion in MOTIONS.items()
+    for part, names in {**_FIELDS, **_JOINED}.items()
+}
+"""Axis and fields of each part that belongs to an axis, by name: `gain turning`."""
 
 _MOSTLY: Final = 0.98
 """Share of the steps between poses that are used; the fastest steps have the largest noise."""
@@ -150,11 +162,11 @@ def find_parts(first: RobotLog, second: RobotLog, axes: Iterable[Axis]) -> dict[
             continue
         # Each robot may have to take the other's time constant without its limits.
         mixed = (
-            replace(one, **{name: getattr(other, name) for name in FIELDS["limits"]})
+            replace(one, **{name: getattr(other, name) for name in _FIELDS["limits"]})
             for one, other in (models, models[::-1])
         )
-        for part in FIELDS if all(model.structure.is_possible for model in mixed) else _MIXED:
-            fields = list_part_fields(part)
+        is_possible = all(model.structure.is_possible for model in mixed)
+        for part, fields in (_FIELDS if is_possible else _JOINED).items():
             before, after = ({key: show_value(getattr(m, key)) for key in fields} for m in models)
             if before != after:
                 name = f"{part} {MOTIONS[axis]}"
@@ -175,11 +187,6 @@ def find_parts(first: RobotLog, second: RobotLog, axes: Iterable[Axis]) -> dict[
         for name, found in values.items()
         if found
     }
-
-
-def list_part_fields(part: str) -> tuple[str, ...]:
-    """Return the fields of an axis that belong to a part, by its name without the motion."""
-    return tuple(name for one in part.split(" and ") for name in FIELDS[one])
 
 
 def list_part_values(log: RobotLog, keys: Iterable[str]) -> dict[str, Any]:

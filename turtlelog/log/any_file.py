@@ -99,7 +99,8 @@ def _read_bag(path: Path, choice: ReadChoice) -> "Run":
             run = ros2.read_bag(copy, **_list_options(choice))
     # Without a part of the bag, the other parts may be sound.
     lost = run.notes.get("recovered", lost)
-    origin = run.origin if "recovered" in run.notes else replace(run.origin, lost="rows")
+    is_told = run.origin.lost != "nothing"
+    origin = run.origin if is_told else replace(run.origin, lost="rows")
     run = replace(run, origin=origin, notes={**run.notes, "recovered": lost})
     warnings.warn(f"{path}: {lost}", recording.PartialRecordingWarning, stacklevel=4)
     return run

@@ -93,6 +93,7 @@ class RecordingInfo:
             one.
         not_understood: Topics whose messages cannot become columns, with the reason.
         lost: What the file had lost when it was recovered.
+        was_clock_set: Whether the recorder's clock was set during the run of a recording.
     """
 
     file: str
@@ -111,6 +112,7 @@ class RecordingInfo:
     notes: Mapping[str, str] = field(default_factory=dict)
     not_understood: tuple[str, ...] = ()
     lost: Lost = "nothing"
+    was_clock_set: bool = False
 
     def __repr__(self) -> str:
         length = "no messages" if self.duration_s is None else f"{self.duration_s:.1f} s"
@@ -223,6 +225,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         simulated_by=head.simulated_by,
         absent=head.absent if is_whole else add_lost(head, held),
         notes={**head.notes, **info.notes},
+        was_clock_set=head.origin.was_clock_set,
     )
 
 

@@ -22,7 +22,7 @@ from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
 from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, find_runs
 from turtlelog.log.table_columns import EPOCHS, QUANTITIES, Choice, offer_robots, show_column
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
-from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns, SourceKind
 
 _LARGEST: Final = 1e30
 """Largest number of a motion that is judged: squares of larger numbers may overflow."""
@@ -162,9 +162,10 @@ def _build_run(path: Path, cells: "Cells") -> Run:
         **({} if plane is None else {"plane": plane}),
         **_list_contradictions(cells, pose_time_ns, poses, whole, is_flat=plane is None),
     }
+    kind = SourceKind.TABLE if cells.table.has_header else SourceKind.TRAJECTORY
     return Run(
         name=path.stem,
-        source=f"{'table' if cells.table.has_header else 'tum'}: {path.name}",
+        source=kind.describe(path.name),
         poses=PoseColumns(
             time_ns=pose_time_ns,
             xy_m=np.column_stack([poses["x"], poses["y"]]),

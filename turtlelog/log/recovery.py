@@ -46,6 +46,7 @@ class RecoveryReport:
         from_s: Log time of the earliest message recovered [s].
         to_s: Log time of the latest message recovered [s].
         lost: Losses in the order of the file.
+        lost_summary_alone: Whether the only loss is the summary, which counts the messages.
     """
 
     file: str
@@ -56,6 +57,7 @@ class RecoveryReport:
     from_s: float
     to_s: float
     lost: tuple[Loss, ...]
+    lost_summary_alone: bool = False
 
     def __repr__(self) -> str:
         found = describe_count(sum(self.recovered.values()), "message")
@@ -297,6 +299,7 @@ def _build_report(file: str, copied: _Copied, summary: FileSummary | None) -> Re
         from_s=span_ns[0] / 1e9,
         to_s=span_ns[1] / 1e9,
         lost=tuple(sorted(lost, key=lambda loss: loss.start)),
+        lost_summary_alone=missing is None and lost == [copied.summary],
     )
 
 

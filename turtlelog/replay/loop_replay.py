@@ -14,7 +14,7 @@ from turtlelog.plants import find_plant
 from turtlelog.replay import differences
 from turtlelog.replay.breaks_and_commands import advise_other_mode
 from turtlelog.replay.differences import Answers, Difference, Pairing, ReplayResult, RowCount
-from turtlelog.run import Run, SampleColumns, require_run
+from turtlelog.run import Run, SampleColumns, SourceKind, require_run
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import FINISHED, FROM_OUTSIDE, MAX_DURATION, name_stop
 from turtlelog.scenario import Scenario, choose_scenario, resolve_scenario, restore_scenario
@@ -293,7 +293,7 @@ def replay_loop(
             " simulates all of it"
         )
     parameters = {**replayed.parameters, "max_duration_s": scenario.max_duration_s}
-    replayed = replace(replayed, source=f"replay of {run.name}", parameters=parameters)
+    replayed = replace(replayed, source=SourceKind.REPLAY.describe(run.name), parameters=parameters)
     pair = differences.pair_by_tick if by_tick else differences.pair_by_sample
     signals = differences.compare_pairings(pair(run, replayed), tolerance)
     known = {found.signal: found for found in signals}

@@ -40,7 +40,7 @@ from turtlelog.replay.differences import (
     find_earliest,
     find_pose_error,
 )
-from turtlelog.run import CommandColumns, PoseColumns, Run, require_run
+from turtlelog.run import CommandColumns, PoseColumns, Run, SourceKind, require_run
 from turtlelog.scenario import LawChoice, Scenario, Start, flatten_scenario, restore_scenario
 from turtlelog.simulate import loop
 from turtlelog.simulate.loop_parts import DrawnEvents, list_streams
@@ -306,7 +306,7 @@ def drive_commands(run: Run, scenario: Scenario | None = None) -> CommandReplay:
     at_wall = ((xy_m <= plant.low_m) | (xy_m >= plant.high_m)).any(axis=1)
     driven = Run(
         name=f"{run.name} on {plant.name}",
-        source=f"replay of {run.name}",
+        source=SourceKind.REPLAY.describe(run.name),
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=xy_m,

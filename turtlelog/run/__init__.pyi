@@ -14,8 +14,10 @@ from .columns import (
     Origin as Origin,
     PoseColumns as PoseColumns,
     SampleColumns as SampleColumns,
+    SourceKind as SourceKind,
     SourceTopic as SourceTopic,
     find_greatest_loss as find_greatest_loss,
+    find_source_kind as find_source_kind,
     take_rows as take_rows,
 )
 from .run import (

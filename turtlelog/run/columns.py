@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, replace
+from enum import Enum
 from functools import cache, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Self, TypeVar, get_args
@@ -275,6 +276,27 @@ class SourceTopic:
         """Return name, type and frames in one line."""
         frames = "" if self.frames is None else ": {} -> {}".format(*self.frames)
         return f"{self.name} ({self.type}){frames}"
+
+
+class SourceKind(Enum):
+    """What made a run, or what it was read from: the words with which `Run.source` begins."""
+
+    SIMULATION = "simulation"
+    REPLAY = "replay of "
+    TABLE = "table: "
+    TRAJECTORY = "tum: "
+
+    def describe(self, name: str = "") -> str:
+        """Return the source of a run, with the name of the replayed run or of the file."""
+        return f"{self.value}{name}"
+
+
+def find_source_kind(source: str) -> SourceKind | None:
+    """Return the kind of a source that `SourceKind.describe` gave; None for any other source."""
+    if source == SourceKind.SIMULATION.value:
+        return SourceKind.SIMULATION
+    named = (kind for kind in SourceKind if kind is not SourceKind.SIMULATION)
+    return next((kind for kind in named if source.startswith(kind.value)), None)
 
 
 Lost = Literal["nothing", "summary", "rows"]

@@ -121,21 +121,29 @@ class GoalEnd:
 
     def describe(self) -> str:
         """Return a sentence without a subject: verdict, distance to the goal and duration."""
+        verb = "ended " if self.verdict in {"ended", "allowed"} else ""
+        return f"{verb}{self.describe_distance()} {self.describe_duration()}"
+
+    def describe_duration(self) -> str:
+        """Return the duration as text: `after 12.7 s`."""
+        return f"after {self.duration_s:.3g} s"
+
+    def describe_distance(self) -> str:
+        """Return verdict and distance to the goal; of a run that only ended, its distance alone."""
         size = format_short(self.error_m, "m")
-        after = f"after {self.duration_s:.3g} s"
         if self.verdict == "reached":
-            return f"reached the goal within {size} {after}"
+            return f"reached the goal within {size}"
         if self.verdict == "ended":
             turned = self.turned_rad
             off = "" if turned is None else f" and {format_short(turned, 'rad')} off its heading"
             where = "at the goal" if self.error_m < _ROUNDING_M else f"{size} from the goal"
-            return f"ended {where}{off} {after}"
+            return f"{where}{off}"
         # In the same unit as the error, so that both compare at a glance.
         unit = size.rpartition(" ")[2]
         allowed = f"{self.allowed_m * (1e3 if unit == 'mm' else 1.0):.3g} {unit}"
         if self.verdict == "allowed":
-            return f"ended {size} from the goal (its tolerances allow {allowed}) {after}"
-        return f"missed the goal by {size} (allowed: {allowed}) {after}"
+            return f"{size} from the goal (its tolerances allow {allowed})"
+        return f"missed the goal by {size} (allowed: {allowed})"
 
     def describe_place(self) -> str:
         """Return a sentence on the place of the end: across and along the line to the goal.

@@ -21,7 +21,7 @@ from turtlelog.laws import LAWS, find_law, find_module, is_given, read_law_sourc
 from turtlelog.libraries import __version__
 from turtlelog.parts import Plant
 from turtlelog.processes import catch_stop
-from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run import LAW, CommandColumns, Event, PoseColumns, Run, SampleColumns, SourceKind
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import INTERRUPTED, STEP_BUDGET
 from turtlelog.scenario import Scenario, choose_scenario, flatten_scenario, resolve_scenario
@@ -221,7 +221,7 @@ def build_simulated_run(scenario: Scenario, declaration: Declaration, **others: 
     goal = scenario.goal if declaration.uses_goal else None
     return Run(
         name=scenario.name,
-        source="simulation",
+        source=SourceKind.SIMULATION.describe(),
         goal_xy_m=None if goal is None else (goal.x_m, goal.y_m),
         goal_heading_rad=None if goal is None else goal.heading_rad,
         declaration=declaration,

@@ -226,7 +226,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
         place.avoid_line(xy_m)
         place.avoid_point(xy_m[-1])
     if goal is not None:
-        axes.plot(*goal, "+", ms=9.0, mew=1.6, color="black", zorder=2.8)
+        axes.plot(*goal, "+", ms=9.0, mew=1.6, color=pages.GOAL["color"], zorder=2.8)
         place.avoid_point(goal, _GOAL_MM)
     # The distance has the decimals of the waterfall if the waterfall shows it.
     is_shown = told.found.metric == "final.position_error"
@@ -402,7 +402,7 @@ def _draw_plane(axes: Axes, plane: luck_chart.LuckPlane, side_inch: float) -> No
     )
     for ring_m in plane.rings_m:
         axes.add_patch(Circle((0.0, 0.0), ring_m, fill=False, color="0.8", lw=0.5, zorder=1.2))
-    axes.plot(0.0, 0.0, "+", ms=9.0, mew=1.0, color="black", zorder=1.8)
+    axes.plot(0.0, 0.0, "+", ms=9.0, mew=1.0, color=pages.GOAL["color"], zorder=1.8)
     axes.plot(*plane.ghosts_m.T, "o", ms=2.4, color=_GHOST_COLOR, zorder=2.4)
     run = to_rgb(palette.MAIN)
     axes.plot(*plane.ends_m.T, "o", ms=3.2, mfc="none", mec=run, mew=0.7, zorder=2.2)

@@ -25,7 +25,7 @@ from turtlelog.charts.many_runs import (
 )
 from turtlelog.compare import name_runs
 from turtlelog.display import cut_name
-from turtlelog.draw.figures.page import IDEAL_ENDS, to_rgb
+from turtlelog.draw.figures.page import IDEAL_ENDS, NOTE, to_rgb
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
 
@@ -67,7 +67,7 @@ def _thin(
     if rows is None:
         return across, up
     note = f"curves of over {curves.MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
-    axes.figure.supxlabel(note, fontsize=7.0, color="0.4")
+    axes.figure.supxlabel(note, **NOTE)
     return across[rows], up[rows]
 
 

@@ -1,16 +1,15 @@
-"""The figures by name: their panels, the data that they need from runs, and what a run lacks."""
+"""The figures by name: their panels, and which of them runs have data for."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.util import find_spec
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.charts import curves, plane_scene
-from turtlelog.charts.plotted_curves import Scale, group_states, has_own
+from turtlelog.charts.plotted_curves import Scale, group_states
 from turtlelog.charts.time_plots import TIME_PLOTS
 from turtlelog.display import NamedValues, fit_line
 from turtlelog.draw.figures import theory_figures, time_panels
@@ -20,28 +19,22 @@ from turtlelog.draw.figures.explanation_figures import (
     explain_for_figure,
     measure_luck_for_figure,
 )
+from turtlelog.draw.figures.figure_needs import (
+    LOOP_LACKS,
+    NEEDS,
+    RECORDING,
+    Lack,
+    Need,
+    find_lack_of_library,
+    has_states,
+)
 from turtlelog.draw.figures.gain_figure import draw_gains
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
-from turtlelog.draw.figures.robot_figures import draw_rates, lacks_commands
+from turtlelog.draw.figures.robot_figures import draw_rates
 from turtlelog.draw.figures.strip_figure import draw_strips
-from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
-SAMPLES: Final = "the controller's samples"
-POSES: Final = "poses"
-GOAL: Final = "a goal"
-PYTHON_CONTROL: Final = "python-control"
-_GAIN: Final = "the law's gain"
-_PROPORTIONAL: Final = "a proportional loop"
-
 _ROW_HEIGHT: Final = 0.25  # height of a row of two panels, as a share of their total width
-
-_LOOPS: Final[Mapping[str, str]] = {
-    "heading": "a loop of the heading",
-    "along_track": "a loop along the track",
-    "distance": "a loop of the distance",
-}
-"""Loop that a panel shows, by its controlled signal."""
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]
 
@@ -56,14 +49,14 @@ class Panel:
     """
 
     name: str  # content, in a word or two
-    needs: str  # data that a run must contain
+    needs: Need  # data that a run must contain
     draw: time_panels.Draw  # function that draws the panel for several runs
     plot: str = ""  # name of the plot over time that the panel shows; empty for another panel
     loop: str = ""  # signal that a loop of the run must control; empty: any
     is_usual: bool = True  # whether the panel is reported as missing if no run has data for it
 
-    def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
-        """Return the data that each run lacks for the panel; empty if nothing is missing."""
+    def find_lacks(self, runs: Sequence[Run]) -> tuple[Lack | None, ...]:
+        """Return the data that each run lacks for the panel; None if nothing is missing."""
         is_of_some = any(
             (self.is_usual and not run.declaration.loops)
             or (self.loop == "heading" and run.path is not None)
@@ -71,8 +64,8 @@ class Panel:
             for run in runs
         )
         if self.loop and not is_of_some:
-            return (_LOOPS[self.loop],) * len(runs)
-        return find_lacks(runs, self.needs)
+            return (LOOP_LACKS[self.loop],) * len(runs)
+        return self.needs.find_lacks(runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +75,7 @@ class FigureKind:
     title: str  # content, for captions
     paper: str = ""  # the corresponding figure of the paper; empty if the paper has none
     height: float = 0.62  # height divided by width, with all usual panels of the figure
-    needs: str = "poses"  # data that at least one run must contain; panels have further needs
+    needs: Need = NEEDS["poses"]  # data that one run must contain; panels need more
     draw: DrawFigure | None = None  # draws the figure for several runs, if it has no panels
     panels: tuple[Panel, ...] = ()  # panels; those without data in any run are left out
     list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()  # panels of the laws
@@ -97,14 +90,18 @@ class FigureKind:
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return the data that the figure lacks; None if it can be drawn. Theory needs no runs."""
+        lack = self._find_lack(runs)
+        return None if lack is None else lack.words
+
+    def _find_lack(self, runs: Sequence[Run]) -> Lack | None:
         if not runs:
-            return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
+            return find_lack_of_library() if self.needs.is_of_theory else RECORDING
         if self.draw is not None:
-            lacks = find_lacks(runs, self.needs)
+            lacks = self.needs.find_lacks(runs)
             return lacks[0] if all(lacks) else None
         if self.choose_panels(runs):
             return None
-        lack = "" if self.is_usual else find_lacks(runs, self.needs)[0]
+        lack = None if self.is_usual else self.needs.find_lack(runs[0])
         return lack or self.panels[0].find_lacks(runs)[0]
 
     def choose_panels(self, runs: Sequence[Run]) -> tuple[Panel, ...]:
@@ -136,91 +133,6 @@ class FigureKind:
         return fit_line(f"<FigureKind: {self.title}>")
 
 
-def has_states(run: Run) -> bool:
-    """Return whether a run has states of its law that are not always 0."""
-    return run.samples.states is not None and bool(run.samples.states.any())
-
-
-def find_lack_of_gain(runs: Sequence[Run]) -> str:
-    """Return what theory's figures lack: python-control, or a gain."""
-    if find_spec("control") is None:
-        return PYTHON_CONTROL
-    if theory_figures.find_gains(runs):
-        return ""
-    loops = [loop for run in runs for loop in run.declaration.loops]
-    has_others = any(loop.gain and not loop.is_proportional for loop in loops)
-    return _PROPORTIONAL if has_others else _GAIN
-
-
-def _find_lack_of_locus(run: Run) -> str:
-    """Return what a root locus lacks of an ideal or a sampled loop, or why theory has no model."""
-    lack = find_lack_of_gain([run])
-    if lack == PYTHON_CONTROL:
-        return lack
-    unknown = theory_figures.find_lack_of_theory(run)
-    return unknown if lack == _PROPORTIONAL or not unknown else lack
-
-
-OF_THEORY: Final = ("gain", "integrator", "locus")  # data that theory provides without a run
-
-
-def _has(words: str, has: Callable[[Run], bool], *, first: str = "") -> Callable[[Run], str]:
-    """Return a function from a run to these words if it lacks the data, after those of a need."""
-    return lambda run: (first and _LACKS[first](run)) or ("" if has(run) else words)
-
-
-def _reads(signal: str) -> Callable[[Run], bool]:
-    return lambda run: len(run.samples) > 0 and curves.read_curve(run, signal) is not None
-
-
-_LACKS: Final[Mapping[str, Callable[[Run], str]]] = {
-    "theory": theory_figures.find_lack_of_theory,
-    "gain": lambda run: find_lack_of_gain([run]),
-    "locus": _find_lack_of_locus,
-    "integrator": _has(
-        "a plant that is 1/s", lambda run: find_plant(run).name != LAGGED, first="gain"
-    ),
-    "known_gain": _has(
-        _GAIN,
-        lambda run: any(
-            (loop.read_gain(run.parameters) or 0.0) > 0.0 for loop in run.declaration.loops
-        ),
-    ),
-    "commands": _has("commands", lambda run: not lacks_commands(run), first="poses"),
-    "samples": _has(SAMPLES, lambda run: len(run.samples) > 0),
-    "poses": _has(POSES, lambda run: len(run.poses) > 0),
-    "goal": _has(GOAL, lambda run: run.goal_xy_m is not None, first="poses"),
-    "heading_error": _has("a heading to aim at", _reads("heading_error"), first="samples"),
-    "track": _has(
-        GOAL, lambda run: run.goal_line is not None or run.path is not None, first="samples"
-    ),
-    "along_error": _has(
-        "a path with a speed", lambda run: curves.read_along_error(run) is not None, first="path"
-    ),
-    "path": _has("a path that its law tracks", lambda run: run.path is not None),
-    "states": _has("states of its law that are not always 0", has_states),
-    "world_velocity": _has("gain times error", _reads("world_velocity_x"), first="samples"),
-    **{
-        command: _has(
-            f"{command.replace('_', ' ')} commands", partial(has_own, plot=TIME_PLOTS[command])
-        )
-        for command in get_args(curves.Command)
-    },
-    **{
-        f"wanted_{command}": _has(
-            "what the law wanted before clipping", _reads(f"wanted_{command}")
-        )
-        for command in get_args(curves.Command)
-    },
-}
-"""Functions from a run to the data that it lacks, by need; empty if nothing is missing."""
-
-
-def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
-    """Return the data that each run lacks for a figure; empty if nothing is missing."""
-    return tuple(_LACKS[need](run) for run in runs)
-
-
 MOST_STATES: Final = 12  # state panels in a figure; with more, it would be higher than any page
 
 
@@ -233,7 +145,7 @@ def _panel(name: str, scale: Scale | None = None, *, is_usual: bool | None = Non
     plot = TIME_PLOTS[name]
     return Panel(
         name=plot.title,
-        needs=plot.needs,
+        needs=NEEDS[plot.needs],
         draw=partial(time_panels.draw_time_plot, name=name, scale=scale),
         plot=name,
         loop=plot.loop,
@@ -279,7 +191,7 @@ def list_state_panels(
         for shown in names:
             label = shown[0] if len(shown) == 1 else group.label[0].lower() + group.label[1:]
             draw = partial(time_panels.draw_states, names=shown, label=label)
-            panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
+            panels.append(Panel(name=label, needs=NEEDS["states"], draw=draw, is_usual=False))
     return tuple(panels[:most])
 
 
@@ -288,14 +200,19 @@ def _show(figure: str, title: str, paper: str = "9-16", height: float = 0.62) ->
 
 
 def _ask(
-    title: str, draw: DrawFigure, needs: str = "poses", *, is_wide: bool = True, **facts: Any
+    title: str,
+    draw: DrawFigure,
+    needs: Need = NEEDS["poses"],
+    *,
+    is_wide: bool = True,
+    **facts: Any,
 ) -> FigureKind:
     """Return a figure that is drawn only if requested by name."""
     facts["is_wide"] = lambda _: is_wide
     return FigureKind(title=title, draw=draw, needs=needs, is_usual=False, is_extra=True, **facts)
 
 
-_SAMPLED: Final[dict[str, Any]] = {"needs": "theory", "is_timeless": True}
+_SAMPLED: Final[dict[str, Any]] = {"needs": NEEDS["theory"], "is_timeless": True}
 _METRICS: Final[dict[str, Any]] = {"content": "metrics", "is_timeless": True, "is_wide": False}
 
 _NAMED: Final[Mapping[str, FigureKind]] = {
@@ -304,7 +221,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         paper="2",
         draw=theory_figures.draw_plant_responses,
         height=0.36,
-        needs="integrator",
+        needs=NEEDS["integrator"],
         is_wide=lambda _: True,
         is_timeless=True,
     ),
@@ -312,7 +229,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         title="Step responses of the ideal closed loop, with 4 tau",
         paper="4",
         draw=theory_figures.draw_step_responses,
-        needs="gain",
+        needs=NEEDS["gain"],
         is_timeless=True,
     ),
     "root-locus": FigureKind(
@@ -320,7 +237,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         paper="5",
         draw=theory_figures.draw_root_locus,
         height=0.55,
-        needs="locus",
+        needs=NEEDS["locus"],
         is_wide=bool,  # one panel if it shows theory alone
         is_timeless=True,
     ),
@@ -328,7 +245,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
     "along-track": FigureKind(
         title="Way along the track, or distance, the goal and the ideal response",
         panels=(_TRACK, _panel("distance")),
-        needs="track",
+        needs=NEEDS["track"],
         is_usual=False,
         is_extra=True,
     ),
@@ -355,17 +272,17 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         title="Errors along the path, behind its reference, and across it",
         panels=(
             *_panels("path-error"),
-            replace(_panel("cross_track", is_usual=False), needs="path"),
+            replace(_panel("cross_track", is_usual=False), needs=NEEDS["path"]),
         ),
         height=0.32,
-        needs="path",
+        needs=NEEDS["path"],
         is_usual=False,
     ),
     "states": FigureKind(
         title="States of the law",
         list_more=lambda runs: list_state_panels(runs),
         height=0.32,
-        needs="states",
+        needs=NEEDS["states"],
         is_usual=False,
     ),
     "bode": _ask(
@@ -387,14 +304,14 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
     "attribution": _ask(
         "What caused a metric of one run: the contributions, the run and its ghost",
         draw_attribution,
-        "samples",
+        NEEDS["samples"],
         content="metric",
         prepare=lambda runs, **asked: {"explained": explain_for_figure(runs, **asked)},
     ),
     "luck": _ask(
         "What a metric of one run would be from other starts within one sample's turn",
         draw_luck,
-        "samples",
+        NEEDS["samples"],
         is_timeless=True,
         content="metric",
         prepare=lambda runs, **asked: {"luck": measure_luck_for_figure(runs, **asked)},
@@ -402,7 +319,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
     "gains": _ask(
         "Metrics against the gain, with theory's limits of overshoot and stability",
         draw_gains,
-        "known_gain",
+        NEEDS["known_gain"],
         **_METRICS,
     ),
     "strips": _ask(
@@ -411,7 +328,7 @@ _NAMED: Final[Mapping[str, FigureKind]] = {
         **_METRICS,
     ),
     "rates": _ask(
-        "Commands against measured rates, with the identified model", draw_rates, "commands"
+        "Commands against measured rates, with the identified model", draw_rates, NEEDS["commands"]
     ),
     "violation": _ask(
         "The signal that a check holds to a band, and where it leaves it",

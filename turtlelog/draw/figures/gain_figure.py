@@ -13,10 +13,11 @@ from matplotlib.figure import Figure
 from turtlelog import theory
 from turtlelog.charts.curves import Values, find_steps
 from turtlelog.charts.many_runs import cut_alike
-from turtlelog.charts.palette import UNSTABLE, to_hex
+from turtlelog.charts.palette import OVERSHOOT, OVERSHOOTING, UNSTABLE, to_hex
 from turtlelog.draw.figures import strip_figure
 from turtlelog.draw.figures.figure_curves import choose_colors, label_runs
-from turtlelog.draw.figures.page import STROKES, fix_style
+from turtlelog.draw.figures.figure_needs import GAIN
+from turtlelog.draw.figures.page import NOTE, STROKES, fix_style
 from turtlelog.errors import ShowError
 from turtlelog.measure import model_run_loops
 from turtlelog.run import Run
@@ -37,10 +38,10 @@ _COLUMN_INCH: Final = 1.5
 
 _ROW_INCH: Final = 1.45
 
-_OVERSHOOT: Final = fix_style(color="#b07000", linewidth=0.9, linestyle=STROKES["dashed"])
+_OVERSHOOT: Final = fix_style(color=to_hex(OVERSHOOT), linewidth=0.9, linestyle=STROKES["dashed"])
 _UNSTABLE: Final = fix_style(color=to_hex(UNSTABLE), linewidth=1.0)
 _BEYOND: Final = fix_style(color=to_hex(UNSTABLE), alpha=0.09, linewidth=0.0, zorder=0.6)
-_OVERSHOOTING: Final = fix_style(color="#e69f00", alpha=0.10, linewidth=0.0, zorder=0.5)
+_OVERSHOOTING: Final = fix_style(color=to_hex(OVERSHOOTING), alpha=0.10, linewidth=0.0, zorder=0.5)
 _THEORY: Final = fix_style(color="0.35", linewidth=0.9, linestyle=STROKES["dotted"], zorder=1.8)
 _LIMITED: Final = {**_THEORY, "linestyle": STROKES["dashed"]}
 _SAMPLED: Final = {**_THEORY, "linestyle": "-", "linewidth": 0.6}
@@ -56,7 +57,7 @@ def draw_gains(
     """
     loops = find_loop_gains(runs)
     if not loops:
-        raise ShowError("figure gains needs the law's gain")
+        raise ShowError(f"figure gains needs {GAIN.words}")
     found = strip_figure.measure_for_figure("gains", runs, metrics)
     columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
     own = {one.loop for one in found} - {""}
@@ -70,7 +71,7 @@ def draw_gains(
     if len(columns) > _MOST_LOOPS:
         notes += [f"the first {_MOST_LOOPS} of {len(columns)} loops; --metric LOOP.METRIC chooses"]
         columns = columns[:_MOST_LOOPS]
-    figure.supxlabel("\n".join(notes), fontsize=7.0, color="0.4")
+    figure.supxlabel("\n".join(notes), **NOTE)
     shown_loops = {"", *(loop.name for loop in columns)}
     rows = list(dict.fromkeys(one.name for one in found if one.loop in shown_loops))
     width = figure.get_figwidth()

@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,7 +15,13 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from turtlelog.charts.curves import Values
-from turtlelog.charts.palette import UNSTABLE, choose_shades, to_hex
+from turtlelog.charts.palette import (
+    OVERSHOOT_ON_CELLS,
+    UNSTABLE,
+    VERDICTS,
+    choose_shades,
+    to_hex,
+)
 from turtlelog.display import cut_name
 from turtlelog.draw.figures.page import STROKES, fix_style, to_rgb
 from turtlelog.sweep.sweep_analysis import ColumnLimits, LoopLimits, choose_limits
@@ -34,8 +40,7 @@ _MOST_EDGED: Final = 1_000  # dots with an edge; of more, smaller dots only edge
 _HALO: Final = 1.4
 """Width of the white border around a line, which separates it from any colour below [points]."""
 
-VERDICT_COLORS: Final = ("#e8a28f", "#d9d9d9", "#9ac7e0")
-"""Colours of unstable, between and stable: of differing lightness, and light below lines."""
+VERDICT_COLORS: Final = tuple(map(to_hex, VERDICTS))
 
 VERDICT_WORDS: Final = ("not stable", "stable for some seeds", "stable")
 
@@ -43,19 +48,40 @@ DECADES: Final = 100.0
 """Ratio of largest to smallest value from which colours and axes are logarithmic. On a linear
 scale, the whole lower decade would share 3 of 256 shades, or be as thin as a line."""
 
-# Names of theory's limits in a legend.
-STABILITY: Final = "instability (theory)"
-GROWN: Final = "instability with the most dead time (theory)"
-OVERSHOOT: Final = "overshoot begins (theory)"
 
-LIMITS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
-    {
-        STABILITY: {"color": to_hex(UNSTABLE), "linewidth": 1.2},
-        GROWN: {"color": to_hex(UNSTABLE), "linewidth": 1.0, "linestyle": STROKES["dotted"]},
-        OVERSHOOT: {"color": "#7a4b00", "linewidth": 1.0, "linestyle": STROKES["dashed"]},
-    }
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TheoryLimit:
+    """A limit of a gain from theory."""
+
+    text: str  # text in a legend, before `(theory)`
+    list_ends: Callable[[ColumnLimits], Iterable[float]]  # gains at the limit in a column
+    looks: Mapping[str, Any]  # style of its line
+    is_of_most_dead_time: bool = False  # whether it is for the most dead time, not for the least
+
+
+LIMITS: Final = (
+    TheoryLimit(
+        text="instability",
+        list_ends=lambda column: _list_borders(column.stable),
+        looks={"color": to_hex(UNSTABLE), "linewidth": 1.2},
+    ),
+    TheoryLimit(
+        text="instability with the most dead time",
+        list_ends=lambda column: _list_borders(column.grown or ()),
+        looks={"color": to_hex(UNSTABLE), "linewidth": 1.0, "linestyle": STROKES["dotted"]},
+        is_of_most_dead_time=True,
+    ),
+    TheoryLimit(
+        text="overshoot begins",
+        list_ends=lambda column: () if column.overshoot is None else (column.overshoot,),
+        looks={
+            "color": to_hex(OVERSHOOT_ON_CELLS),
+            "linewidth": 1.0,
+            "linestyle": STROKES["dashed"],
+        },
+    ),
 )
-"""Styles of theory's limits, by their legend names."""
+"""Theory's limits in the order of a legend."""
 
 
 def draw_map_panel(
@@ -220,8 +246,9 @@ def _draw_limits(
     other = view.axes[1] if is_upright else view.x
     low, high = ends[0] if is_upright else ends[1]
     named: dict[str, Any] = {}
-    for name, looks in LIMITS.items():
-        for branch in list_branches(found.columns, name):
+    for limit in LIMITS:
+        looks = limit.looks
+        for branch in list_branches(found.columns, limit):
             if not ((branch > low) & (branch < high)).any():
                 continue
             at, values = other.numbers, branch
@@ -232,17 +259,18 @@ def _draw_limits(
             line = (values, at) if is_upright else (at, values)
             axes.plot(*line, color="white", linewidth=looks["linewidth"] + _HALO, zorder=2.9)
             axes.plot(*line, **looks, zorder=3.0)
-            named[name_limit(found, metric, name)] = Line2D([], [], **looks)
+            named[name_limit(found, metric, limit)] = Line2D([], [], **looks)
     return named
 
 
-def name_limit(found: LoopLimits, metric: SweptMetric, name: str) -> str:
+def name_limit(found: LoopLimits, metric: SweptMetric, limit: TheoryLimit) -> str:
     """Return the legend text of a limit. The metric of a loop already names the loop.
 
     Figures of runs draw limits for the dead times of the runs, which may be longer.
     """
-    if name != GROWN and any(one is not None and one.grown is not None for one in found.columns):
-        name = name.replace("(theory)", "(theory, least dead time)")
+    can_grow = any(one is not None and one.grown is not None for one in found.columns)
+    is_least = can_grow and not limit.is_of_most_dead_time
+    name = f"{limit.text} (theory{', least dead time' if is_least else ''})"
     return name if metric.loop == found.loop else f"{found.loop}: {name}"
 
 
@@ -327,20 +355,18 @@ def _find_middles(numbers: Values) -> Values:
     return np.concatenate([[first], middles, [last]])
 
 
-def list_branches(columns: Sequence[ColumnLimits | None], name: str) -> list[Values]:
+def list_branches(columns: Sequence[ColumnLimits | None], limit: TheoryLimit) -> list[Values]:
     """Return the values of a limit, one for each column; NaN for no limit.
 
     If a loop is stable in several ranges of its gain, or not from 0 on, each end is a branch.
     """
-    ends = [() if one is None else _list_ends(one, name) for one in columns]
+    ends = [() if one is None else (*limit.list_ends(one),) for one in columns]
     most = max(map(len, ends), default=0)
     # Counted from the top: if there is any end, there is a highest end.
     padded = [[*([math.nan] * (most - len(one))), *one] for one in ends]
     return [np.array(values, dtype=np.float64) for values in zip(*padded, strict=True)]
 
 
-def _list_ends(limit: ColumnLimits, name: str) -> tuple[float, ...]:
-    if name == OVERSHOOT:
-        return () if limit.overshoot is None else (limit.overshoot,)
-    ranges = limit.stable if name == STABILITY else limit.grown or ()
-    return tuple(end for pair in ranges for end in pair if end > 0.0 and math.isfinite(end))
+def _list_borders(stable: Iterable[tuple[float, float]]) -> Iterator[float]:
+    """Yield the gains at which a loop becomes stable or unstable."""
+    yield from (end for pair in stable for end in pair if end > 0.0 and math.isfinite(end))

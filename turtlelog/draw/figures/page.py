@@ -111,6 +111,16 @@ STROKES: Final[Mapping[palette.Dash, Any]] = MappingProxyType(
 
 REFERENCE: Final = fix_style(color="0.45", linewidth=0.7)  # style of goals, limits and zeros
 
+GOAL: Final = fix_style(
+    linestyle="", marker="x", color=palette.to_hex(palette.GOAL_ON_WHITE), zorder=3
+)
+"""Style of goals in the plane."""
+
+START: Final = fix_style(linestyle="", marker="s", color="0.3", zorder=3)
+"""Style of starts in the plane."""
+
+NOTE: Final = fix_style(fontsize=7.0, color="0.4")  # style of text below the panels
+
 IDEAL_ENDS: Final = "ideal, first and last run"
 """Label of the ideal responses of the first and the last of many runs."""
 

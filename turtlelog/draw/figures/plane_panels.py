@@ -93,10 +93,10 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
             aim = {**looks, **page.AIM, "label": AIMED}
             draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **aim)
     _draw_ends(axes, runs)
-    axes.plot(*plane_scene.list_starts(runs).T, "s", ms=4.0, color="0.3", label="start", zorder=3)
+    axes.plot(*plane_scene.list_starts(runs).T, **page.START, ms=4.0, label="start")
     goals = plane_scene.list_goals(runs)
     if len(goals):
-        axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
+        axes.plot(*goals.T, **page.GOAL, ms=6.0, mew=1.4, label="goal")
     axes.set(aspect="equal", label=_PLANE)
     for axis, name, origin_m in zip(
         (axes.xaxis, axes.yaxis), "xy", plane_scene.find_origin(runs), strict=True

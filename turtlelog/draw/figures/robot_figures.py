@@ -14,7 +14,7 @@ from matplotlib.gridspec import GridSpec
 
 from turtlelog import identify
 from turtlelog.charts.curves import Command, Curve, Values, read_applied, read_command
-from turtlelog.charts.palette import DEAD_TIME, darken, to_hex
+from turtlelog.charts.palette import DEAD_TIME, OUTLIER, TIME_CONSTANT, darken, to_hex
 from turtlelog.charts.plane_scene import find_time_breaks, list_time_gaps
 from turtlelog.charts.plotted_curves import find_command_changes, label_time
 from turtlelog.charts.time_plots import TIME_PLOTS, label_error, read_measured
@@ -55,12 +55,14 @@ _REASON_LETTERS: Final = 58
 
 _COMMAND: Final = fix_style(color="0.3", linewidth=0.9)
 _EACH: Final = fix_style(color="0.6", linewidth=0.7, zorder=2.0, label="motion after each change")
-_OUTLIER: Final = fix_style(color="#c62828", markersize=4.5, label="left out of the fit")
+_OUTLIER: Final = fix_style(color=to_hex(OUTLIER), markersize=4.5, label="left out of the fit")
 _DEAD: Final = fix_style(color=to_hex(DEAD_TIME), alpha=0.3, lw=0.0, zorder=0.6, label="dead time")
 _INTERVAL: Final = fix_style(
     color=to_hex(darken(DEAD_TIME)), lw=0.9, marker="|", ms=5.0, label="dead time: interval"
 )
-_LAG: Final = fix_style(color="#56b4e9", alpha=0.25, lw=0.0, zorder=0.6, label="time constant")
+_LAG: Final = fix_style(
+    color=to_hex(TIME_CONSTANT), alpha=0.25, lw=0.0, zorder=0.6, label="time constant"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

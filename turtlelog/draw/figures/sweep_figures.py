@@ -171,7 +171,7 @@ def _write_below(figure: Figure, words: Sequence[str]) -> None:
     lines = [line for one in words for line in textwrap.wrap(one, letters)]
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + _LINE_INCH * (len(lines) - len(words)))
-    figure.supxlabel("\n".join(lines).replace("$", r"\$"), fontsize=7.0, color="0.4")
+    figure.supxlabel("\n".join(lines).replace("$", r"\$"), **pages.NOTE)
 
 
 def _choose_grid(count: int, height_inch: float, page: Page) -> tuple[int, int]:
@@ -416,15 +416,16 @@ def _draw_limits(
     column = found.columns[place if len(found.columns) > 1 else 0]
     low, high = float(along.numbers[0]), float(along.numbers[-1])
     named: dict[str, Any] = {}
-    for name, looks in map_figure.LIMITS.items():
-        for branch in map_figure.list_branches([column], name):
+    for limit in map_figure.LIMITS:
+        looks = limit.looks
+        for branch in map_figure.list_branches([column], limit):
             at = float(branch[0])
             if not low <= at <= high:
                 continue
             own = {**looks, **({} if color is None else {"color": color})}
             axes.axvline(at, **own, zorder=1.5)
             grey = {} if color is None else {"color": "0.4"}
-            named[map_figure.name_limit(found, metric, name)] = Line2D([], [], **{**looks, **grey})
+            named[map_figure.name_limit(found, metric, limit)] = Line2D([], [], **{**looks, **grey})
             if color is None:
                 text = axes.text(at, 1.01, f"{at:.4g}", fontsize=6.2, color=looks["color"])
                 text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")

@@ -22,7 +22,7 @@ from turtlelog.charts.many_runs import MANY
 from turtlelog.charts.palette import LOOP_DASHES
 from turtlelog.draw.figures import figure_curves
 from turtlelog.draw.figures.figure_curves import choose_lines, choose_run_lines, label_runs
-from turtlelog.draw.figures.page import REFERENCE, STROKES, fix_style
+from turtlelog.draw.figures.page import NOTE, REFERENCE, STROKES, fix_style
 from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -48,6 +48,7 @@ _PLANE_INCH: Final = 2.1
 """Smallest width of a plane of poles with its text [inch]; three fit into a page's row."""
 _LINE_SHARE: Final = 0.45  # height of the axis of ideal poles, as a share of the height of a plane
 _ROOM_INCH: Final = 0.42  # height of the text above and below a plane [inch]
+_BAND: Final = fix_style(color="0.92", zorder=0.5, label="2 % band")
 _MIRRORED: Final = fix_style(linewidth=0.5, linestyle=":")
 _MOST_SAMPLES: Final = 20_000  # samples of a step response: more than a page resolves
 
@@ -93,14 +94,6 @@ class _LoopCurve:
         """Return a legend entry: the run, the loop, and the text of `tell`."""
         told = f"{self.run} {self.model.loop.name}".strip() + f": {tell(self.found)}"
         return self.run if self.is_many else told
-
-
-def find_lack_of_theory(run: Run) -> str:
-    """Return why theory has no loop of a run; empty if it has one."""
-    models = model_run_loops(run)
-    if not models:
-        return "a law that declares a loop"
-    return "" if theory.list_known(models) else f"a loop that theory knows ({models[0].reason})"
 
 
 def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
@@ -184,7 +177,7 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     draw += [partial(_draw_locus, group=group, names=names) for group in _group_loci(curves)]
     if len(draw) > _MOST_LOCI:
         note = f"the first {_MOST_LOCI} of {len(draw)} loci, by dead time"
-        figure.supxlabel(note, fontsize=7.0, color="0.4")
+        figure.supxlabel(note, **NOTE)
         draw = draw[:_MOST_LOCI]
     planes = draw[bool(ideal) :]
     columns = min(len(planes), int(figure.get_figwidth() / _PLANE_INCH)) or 1
@@ -228,7 +221,7 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
         settled_s = found.settling_time_s
         lasting_s.append(lasts_s if settled_s is None else 1.4 * settled_s)
     last_s = min(max(lasting_s), _LONGEST * float(np.median(lasting_s)))
-    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
+    axes.axhspan(0.98, 1.02, **_BAND)
     axes.axhline(1.0, **REFERENCE)
     lowest, highest = 0.0, 1.0
     for curve, label in zip(curves, _name_loops(axes, curves, _tell_step), strict=True):
@@ -397,7 +390,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes, gains = figure.subplots(), find_gains(runs)
     last_s = 1.25 * theory.compute_settling_time(min(gains))
     time_s = np.linspace(0.0, last_s, 601)
-    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
+    axes.axhspan(0.98, 1.02, **_BAND)
     axes.axhline(1.0, **REFERENCE)
     names = figure_curves.name_some(axes, [f"Kp = {gain:g}" for gain in gains])
     # A gain has the colour of its first run, and dashes if it is not the first gain of that run.

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from matplotlib.figure import Figure
 
@@ -20,6 +20,7 @@ from turtlelog.charts.plane_scene import list_paths
 from turtlelog.draw.figures import figure_kinds, marked_panels, page as pages
 from turtlelog.draw.figures.figure_curves import add_gain_bar, add_legend, label_runs
 from turtlelog.draw.figures.figure_kinds import FIGURES, FigureKind, list_usual_figures
+from turtlelog.draw.figures.figure_needs import GOAL, SAMPLES, Lack
 from turtlelog.draw.figures.page import FIGURE_FORMATS, Page, ShownFigure, use_looks
 from turtlelog.draw.figures.plane_panels import has_one_plane, stress_window
 from turtlelog.draw.written_tables import choose_essentials, format_latex
@@ -245,11 +246,6 @@ _MOST_NAMED: Final = 3  # runs that are named as missing from a figure; more run
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
-_OF_MOTION: Final = frozenset(
-    {figure_kinds.POSES, figure_kinds.GOAL, "speed commands", "turn rate commands"}
-)
-"""Data that a recording without samples may contain."""
-
 _DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
 
 
@@ -265,17 +261,15 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
     shown = list_usual_figures() if names is None else tuple(dict.fromkeys(names))
     for name in shown:
         for part, lacks in _list_parts(name, runs):
-            for words in dict.fromkeys(filter(None, lacks)):
-                lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
-                left_out.setdefault((words, lacking), []).append(part)
+            for lack in dict.fromkeys(filter(None, lacks)):
+                lacking = tuple(number for number, one in enumerate(lacks) if one == lack)
+                left_out.setdefault((lack, lacking), []).append(part)
     if lack_samples(runs):
         left_out = _join_controller(left_out, has_tables=names is None)
-    lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
+    lines = [_describe(lack, lacking, parts, runs) for (lack, lacking), parts in left_out.items()]
     if names is None and not _has_table1(runs) and not lack_samples(runs):
-        needed = (
-            figure_kinds.GOAL if any(len(run.samples) for run in runs) else figure_kinds.SAMPLES
-        )
-        lines.append(f"left out table1.tex: needs a gain or {needed}")
+        needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
+        lines.append(f"left out table1.tex: needs a gain or {needed.words}")
     return (*lines, *_tell_parts(runs, shown))
 
 
@@ -309,24 +303,35 @@ def _tell_parts(runs: Sequence[Run], shown: Sequence[str]) -> Iterator[str]:
         yield f"left out plane ({part}): needs {needed}"
 
 
-_Left = dict[tuple[str, tuple[int, ...]], list[str]]
+class _Part(NamedTuple):
+    """A figure, one of its panels, or a table."""
+
+    name: str  # name of the figure, or of the table's file
+    panel: str = ""  # name of the panel; empty for the whole
+
+    def describe(self) -> str:
+        """Return the name, with the panel in parentheses."""
+        return f"{self.name} ({self.panel})" if self.panel else self.name
+
+
+_Left = dict[tuple[Lack, tuple[int, ...]], list[_Part]]
 """Omitted figures and panels, by missing data and by the runs without these data."""
 
 
 def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
     """Return missing controller data as one line: a recording without samples has none."""
     of_motion: _Left = {}
-    of_controller: list[str] = []
-    for (words, lacking), parts in left_out.items():
-        if words in _OF_MOTION:
-            of_motion[words, lacking] = parts
+    of_controller: list[_Part] = []
+    for (lack, lacking), parts in left_out.items():
+        if lack.is_of_motion:
+            of_motion[lack, lacking] = parts
         else:
-            of_controller += [part for part in parts if not part.startswith("panel (")]
+            of_controller += [part for part in parts if not (part.name == "panel" and part.panel)]
             everyone = lacking
     if not of_controller:
         return of_motion
-    tables = ["table1.tex"] if has_tables else []
-    return {(figure_kinds.SAMPLES, everyone): [*of_controller, *tables], **of_motion}
+    tables = [_Part("table1.tex")] if has_tables else []
+    return {(SAMPLES, everyone): [*of_controller, *tables], **of_motion}
 
 
 def _has_table1(runs: Sequence[Run]) -> bool:
@@ -335,28 +340,30 @@ def _has_table1(runs: Sequence[Run]) -> bool:
     return any(value is not None for row in rows for value in row[1:])
 
 
-def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[_Part, tuple[Lack | None, ...]]]:
     """Return a figure, or its panels if their needs differ, with the data that each run lacks."""
     kind = FIGURES[name]
     chosen = kind.choose_panels(runs) if kind.draw is None else ()
     if kind.draw is None and not kind.is_usual and not chosen:
         return []
     if not kind.panels:
-        return [(name, figure_kinds.find_lacks(runs, kind.needs))]
+        return [(_Part(name), kind.needs.find_lacks(runs))]
     parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
     if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
-        return [(name, parts[0].find_lacks(runs))]
-    return [(f"{name} ({panel.name})", panel.find_lacks(runs)) for panel in parts]
+        return [(_Part(name), parts[0].find_lacks(runs))]
+    return [(_Part(name, panel.name), panel.find_lacks(runs)) for panel in parts]
 
 
-def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
-    listed = ", ".join(parts)
+def _describe(
+    lack: Lack, lacking: Sequence[int], parts: Sequence[_Part], runs: Sequence[Run]
+) -> str:
+    listed = ", ".join(part.describe() for part in parts)
     if len(lacking) == len(runs):
-        return f"left out {listed}: needs {words}"
+        return f"left out {listed}: needs {lack.words}"
     labels = label_runs(runs)
     named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
     more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
-    return f"left {named}{more} out of {listed}: needs {words}"
+    return f"left {named}{more} out of {listed}: needs {lack.words}"
 
 
 @contextmanager

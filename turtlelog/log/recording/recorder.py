@@ -28,7 +28,7 @@ from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import FORMAT_VERSION, HEAD, SCENARIO_FILE, Head, format_head
 from turtlelog.log.recording.run_writer import describe_pose, tabulate_event
 from turtlelog.processes import exit_on_terminate, hold_stop
-from turtlelog.run import CUT_SHORT
+from turtlelog.run import CUT_SHORT, SourceKind
 from turtlelog.run.loops import DONE, PAUSE, Declaration
 from turtlelog.run.stop_reasons import INTERRUPTED
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
@@ -216,7 +216,7 @@ class Recorder:
         heading_rad = self._scenario.goal.heading_rad if self._declaration.uses_goal else None
         head = Head(
             format_version=FORMAT_VERSION,
-            source="simulation",
+            source=SourceKind.SIMULATION.describe(),
             name=self._scenario.name,
             stop_reason=self._stop_reason,
             goal_heading_rad=heading_rad,

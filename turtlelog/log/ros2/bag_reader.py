@@ -230,11 +230,11 @@ def _build_run(
     others = source.notes.get("other_pose_topics")
     has_courses |= source.origin.has_courses
     motion = note_motion(poses, columns, track.xy_m, commands, vertical=vertical, others=others)
-    has_headings = not has_courses and "plane" not in motion
+    has_headings = not has_courses and not motion.leaves_plane
     origin = replace(
         _add_rows(source.origin, tables, start_ns),
         commands=None if command_pick is None else command_pick.source,
-        has_leaps="leaps" in motion,
+        has_leaps=motion.has_leaps,
         has_courses=has_courses,
     )
     notes = {
@@ -250,7 +250,7 @@ def _build_run(
             note_crowded(time_ns)
             or note_contradictions(time_ns, columns, has_headings=has_headings)
         ),
-        **motion,
+        **motion.notes,
         **(note_pick("command_topic", command_pick) if command_pick is not None else {}),
     }
     pose_columns = PoseColumns(

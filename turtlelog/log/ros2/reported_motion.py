@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -436,6 +436,14 @@ def _propose_lengths(columns: Mapping[str, str], ratio: float) -> Iterator[str]:
             yield f", which fits positions in {unit}: {options}"
 
 
+class MotionFaults(NamedTuple):
+    """What is unusual about the poses of a bag, with notes by name."""
+
+    notes: dict[str, str]
+    leaves_plane: bool  # whether headings and speeds are not those in the plane
+    has_leaps: bool  # whether the poses alternate between two places
+
+
 def note_motion(
     poses: OrderedRows,
     columns: Mapping[str, Values],
@@ -444,8 +452,8 @@ def note_motion(
     *,
     vertical: int,
     others: str | None,
-) -> dict[str, str]:
-    """Return notes on poses off the plane, on leaps, and on reported speeds that contradict poses.
+) -> MotionFaults:
+    """Return poses off the plane, leaps, and notes on reported speeds that contradict poses.
 
     `poses` are timed, with all columns; `columns` are those that `judge_rates` keeps, `xy_m` the
     positions as received [m], `vertical` the number of poses without a heading, `others` the other
@@ -459,8 +467,10 @@ def note_motion(
         notes["plane"] = (plane or "the robot leaves the plane") + (lost if vertical else "")
     if leaps := describe_leaps(xy_m) or describe_small_leaps(xy_m):
         notes["leaps"] = leaps
+    leaves_plane = plane is not None or vertical > 0
+    faults = MotionFaults(notes, leaves_plane=leaves_plane, has_leaps=bool(leaps))
     if plane is not None:  # speeds along the robot's axes are not those seen from above
-        return notes
+        return faults
     if level := describe_level(z_m):
         notes["height"] = level
     driven = None
@@ -470,7 +480,7 @@ def note_motion(
     reported = poses.columns if SPEED in columns else columns
     if paths := describe_paths(measure_paths(poses.time_ns, reported, driven), others):
         notes["path_by_speed"] = paths
-    return notes
+    return faults
 
 
 def note_contradictions(
