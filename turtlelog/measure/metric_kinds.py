@@ -17,6 +17,7 @@ from typing import Any, Final, Literal
 
 from turtlelog.display import fit_line
 from turtlelog.measure.metric import (
+    FOUND,
     REASONS,
     Found,
     Missing,
@@ -36,10 +37,10 @@ OfLoop = Callable[[RunContext, Response], Result]
 OfCurve = Callable[[Response], Outcome]
 OfCourse = Callable[[RunContext], Outcome]
 
-CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
-NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
+_CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
+_NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
 
-SMALLEST_STEP: Final = 1e-6
+_SMALLEST_STEP: Final = 1e-6
 """Smallest change that counts as a step [rad or m]; smaller changes are rounding of 32-bit
 poses."""
 
@@ -129,10 +130,8 @@ class LoopMetricKind:
             response = context.get_response(loop)
             if isinstance(response, Missing):
                 return response
-            if self.needs_whole and response.was_cut:
-                return REASONS[CUT]
-            if self.needs_step and abs(response.reference - response.initial) <= SMALLEST_STEP:
-                return REASONS[NO_STEP]
+            if reason := refuse_curve(response, self.needs_whole, self.needs_step):
+                return REASONS[reason]
             result = self.compute(context, response)
             if unit == "deg" and isinstance(result, Found):
                 return Found(math.degrees(result.value), result.at_s)
@@ -166,6 +165,14 @@ class LoopMetricKind:
         value, signal = ("deg", "rad") if loop.signal == "heading" else ("m", "m")
         command = "rad" if loop.command == "turn_rate" else "m"
         return self.unit.format(value=value, signal=signal, command=command)
+
+
+def refuse_curve(curve: Any, needs_whole: bool, needs_step: bool) -> int:  # noqa: FBT001
+    """Return the number of the reason why a curve lacks what a metric needs; `FOUND` if none."""
+    if needs_whole and curve.was_cut:
+        return _CUT
+    is_step = not abs(curve.reference - curve.initial) <= _SMALLEST_STEP
+    return _NO_STEP if needs_step and not is_step else FOUND
 
 
 LOOP_METRICS: Final[dict[str, LoopMetricKind]] = {}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import hypot
 
 from turtlelog.arithmetic import compiled_as
-from turtlelog.measure.loop_segment import project
+from turtlelog.measure.loop_segment import number_loop, project
 from turtlelog.measure.metric import (
     FOUND,
     GOAL_UNKNOWN,
@@ -33,7 +33,7 @@ from turtlelog.measure.reductions import (
     measure_way,
     subtract_neighbours,
 )
-from turtlelog.measure.references import compute_straightness, has_lasting_heading
+from turtlelog.measure.references import compute_straightness, find_last_heading_error
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.run_context import RunContext
 from turtlelog.measure.signals import find_no_commands
@@ -65,11 +65,17 @@ def _get_heading_error(course: Any) -> float:
 
 @compiled_as(_get_heading_error)
 def get_heading_error(course: RunContext) -> float:
-    """Return the reference heading minus the final heading [rad]; NaN if unknown."""
-    if course.run.goal_heading_rad is not None and not has_lasting_heading(course.run):
-        return wrap_angle(course.run.goal_heading_rad - course.last_heading_rad)
-    error_rad = _find_heading_error(course, math.inf)
-    return math.nan if error_rad is None else error_rad
+    """Return the reference heading minus the final heading [rad]; NaN if unknown.
+
+    Without a known reference, this is the error that the controller recorded.
+    """
+    run, declaration = course.run, course.run.declaration
+    loops = [number_loop(declaration, loop) for loop in declaration.loops]
+    error_rad = find_last_heading_error(run.samples.phase, loops, course.aim, course.last_pose)
+    if not math.isnan(error_rad) or not len(run.samples):
+        return error_rad
+    recorded = course.get_signal("heading_error")
+    return math.nan if recorded is None else float(recorded.values[-1])
 
 
 @course_metric("final.heading_error", "deg")
@@ -129,7 +135,7 @@ def _compute_position_error_at_15s(context: RunContext) -> Result:
 
 
 def _find_heading_error(context: RunContext, at_s: float) -> float | None:
-    """Return reference heading minus heading at a time [rad], in [-pi, pi); inf: at the end."""
+    """Return reference heading minus heading at a time [rad], in [-pi, pi)."""
     run, time_s, reference = context.run, context.pose_time_s, context.heading_reference_rad
     row = max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
     if reference is None:
