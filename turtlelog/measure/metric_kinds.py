@@ -27,11 +27,13 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
+from turtlelog.measure.rates import Axis
 from turtlelog.measure.response import Response
 from turtlelog.measure.run_context import RunContext
 from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 Better = Literal["lower", "higher"] | None
+Nature = Literal["error", "share", "count", "verdict"] | None
 OfRun = Callable[[RunContext], Result]
 OfLoop = Callable[[RunContext, Response], Result]
 OfCurve = Callable[[Response], Outcome]
@@ -65,6 +67,11 @@ class MetricKind:
             estimated dead time may fall again.
         is_awaited: Whether the value is a time since the beginning of its loop or of the run.
         needs_poses: Whether the value is missing in a run without poses (a log of commands alone).
+        needs_dead_time: Whether the value needs the dead time of the log, which is searched in a
+            slow fit.
+        nature: `error` for a difference from a reference, `share` for a part of a whole from 0 to
+            1, `count`, `verdict` for 0 or 1; None for any other quantity.
+        axis: Only axis of the robot that the value depends on; None: both, or those of a loop.
         numbers: The same metric as a function of a course, which can also be compiled; None: no
             such function.
     """
@@ -77,6 +84,9 @@ class MetricKind:
     grows: bool = False
     is_awaited: bool = False
     needs_poses: bool = True
+    needs_dead_time: bool = False
+    nature: Nature = None
+    axis: Axis | None = None
     numbers: OfCourse | None = None
 
     def compute_loss(self, value: float, reference: float) -> float:

@@ -78,7 +78,7 @@ def get_heading_error(course: RunContext) -> float:
     return math.nan if recorded is None else float(recorded.values[-1])
 
 
-@course_metric("final.heading_error", "deg")
+@course_metric("final.heading_error", "deg", nature="error", axis="turn_rate")
 def _measure_heading_error(course: RunContext) -> Outcome:
     """Magnitude of the reference heading, or the goal's for a moving bearing, minus the heading."""
     error_rad = get_heading_error(course)
@@ -87,7 +87,7 @@ def _measure_heading_error(course: RunContext) -> Outcome:
     return math.degrees(abs(error_rad)), course.last_pose_s, FOUND
 
 
-@course_metric("final.position_error", "m", "Distance to the goal at the end.")
+@course_metric("final.position_error", "m", "Distance to the goal at the end.", nature="error")
 def _measure_position_error(course: RunContext) -> Outcome:
     x_m, y_m, _ = course.goal
     if math.isnan(x_m):
@@ -104,7 +104,7 @@ def _measure_last_cross_track(course: RunContext) -> Outcome:
     return offset_m, course.last_pose_s, FOUND
 
 
-@course_metric("final.goal_heading_error", "deg")
+@course_metric("final.goal_heading_error", "deg", nature="error", axis="turn_rate")
 def _measure_goal_heading_error(course: RunContext) -> Outcome:
     """Magnitude of the goal's heading minus the heading at the end."""
     wanted_rad = course.goal[2]
@@ -114,7 +114,7 @@ def _measure_goal_heading_error(course: RunContext) -> Outcome:
     return math.degrees(error_rad), course.last_pose_s, FOUND
 
 
-@run_metric("final.heading_error_at_15s", "deg")
+@run_metric("final.heading_error_at_15s", "deg", nature="error", axis="turn_rate")
 def _compute_heading_error_at_15s(context: RunContext) -> Result:
     """Heading error 15 s after the first sample, or at the end: the paper's definition."""
     error_rad = _find_heading_error(context, PAPER_WINDOW_S)
@@ -123,7 +123,7 @@ def _compute_heading_error_at_15s(context: RunContext) -> Result:
     return _find_cut(context) or Found(math.degrees(abs(error_rad)), _tell_time(context))
 
 
-@run_metric("final.position_error_at_15s", "m")
+@run_metric("final.position_error_at_15s", "m", nature="error")
 def _compute_position_error_at_15s(context: RunContext) -> Result:
     """Distance to the goal 15 s after the first sample, or at the end: the paper's definition."""
     goal_xy_m, time_s = context.run.goal_xy_m, context.pose_time_s
@@ -349,9 +349,16 @@ for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_r
             f"run.{_name}_{_figure}",
             LOOP_METRICS[_figure].unit.format(command=_unit),
             _meaning.format(_name.replace("_", " ")),
-            grows=True,
+            axis=_name,
             needs_poses=False,
+            **LOOP_METRICS[_figure].traits,
         )(_on_commands(_name, _column, COMMAND_METRICS[_figure]))
+
+
+@run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
+def _compute_displacement(context: RunContext) -> Result:
+    xy_m = context.run.poses.xy_m
+    return Found(float(np.hypot(*(xy_m[-1] - xy_m[0]))))
 
 
 def _moves_along(loop: ControlLoop) -> bool:
