@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import pytest
@@ -355,12 +356,15 @@ def test_so_many_errors_beyond_the_band_are_no_chance(above: int, verdict: str) 
     assert below.verdict == ("smaller" if verdict == "larger" else verdict)
 
 
+NO_JUMPS: Final = np.empty(0, np.int64)
+
+
 @pytest.mark.parametrize(("late_s", "pieces"), [(0.09, 2), (0.11, 1)])
 def test_a_pose_ends_a_piece_within_a_tenth_of_the_horizon(late_s: float, pieces: int) -> None:
     around_s = 0.01 * np.arange(5)
     time_s = np.concatenate([around_s - 0.04, around_s + 1.0 + late_s, around_s + 2.04 + late_s])
     time_ns = np.rint((time_s + 0.04) * 1e9).astype(np.int64)
-    cut, gaps = cut_pieces(time_ns, 10**9, int(time_ns[4]))
+    cut, gaps, _ = cut_pieces(time_ns, int(time_ns[4]), NO_JUMPS, 1.0)
     assert (cut.shape[1], gaps) == (pieces, 2 - pieces)
 
 
@@ -369,7 +373,7 @@ def test_of_sparse_poses_the_nearest_ends_a_piece_within_a_quarter(
     step_s: float, pieces: int
 ) -> None:
     time_ns = np.rint(np.arange(0.0, 9.9, step_s) * 1e9).astype(np.int64)
-    assert cut_pieces(time_ns, 10**9, 0)[0].shape[1] == pieces
+    assert cut_pieces(time_ns, 0, NO_JUMPS, 1.0)[0].shape[1] == pieces
 
 
 @pytest.mark.parametrize(("further_m", "jumps"), [(0.9, 0), (1.1, 1)])

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from tests.measure.test_reductions import tell
 from tests.simulate.random_scenarios import build_random
+from turtlelog import arithmetic
 from turtlelog.measure import find_first_stretch, loop_segment
 from turtlelog.measure.loop_segment import (
+    Aim,
     LoopNumbers,
     Ticks,
     count_until,
@@ -20,6 +22,7 @@ from turtlelog.measure.loop_segment import (
     find_segment,
     number_loop,
 )
+from turtlelog.measure.references import LastPose, find_last_heading_error
 from turtlelog.run import angles
 from turtlelog.simulate import simulate_run
 from turtlelog.simulate.compiled_twins import take_twin
@@ -111,6 +114,40 @@ def test_the_loop_that_acted_last_is_found_among_the_known_ones() -> None:
     found = [find_last_acting(phase, loops, known) for known in (0b111, 0b101, 0b001, 0b000)]
     assert found == [1, 2, 0, -1]
     assert find_last_acting(phase[3:], loops, 0b110) == 1
+
+
+TURNED: Final = LastPose(1.0, 1.0, -3.0, 2.0 * math.pi - 3.0, 0.5)
+"""A last pose whose heading passed half a turn."""
+
+
+@pytest.mark.parametrize(
+    ("reference", "goal_heading_rad", "wanted_rad"),
+    [
+        ("zero", 1.0, -(2.0 * math.pi - 3.0)),
+        ("goal_bearing", 1.0, 0.25 - (2.0 * math.pi - 3.0)),
+        ("bearing_now", 1.0, 1.0 + 3.0 - 2.0 * math.pi),
+        ("bearing_now", math.nan, math.pi / 2.0 - (2.0 * math.pi - 3.0)),
+        ("recorded", 1.0, 0.5 - (2.0 * math.pi - 3.0)),
+    ],
+)
+def test_the_heading_at_the_end_is_held_to_the_reference_of_the_last_loop(
+    reference: str, goal_heading_rad: float, wanted_rad: float
+) -> None:
+    number = loop_segment.REFERENCES.index(reference)
+    loops = [LoopNumbers(0b1, 0b10, loop_segment.HEADING, number, turns=True)]
+    aim = Aim(0.0, 0.0, 1.0, 0.0, 1.0, 0.25, 1.0, 2.0, goal_heading_rad)
+    found_rad = find_last_heading_error(np.array([0, 1]), loops, aim, TURNED)
+    assert found_rad.hex() == arithmetic.wrap_angle(wanted_rad).hex()
+
+
+@pytest.mark.parametrize(("reference", "phase"), [("zero", []), ("goal_heading", [0, 1])])
+def test_no_samples_or_no_reference_leave_the_heading_at_the_end_unjudged(
+    reference: str, phase: list[int]
+) -> None:
+    number = loop_segment.REFERENCES.index(reference)
+    loops = [LoopNumbers(0b1, 0b10, loop_segment.HEADING, number, turns=True)]
+    aim = Aim(0.0, 0.0, 1.0, 0.0, 1.0, 0.25, 1.0, 2.0, math.nan)
+    assert math.isnan(find_last_heading_error(np.array(phase, np.int64), loops, aim, TURNED))
 
 
 @pytest.mark.parametrize("seed", range(8))

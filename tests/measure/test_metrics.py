@@ -1,4 +1,5 @@
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import turtlelog as tl
 from tests.measure.runs import GOAL_M, make_straight_run, set_times
 from tests.sequential import ROTATE
 from turtlelog.errors import MeasureError
-from turtlelog.measure import choose_metrics
+from turtlelog.measure import METRICS, choose_metrics, find_metric_kind
 from turtlelog.measure.metrics.goal_and_path import PAPER_WINDOW_S
 from turtlelog.run.loops import ControlLoop, Declaration
 
@@ -192,6 +193,33 @@ def test_every_metric_has_a_value_or_a_reason() -> None:
     for metric in measure("paper-kp1", max_duration_s=2.0).values():
         assert (metric.value is None) == (metric.status is not tl.measure.Status.OK)
         assert bool(metric.reason) == (metric.value is None)
+
+
+@pytest.mark.parametrize(("words", "nature"), [("Number of", "count"), ("Share of", "share")])
+def test_what_a_metric_counts_or_shares_is_declared(words: str, nature: str) -> None:
+    kinds = {name: kind for name, kind in METRICS.items() if kind.unit == "1"}
+    named = {name for name, kind in kinds.items() if kind.meaning.startswith(words)}
+    assert {name for name, kind in METRICS.items() if kind.nature == nature} == named
+
+
+def test_shares_counts_and_verdicts_have_values_of_their_kind() -> None:
+    for name, metric in measure("paper-kp10").items():
+        kind, value = find_metric_kind(name), metric.value
+        nature = None if kind is None else kind.nature
+        if value is not None and nature in {"share", "count", "verdict"}:
+            assert 0.0 <= value <= (math.inf if nature == "count" else 1.0)
+            assert nature == "share" or value.is_integer()
+
+
+@pytest.mark.parametrize("axis", ["speed", "turn rate"])
+def test_a_metric_of_one_rate_declares_its_axis(axis: str) -> None:
+    rates = ("published {}", "measured {} over", "the {} that the robot reports")
+    words = [rate.format(axis) for rate in rates]
+    kinds = {name: kind for name, kind in METRICS.items() if name.startswith("run.")}
+    named = {name for name, kind in kinds.items() if any(word in kind.meaning for word in words)}
+    declared = {name for name, kind in kinds.items() if kind.axis == axis.replace(" ", "_")}
+    assert named
+    assert named <= declared
 
 
 @pytest.mark.parametrize("loop", ["a", "a-b", "a" * 60])

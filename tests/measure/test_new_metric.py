@@ -17,6 +17,12 @@ SECOND = """
 @curve_metric("second_error", "{value}", "Error of the {signal} at the second pose.", better=None)
 def find_second_error(curve: Response) -> Outcome:
     return curve.error[1], curve.start_s + curve.time_s[1], FOUND
+
+
+@curve_metric("returns", "1", "Crossings of the {signal}, and one more.", nature="count")
+def count_returns(curve: Response) -> Outcome:
+    rows = find_crossing_rows(curve.error, 0.0, curve.memory)
+    return 1.0 + len(rows), math.nan, FOUND
 """
 
 NAME = "rotate.second_error"
@@ -57,6 +63,14 @@ def test_a_new_metric_is_measured_listed_and_checked(copy: Path) -> None:
     assert 100.0 < error_deg < 130.0  # the goal is 128.5 deg to the left, and a tick turns 0.9
     assert "second_error" in json.dumps(ask(copy, "list", "metrics"))
     ask(copy, "check", "run.mcap", "--expect", f"{NAME} > {error_deg - 1.0}")
+
+
+@pytest.mark.thorough
+def test_a_new_count_is_explained_to_half_a_count(copy: Path) -> None:
+    """What a metric counts is declared beside it, not read off its name."""
+    found = ask(copy, "explain", "run.mcap", "--metric", "rotate.returns")
+    assert found["metric"]["value"] == 2.0
+    assert found["attribution"]["resolution"] == {"size": 0.5, "reason": "half a count"}
 
 
 @pytest.mark.thorough

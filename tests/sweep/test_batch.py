@@ -97,6 +97,18 @@ def test_a_law_with_one_phase_and_two_loops_is_measured_as_in_a_single_run() -> 
             require_row(rows, row, changed, metrics)
 
 
+@pytest.mark.thorough
+def test_a_heading_beyond_half_a_turn_ends_as_in_a_single_run() -> None:
+    """The turtle ends at -pi, where it turned past pi."""
+    posture = get_preset("posture")
+    columns = {"start.heading_rad": [3.1, 2.1], "goal.heading_rad": [-3.1, -2.1]}
+    rows = measure_rows(posture, columns, ["final.heading_error"], threads=1)
+    assert rows.compiled == 2
+    for row in range(2):
+        changed = override_scenario(posture, {key: column[row] for key, column in columns.items()})
+        require_row(rows, row, changed, ("final.heading_error",))
+
+
 @pytest.mark.everyday("0-pure-pursuit")
 @pytest.mark.parametrize("law", ["pure-pursuit", "kanayama"])
 @pytest.mark.parametrize("block", range(5))

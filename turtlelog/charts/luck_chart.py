@@ -14,6 +14,7 @@ from turtlelog.charts.close_up import choose_rings
 from turtlelog.charts.curves import Values
 from turtlelog.display import describe_count, join_words
 from turtlelog.explain import Luck, LuckCurve
+from turtlelog.measure import find_metric_kind
 
 _DIGITS: Final = 2
 """Number of digits of a value in text; neighbouring starts differ in the third digit."""
@@ -92,7 +93,8 @@ def build_luck_picture(luck: Luck) -> LuckPicture:
     order, places, label, at = _place_starts(luck)
     columns = [curve.values[order] * factor for curve in luck.curves]
     recorded = math.nan if luck.recorded is None else luck.recorded * factor
-    is_error = luck.metric.endswith("error")
+    kind = find_metric_kind(luck.metric)
+    is_error = kind is not None and kind.nature == "error"
     limits = _find_limits([*columns, np.array([recorded])], is_error=is_error)
     colors = palette.choose_cause_colors(luck.causes)
     values = luck.curves[0].values

@@ -134,9 +134,6 @@ def _list_read(read: ReadChoice) -> Iterator[str]:
         yield from ("", "[read]", *lines)
 
 
-_COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_steps"})
-"""Metrics of the driving style, which a good run limits on both sides."""
-
 _OF_POSES: Final = ("run.cross_track_max", "run.pose_jumps")
 """Metrics that are bounded although they are not essential: wrong poses may also end well."""
 
@@ -172,13 +169,16 @@ def _list_of_motion(run: Run) -> Iterator[str]:
     lengths = {"run.path_length": scatter.path_m, "run.total_turning": scatter.turning_rad}
     asked = dict.fromkeys([*list_essential_metrics(run), *_OF_POSES])
     for metric in measure_run(run, only=[*asked]).values():
-        if metric.value is None or metric.id in _COUNTS:
+        kind = kinds[metric.id]
+        # A count or share that is better neither way is the driving style, limited on both sides.
+        is_style = kind.better is None and kind.nature is not None
+        if metric.value is None or is_style:
             continue
         if metric.id == "run.pose_jumps":
             yield from _list_jumps(metric.id, metric.value)
             continue
         meaning = "" if lengths.get(metric.id) is None else ": with the noise of its poses"
-        yield from _list_check(metric, metric.value, kinds[metric.id], grains, meaning)
+        yield from _list_check(metric, metric.value, kind, grains, meaning)
     if len(run.commands):
         yield from _list_of_commands(run)
 
@@ -242,7 +242,7 @@ def _list_check(
     operator = ">=" if is_higher else "<="
     grain = max(grains.get(key, 0.0) for key in (metric.unit, metric.id))
     bound, spare = choose_bound(base, metric.unit, up=not is_higher, grain=grain)
-    if metric.id.endswith("_share") and not is_higher and bound >= 1.0:
+    if kind.nature == "share" and not is_higher and bound >= 1.0:
         yield ""
         yield f"# {metric.id} <= ...: not read off, as no share exceeds 1; here {value:.5g}"
         return

@@ -184,7 +184,8 @@ def _show(metric: "tl.Metric | None") -> str:
         return "-"
     if metric.value is None:
         return metric.status.words
-    if metric.id.endswith("_share"):
+    kind = tl.measure.find_metric_kind(metric.id)
+    if kind is not None and kind.nature == "share":
         return f"{100.0 * metric.value:.0f} %"
     return format_short(metric.value, metric.unit)
 
@@ -394,7 +395,8 @@ def _rank(name: str, summaries: "Sequence[tl.compare.RunSummary]") -> tuple[bool
     """Return a sort key for choosing metrics: the end first, then metrics of most runs."""
     lacking = sum(find_value(one, name) is None for one in summaries)
     is_end = name in {"final.position_error", "run.duration"}
-    return not is_end, lacking, not name.endswith("time")
+    kind = tl.measure.find_metric_kind(name)
+    return not is_end, lacking, kind is None or not kind.is_awaited
 
 
 def _choose_columns(summaries: "Sequence[tl.compare.RunSummary]") -> tuple[str, ...]:

@@ -441,17 +441,3 @@ def mark_metric(
         worse = never or worst
     marks: dict[int, Mark] = dict.fromkeys(worse, "worst")
     return marks | dict.fromkeys(best, "best") if worse else {}
-
-
-def name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
-    """Return which run is the best in all compared metrics; empty if no run is marked."""
-    marked = {name: found for name, found in marks.items() if found}
-    if not marked:
-        return ""
-    best = [{row for row, mark in found.items() if mark == "best"} for found in marked.values()]
-    common = set.intersection(*best)
-    if not common:
-        return "no run is best at everything"
-    what = next(iter(marked)) if len(best) == 1 else "every metric shown"
-    who = join_words([names[row] for row in sorted(common)])
-    return f"{who} {'is' if len(common) == 1 else 'are'} best at {what}"

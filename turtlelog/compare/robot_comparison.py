@@ -317,9 +317,6 @@ def _list_cells(band: ErrorBand) -> tuple[Cell, ...]:
     )
 
 
-SHORTEST_S: Final = 0.1
-"""Time after which the error of a robot model is still small compared with noise [s]."""
-
 _NOTED: Final = float(np.sqrt(2.0))
 """Boundary between equal noise and double or half noise, halfway in powers of two [1]. Noise
 identified from 60 s is 0.85 to 1.25 times the true noise."""
@@ -409,11 +406,14 @@ _MOST_GROWTH: Final = 20
 """Number of points of the curve of errors over time."""
 
 
-def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int]:
-    """Return the first and last rows of pieces, shape (2, n), and the number of gaps between them.
+def cut_pieces(
+    time_ns: Rows, known_ns: int, jumps: Rows, horizon_s: float
+) -> tuple[Rows, int, int]:
+    """Return first and last rows of pieces, shape (2, n), and the numbers of gaps and of jumps.
 
-    Each piece begins where the previous one ends.
+    Each piece begins where the previous one ends. Pieces with jumps are left out.
     """
+    horizon_ns = round(horizon_s * 1e9)
     row, gaps = int(np.searchsorted(time_ns, known_ns)), 0
     begins, ends = [], []
     last = len(time_ns) - 1
@@ -431,7 +431,9 @@ def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int
         else:
             gaps += 1
             row = after if after > row else row + 1
-    return np.array([begins, ends], dtype=np.int64).reshape(2, -1), gaps
+    cut = np.array([begins, ends], dtype=np.int64).reshape(2, -1)
+    inside = np.diff(np.searchsorted(jumps, cut, side="right"), axis=0)[0]
+    return cut[:, inside == 0], gaps, int(np.count_nonzero(inside))
 
 
 def list_growth_rows(time_ns: Rows, cut: Rows, horizon_s: float) -> Rows:
@@ -445,9 +447,3 @@ def list_growth_rows(time_ns: Rows, cut: Rows, horizon_s: float) -> Rows:
     rows = np.clip(after - is_before, cut[0][:, None], cut[1][:, None])
     rows[:, 0] = cut[0]
     return np.asarray(rows)
-
-
-def drop_jumps(cut: Rows, jumps: Rows) -> tuple[Rows, int]:
-    """Return the pieces without jumps, and the number of pieces with jumps."""
-    inside = np.diff(np.searchsorted(jumps, cut, side="right"), axis=0)[0]
-    return cut[:, inside == 0], int(np.count_nonzero(inside))

@@ -40,6 +40,9 @@ from turtlelog.simulate.loop_parts import RANDOM_KEYS, list_streams
 HORIZONS_S: Final = (1.0, 5.0)
 """Times for which a motion is predicted before the next anchor [s]."""
 
+_SHORTEST_S: Final = 0.1
+"""Time after which the error of a robot model is still small compared with noise [s]."""
+
 LONGEST_S: Final = 600.0
 """Longest simulated part of a run [s]: 120 pieces of 5 s."""
 
@@ -91,13 +94,13 @@ def compare_robot(
     simulated = replace(recorded, xy_m=states[:, :2], heading_rad=states[:, 2])
     known_ns = _find_known(run, scenario)
     jumps = _find_impossible_steps(run, simulated, scenario)
-    cut = partial(_cut_sound, recorded.time_ns, known_ns, jumps)
+    cut = partial(robot_comparison.cut_pieces, recorded.time_ns, known_ns, jumps)
     found = {horizon_s: cut(horizon_s) for horizon_s in horizons_s}
     cuts = {horizon_s: sound for horizon_s, (sound, _, _) in found.items() if sound.shape[1]}
     if not cuts:
         raise CompareError(_tell_too_short(run, horizons_s, known_ns, len(jumps)))
     longest = cuts[max(cuts)]
-    short_s = max(robot_comparison.SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
+    short_s = max(_SHORTEST_S, float(np.median(np.diff(recorded.time_ns))) / 1e9)
     short, _, _ = cut(short_s)
     grown = robot_comparison.list_growth_rows(recorded.time_ns, longest, max(cuts))
     rows = np.unique(np.concatenate([one.ravel() for one in (grown, short, *cuts.values())]))
@@ -138,15 +141,6 @@ def _trace_axis(
     time_s, measured, _ = axis_motion.measure_axis_steps(recorded, axis)
     _, modelled, _ = axis_motion.measure_axis_steps(simulated, axis)
     return axis_motion.join_rates(axis, motion, time_s, measured, modelled)
-
-
-def _cut_sound(
-    time_ns: Rows, known_ns: int, jumps: Rows, horizon_s: float
-) -> tuple[Rows, int, int]:
-    """Return the pieces of a horizon without jumps, and the numbers of gaps and of jumps."""
-    cut, gaps = robot_comparison.cut_pieces(time_ns, round(horizon_s * 1e9), known_ns)
-    sound, lost = robot_comparison.drop_jumps(cut, jumps)
-    return sound, gaps, lost
 
 
 def _list_cuts(found: Mapping[float, tuple[Rows, int, int]]) -> Iterator[str]:

@@ -341,22 +341,6 @@ def complete_summaries(
     return tuple(completed)
 
 
-def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[str, ...]:
-    """Return the metrics for which at least one run has the data.
-
-    If every run has a law, all metrics are returned, so that tables do not depend on the data.
-    """
-    if not any(found.is_lawless for found in summaries):
-        return tuple(ids)
-    held = {
-        name
-        for found in summaries
-        for name, metric in found.metrics.items()
-        if metric.status is not Status.ABSENT
-    }
-    return tuple(name for name in ids if name in held)
-
-
 def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
     """Return which inputs would add metrics, if all runs are third-party bags without them."""
     if not summaries or not all(found.is_lawless for found in summaries):

@@ -14,16 +14,25 @@ from turtlelog.compare.ranking import (
     list_metric_units,
     list_summary_units,
     mark_metric,
+)
+from turtlelog.compare.run_summary import RunSummary, list_unlocks
+from turtlelog.compare.table import (
+    Cell,
+    Column,
+    Table,
+    drop_absent,
+    get_metric_cell,
+    group_ids,
+    group_loops,
+    head_column,
+    list_reasons,
     name_best,
 )
-from turtlelog.compare.run_summary import RunSummary, drop_absent, list_unlocks
-from turtlelog.compare.table import Cell, Column, Table, group_ids, group_loops, list_reasons
 from turtlelog.display import describe_count, format_number, join_words
 from turtlelog.errors import CompareError
 from turtlelog.measure import MeasureSettings, Metric, list_metrics, measure_run
 from turtlelog.run import Parameter, Run
 from turtlelog.run.loops import ControlLoop, Declaration
-from turtlelog.scenario.model import split_key_unit
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
 _MOST_DIFFERING: Final = 2
@@ -95,7 +104,7 @@ def tabulate_runs(
     unlocks = [] if only else list_unlocks(summaries)
     return Table(
         title=f"{head}{varied}{f': {answer}' if answer else ''}",
-        columns=(Column(title="run"), *gains, *(_head_column(*one) for one in units.items())),
+        columns=(Column(title="run"), *gains, *(head_column(*one) for one in units.items())),
         rows=rows,
         notes=(*notes, *told, *unlocks),
         marks=MappingProxyType(
@@ -240,26 +249,10 @@ def order_parameters(
     ]
 
 
-def _head_column(name: str, units: Sequence[str]) -> Column:
-    title, unit = split_key_unit(name) if not units else (name, units[0])
-    lines = tuple(title.replace(".", "_").split("_"))
-    has_unit = len(units) < 2 and unit != "1"
-    return Column(title=name, unit=unit if has_unit else "", lines=lines)
-
-
 def _get_cell(summary: RunSummary, name: str, *, has_one_unit: bool) -> Cell:
     if name in summary.parameters and name not in list_metrics(summary.declaration):
         return run_selection.get_parameter(summary, name)
-    return _get_value(summary.metrics.get(name), has_one_unit=has_one_unit)
-
-
-def _get_value(metric: Metric | None, *, has_one_unit: bool) -> Cell:
-    """Return a value, with a unit if the metric has several units, or why the value is missing."""
-    if metric is None:
-        return None
-    if metric.value is None:
-        return metric.status
-    return metric.value if has_one_unit else format_number(metric.value, metric.unit)
+    return get_metric_cell(summary.metrics.get(name), has_one_unit=has_one_unit)
 
 
 def tabulate_metrics(
@@ -301,7 +294,7 @@ def tabulate_measured(
     for name in (name for group in groups for name in group):
         found = [metrics.get(name) for metrics in measured]
         units = list_metric_units([metric for metric in found if metric is not None])
-        cells = (_get_value(metric, has_one_unit=len(units) == 1) for metric in found)
+        cells = (get_metric_cell(metric, has_one_unit=len(units) == 1) for metric in found)
         rows.append((name, " or ".join(units), *cells))
     return Table(
         title="Metrics",

@@ -6,10 +6,10 @@ line. In addition, both must answer a step, or both follow a reference. Loops of
 merged, because a run has both.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from turtlelog.display import (
     describe_count,
@@ -22,6 +22,10 @@ from turtlelog.display import (
 from turtlelog.measure import Metric, Status
 from turtlelog.run.loops import RESERVED, ControlLoop, Declaration
 from turtlelog.run.tables import Tabular
+from turtlelog.scenario.model import split_key_unit
+
+if TYPE_CHECKING:
+    from turtlelog.compare.run_summary import RunSummary
 
 Cell = str | float | int | None
 Mark = Literal["best", "worst"]
@@ -155,6 +159,23 @@ _GAP: Final = 2
 _Kind = tuple[str, str, bool]
 
 
+def head_column(name: str, units: Sequence[str]) -> Column:
+    """Return the column of a metric or a parameter with the units of its values."""
+    title, unit = split_key_unit(name) if not units else (name, units[0])
+    lines = tuple(title.replace(".", "_").split("_"))
+    has_unit = len(units) < 2 and unit != "1"
+    return Column(title=name, unit=unit if has_unit else "", lines=lines)
+
+
+def get_metric_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
+    """Return a value, with a unit if the metric has several units, or why the value is missing."""
+    if metric is None:
+        return None
+    if metric.value is None:
+        return metric.status
+    return metric.value if has_one_unit else format_number(metric.value, metric.unit)
+
+
 def put_ends_first(table: Table) -> Table:
     """Return a table with final errors next to the gains: pictures leave room for half of it."""
     titles = [column.title for column in table.columns]
@@ -168,6 +189,36 @@ def put_ends_first(table: Table) -> Table:
         rows=tuple(tuple(row[place] for place in order) for row in table.rows),
         marks={(row, order.index(place)): mark for (row, place), mark in table.marks.items()},
     )
+
+
+def name_best(names: Sequence[str], marks: Mapping[str, Mapping[int, Mark]]) -> str:
+    """Return which run is the best in all compared metrics; empty if no run is marked."""
+    marked = {name: found for name, found in marks.items() if found}
+    if not marked:
+        return ""
+    best = [{row for row, mark in found.items() if mark == "best"} for found in marked.values()]
+    common = set.intersection(*best)
+    if not common:
+        return "no run is best at everything"
+    what = next(iter(marked)) if len(best) == 1 else "every metric shown"
+    who = join_words([names[row] for row in sorted(common)])
+    return f"{who} {'is' if len(common) == 1 else 'are'} best at {what}"
+
+
+def drop_absent(summaries: "Sequence[RunSummary]", ids: Collection[str]) -> tuple[str, ...]:
+    """Return the metrics for which at least one run has the data.
+
+    If every run has a law, all metrics are returned, so that tables do not depend on the data.
+    """
+    if not any(found.is_lawless for found in summaries):
+        return tuple(ids)
+    held = {
+        name
+        for found in summaries
+        for name, metric in found.metrics.items()
+        if metric.status is not Status.ABSENT
+    }
+    return tuple(name for name in ids if name in held)
 
 
 def order_ids(ids: Iterable[str], declarations: Iterable[Declaration] = ()) -> tuple[str, ...]:

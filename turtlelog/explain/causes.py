@@ -342,10 +342,6 @@ paper's runs has at least a hundred samples, so this is about one sample's effec
 
 _HALF_A_COUNT: Final = 0.5  # negligible change of a count; counts change by at least one
 
-_COUNTS: Final = (
-    *("crossings", "reversals", "burst_samples", "dropped_samples", "duplicates", "disorder"),
-)
-
 
 class ResolutionReason(StrEnum):
     """Origin of the largest negligible change, as a clause."""
@@ -387,13 +383,13 @@ def find_resolution(
     scenario: Scenario, declaration: Declaration, metric: str, value: float
 ) -> Resolution:
     """Return the resolution of a metric of a scenario, for unknown tolerances from its value."""
-    unit = measure.list_metrics(declaration)[metric].unit
+    kind = measure.list_metrics(declaration)[metric]
+    unit = kind.unit
     if unit == "s":
         return Resolution(size=find_sample_period_s(scenario), reason=ResolutionReason.SAMPLE)
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
         return _find_tolerated(scenario, declaration, metric, unit)
-    kind = metric.rpartition(".")[2]
-    if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
+    if kind.nature == "count":
         return Resolution(size=_HALF_A_COUNT, reason=ResolutionReason.COUNT)
     return Resolution(size=_SHARE * abs(value), reason=ResolutionReason.SHARE)
 

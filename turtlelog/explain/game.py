@@ -31,7 +31,7 @@ from turtlelog.explain.causes import (
 from turtlelog.explain.scenario_from_log import Identification
 from turtlelog.explain.scenario_from_log.law_identification import describe_phase
 from turtlelog.laws import LAWS
-from turtlelog.measure import measure_run
+from turtlelog.measure import find_metric_kind, measure_run
 from turtlelog.processes import count_cores, map_in_processes
 from turtlelog.run import Run
 from turtlelog.run.loops import Cause
@@ -41,10 +41,6 @@ from turtlelog.simulate import simulate_many
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
 """Seeds for means. The seeds are the same for all runs, so that runs with different seeds have
 equal contributions. The seeds differ from the usual seeds."""
-
-_OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
-"""Metrics that depend on the dead time, which is searched up to 40 poses. A finer clock has 40
-poses in a few ticks."""
 
 _FEW: Final = 4
 """Number of simulations up to which another process is never useful: about 40 ms of work."""
@@ -289,7 +285,9 @@ def _simulate_each(metric: str, plays: Sequence[Play]) -> Iterator[Outcome]:
 def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
     found = measure_run(run, only=[metric])[metric]
     value, reason = found.value, found.reason
-    if is_finer and metric.endswith(_OF_DEAD_TIME):
+    kind = find_metric_kind(metric)
+    if is_finer and kind is not None and kind.needs_dead_time:
+        # It is searched up to 40 poses, which a finer clock has in a few ticks.
         value, reason = None, "dead times are not measured on a finer clock"
     end_xy_m = (float(run.poses.xy_m[-1, 0]), float(run.poses.xy_m[-1, 1]))
     spans = run.find_phase_spans()

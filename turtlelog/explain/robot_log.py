@@ -21,7 +21,7 @@ from turtlelog.identify.held_response import HeldInput
 from turtlelog.identify.robot_identification import identify_robot
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel
 from turtlelog.identify.robot_noise import measure_disturbance_noise, measure_sensing_noise
-from turtlelog.measure import Outlier, list_outliers
+from turtlelog.measure import Outlier, find_metric_kind, list_outliers
 from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay import PlantReplay, follow_commands, moves_as_turtlesim, replay_plant
@@ -78,9 +78,6 @@ _BEYOND: Final = 1.05  # factor on a bound that noise of poses does not exceed
 _LEAST: Final = 1e-3
 """Smallest random value as a share of the value, so that no parameter is negative, however wide its
 interval."""
-
-_TURNS: Final = ("turn_rate", "total_turning", "heading_error")
-_DRIVES: Final = ("run.speed_", "run.measured_speed_")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,9 +140,8 @@ def share_unseen_bounds(logs: Sequence[RobotLog]) -> list[RobotLog]:
 
 def list_axes(metric: str) -> tuple[Axis, ...]:
     """Return the axes that a metric of a run depends on."""
-    if metric.startswith(_DRIVES):
-        return ("speed",)
-    return ("turn_rate",) if any(word in metric for word in _TURNS) else AXES
+    kind = find_metric_kind(metric)
+    return AXES if kind is None or kind.axis is None else (kind.axis,)
 
 
 def get_axis(model: RobotModel, axis: Axis) -> AxisModel:

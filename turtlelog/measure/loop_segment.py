@@ -79,6 +79,11 @@ def count_until(times: NDArray[np.int64], time_ns: int) -> int:
     return int(np.searchsorted(times, time_ns, side="right"))
 
 
+def find_row_from(times: Any, count: int, time_ns: int) -> int:
+    """Return the row of the first of some poses at or after a time, or else the last row."""
+    return min(count_until(times, time_ns - 1), count - 1)
+
+
 def _is_usual_step(times: Ticks, row: int) -> bool:
     return row < times.length
 

@@ -17,6 +17,7 @@ from typing import Any, Final, Literal
 
 from turtlelog.display import fit_line
 from turtlelog.measure.metric import (
+    FOUND,
     REASONS,
     Found,
     Missing,
@@ -26,20 +27,22 @@ from turtlelog.measure.metric import (
     add_reason,
     read_outcome,
 )
+from turtlelog.measure.rates import Axis
 from turtlelog.measure.response import Response
 from turtlelog.measure.run_context import RunContext
 from turtlelog.run.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 
 Better = Literal["lower", "higher"] | None
+Nature = Literal["error", "share", "count", "verdict"] | None
 OfRun = Callable[[RunContext], Result]
 OfLoop = Callable[[RunContext, Response], Result]
 OfCurve = Callable[[Response], Outcome]
 OfCourse = Callable[[RunContext], Outcome]
 
-CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
-NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
+_CUT: Final = add_reason(Status.TOO_SHORT, "the run was cut in this phase")
+_NO_STEP: Final = add_reason(Status.NO_STEP, "the phase begins at its reference")
 
-SMALLEST_STEP: Final = 1e-6
+_SMALLEST_STEP: Final = 1e-6
 """Smallest change that counts as a step [rad or m]; smaller changes are rounding of 32-bit
 poses."""
 
@@ -64,6 +67,11 @@ class MetricKind:
             estimated dead time may fall again.
         is_awaited: Whether the value is a time since the beginning of its loop or of the run.
         needs_poses: Whether the value is missing in a run without poses (a log of commands alone).
+        needs_dead_time: Whether the value needs the dead time of the log, which is searched in a
+            slow fit.
+        nature: `error` for a difference from a reference, `share` for a part of a whole from 0 to
+            1, `count`, `verdict` for 0 or 1; None for any other quantity.
+        axis: Only axis of the robot that the value depends on; None: both, or those of a loop.
         numbers: The same metric as a function of a course, which can also be compiled; None: no
             such function.
     """
@@ -76,6 +84,9 @@ class MetricKind:
     grows: bool = False
     is_awaited: bool = False
     needs_poses: bool = True
+    needs_dead_time: bool = False
+    nature: Nature = None
+    axis: Axis | None = None
     numbers: OfCourse | None = None
 
     def compute_loss(self, value: float, reference: float) -> float:
@@ -129,10 +140,8 @@ class LoopMetricKind:
             response = context.get_response(loop)
             if isinstance(response, Missing):
                 return response
-            if self.needs_whole and response.was_cut:
-                return REASONS[CUT]
-            if self.needs_step and abs(response.reference - response.initial) <= SMALLEST_STEP:
-                return REASONS[NO_STEP]
+            if reason := refuse_curve(response, self.needs_whole, self.needs_step):
+                return REASONS[reason]
             result = self.compute(context, response)
             if unit == "deg" and isinstance(result, Found):
                 return Found(math.degrees(result.value), result.at_s)
@@ -166,6 +175,14 @@ class LoopMetricKind:
         value, signal = ("deg", "rad") if loop.signal == "heading" else ("m", "m")
         command = "rad" if loop.command == "turn_rate" else "m"
         return self.unit.format(value=value, signal=signal, command=command)
+
+
+def refuse_curve(curve: Any, needs_whole: bool, needs_step: bool) -> int:  # noqa: FBT001
+    """Return the number of the reason why a curve lacks what a metric needs; `FOUND` if none."""
+    if needs_whole and curve.was_cut:
+        return _CUT
+    is_step = not abs(curve.reference - curve.initial) <= _SMALLEST_STEP
+    return _NO_STEP if needs_step and not is_step else FOUND
 
 
 LOOP_METRICS: Final[dict[str, LoopMetricKind]] = {}

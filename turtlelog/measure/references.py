@@ -17,7 +17,7 @@ import math
 import pathlib
 from collections.abc import Callable
 from io import StringIO
-from typing import Final, TypeVar, cast
+from typing import Any, Final, NamedTuple, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -27,18 +27,20 @@ from turtlelog.errors import LogError, MeasureError
 from turtlelog.files.text_files import describe_csv_error, read_text_file
 from turtlelog.files.urls import make_path
 from turtlelog.measure.loop_segment import (
+    BEARING_NOW,
+    HEADING,
     REFERENCES,
     aim_at,
     find_bearing,
     find_last_acting,
     find_latest,
     hold_column,
-    number_loop,
     project,
     read_constant,
 )
 from turtlelog.measure.reductions import Values, measure_way
 from turtlelog.run import GoalLine, Run
+from turtlelog.run.angles import wrap_angle
 from turtlelog.run.loops import ControlLoop
 from turtlelog.run.path_pieces import follow_pieces
 from turtlelog.run.paths import Path
@@ -84,16 +86,55 @@ def read_heading_reference(run: Run) -> float | Values | None:
     return np.asarray(columns[acting, np.arange(rows)])
 
 
-def has_lasting_heading(run: Run) -> bool:
-    """Return whether the heading loop that acted last had another reference than the bearing now.
+class LastPose(NamedTuple):
+    """The last pose of a run, for its heading error.
 
-    At the goal, the bearing from the present position is arbitrary.
+    Attributes:
+        x_m: Position in the world frame [m]; likewise `y_m`.
+        heading_rad: Heading, in [-pi, pi) [rad].
+        unwrapped_rad: Heading without jumps at full turns [rad].
+        reference_rad: Reference heading that the law last recorded [rad]; NaN if none.
     """
-    declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
-    loops = tuple(loop for loop in declared if read_reference(run, loop) is not None)
-    numbers = [number_loop(run.declaration, loop) for loop in loops]
-    acting = find_last_acting(run.samples.phase, numbers, ~0)
-    return acting >= 0 and loops[acting].reference != "bearing_now"
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    unwrapped_rad: float
+    reference_rad: float
+
+
+def find_last_heading_error(phase: Any, loops: Any, aim: Any, last: Any) -> float:
+    """Return the reference heading minus the heading at the end of a run [rad]; NaN if unknown.
+
+    The reference is that of the heading loop that acted last. It is the heading of the goal if no
+    such loop is known, or if it aims at the goal from the present position: at the goal, this
+    bearing is arbitrary.
+
+    Args:
+        phase: Phase of each sample.
+        loops: Loops of the law in numbers.
+        aim: Goal and line to it.
+        last: Last pose.
+    """
+    known = 0
+    for number in range(len(loops)):
+        reference_rad = _read_last(loops[number].reference, aim, last)
+        if loops[number].signal == HEADING and not math.isnan(reference_rad):
+            known |= 1 << number
+    acting = find_last_acting(phase, loops, known)
+    is_arbitrary = acting < 0 or loops[acting].reference == BEARING_NOW
+    if is_arbitrary and not math.isnan(aim.goal_heading_rad):
+        return wrap_angle(aim.goal_heading_rad - last.heading_rad)
+    if acting < 0 or len(phase) == 0:
+        return math.nan
+    return wrap_angle(_read_last(loops[acting].reference, aim, last) - last.unwrapped_rad)
+
+
+def _read_last(reference: int, aim: Any, last: Any) -> float:
+    """Return a reference of headings at the end of a run [rad]; NaN if it is unknown."""
+    if reference == BEARING_NOW:
+        return find_bearing(last.x_m, last.y_m, aim.goal_x_m, aim.goal_y_m)
+    return last.reference_rad if reference > BEARING_NOW else read_constant(reference, aim)
 
 
 def _find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:

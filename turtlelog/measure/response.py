@@ -5,13 +5,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import compiled_as
 from turtlelog.display import describe_count
 from turtlelog.measure.loop_segment import (
+    BEARING_NOW,
+    HEADING,
     Segment,
     ends_itself,
     find_phase,
@@ -24,12 +27,12 @@ from turtlelog.measure.loop_segment import (
     turn_towards,
     unwrap,
 )
-from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.metric import FOUND, REASONS, Missing, Status, add_reason
 from turtlelog.measure.reductions import Values, subtract_neighbours
 from turtlelog.measure.references import read_controlled_distance, read_reference, trace_poses
 from turtlelog.measure.signals import Signal
 from turtlelog.run import PhaseSpan, Run
-from turtlelog.run.angles import find_heading_steps
+from turtlelog.run.angles import explains_step, find_heading_steps, is_fast_turn
 from turtlelog.run.loops import PAUSE, ControlLoop
 from turtlelog.run.paths import Path
 from turtlelog.run.stop_reasons import TIMEOUT
@@ -169,21 +172,16 @@ def find_response(
         return Missing(Status.ABSENT, "no samples of a controller were read")
     numbers = number_loop(run.declaration, loop)
     segment = find_segment(run.samples, run.poses.time_ns, numbers, run.end_ns)
-    if segment.first_sample == segment.after_sample:
-        return Missing(Status.NO_PHASE, describe_no_phase(run, loop))
     controlled = None if signal is None else signal.values
     if loop.signal == "distance" and loop.reference == "recorded":
         controlled = read_controlled_distance(run)
     wanted = read_reference(run, loop)
-    if controlled is None or wanted is None:
-        return Missing(Status.ABSENT, _describe_unknown(run, loop))
+    is_known = controlled is not None and wanted is not None
+    reason = choose_reason(run, numbers, segment, is_known)
+    if reason != FOUND or controlled is None or wanted is None:
+        return _describe_missing(run, loop, segment, reason)
     inside, is_angle = slice(segment.first, segment.after), loop.signal == "heading"
     controlled = controlled[inside]
-    if len(controlled) < 2:
-        reason = f"{describe_count(len(controlled), 'pose')} in {loop.name}"
-        return Missing(Status.TOO_SHORT, reason)
-    if is_angle and _loses_turns(run, segment, isinstance(wanted, np.ndarray)):
-        return Missing(Status.UNDETERMINED, LOST_TURNS)
     if isinstance(wanted, np.ndarray):
         target = float(wanted[segment.first])
         values = refer_to_start(wanted[inside] - controlled, target, is_angle, None)
@@ -208,15 +206,64 @@ def find_response(
     )
 
 
-LOST_TURNS: Final = "the heading turns more than half a turn between poses, which hides full turns"
-"""Reason for no response of a heading that aliases."""
+NO_PHASE: Final = add_reason(Status.NO_PHASE, "the run has no such phase")
+_NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
+_TOO_SHORT: Final = add_reason(Status.TOO_SHORT, "less than two poses in the loop")
+_LOST_TURNS: Final = add_reason(
+    Status.UNDETERMINED,
+    "the heading turns more than half a turn between poses, which hides full turns",
+)
 
 
-def _loses_turns(run: Run, segment: Segment, moves: bool) -> bool:  # noqa: FBT001
+def choose_reason(run: Any, loop: Any, segment: Any, is_known: bool) -> int:  # noqa: FBT001
+    """Return the number of the reason why a loop has no response; `FOUND` if it has one.
+
+    Args:
+        run: Run; in compiled code, the row of a batch.
+        loop: Loop in numbers.
+        segment: Segment of the loop.
+        is_known: Whether signal and reference are known.
+    """
+    if segment.first_sample == segment.after_sample:
+        return NO_PHASE
+    if not is_known:
+        return _NO_REFERENCE
+    if segment.after - segment.first < 2:
+        return _TOO_SHORT
     # The error of a moving reference is wrapped, which aliases.
+    is_angle, moves = loop.signal == HEADING, loop.reference >= BEARING_NOW
+    return _LOST_TURNS if is_angle and _loses_turns(run, segment, moves) else FOUND
+
+
+def _lose_turns(row: Any, segment: Any, moves: bool) -> bool:  # noqa: FBT001
+    period_s, lost = row.facts.period_ns / 1e9, 0
+    for place in range(segment.first + 1, segment.after):
+        turned_rad = row.ticks[place].turn_rate_rad_s * period_s
+        step_rad = row.ticks[place].heading_rad - row.ticks[place - 1].heading_rad
+        if is_fast_turn(turned_rad) and (moves or not explains_step(step_rad, turned_rad)):
+            lost += 1
+    return lost > 0
+
+
+@compiled_as(_lose_turns)
+def _loses_turns(run: Run, segment: Segment, moves: bool) -> bool:  # noqa: FBT001
+    """Return whether a rate in the segment turns by more than half a turn, which hides turns."""
     steps = find_heading_steps(run.poses)
     is_wrong = steps.is_fast if moves else steps.is_lost
     return bool(is_wrong[segment.first : segment.after - 1].any())
+
+
+def _describe_missing(run: Run, loop: ControlLoop, segment: Segment, reason: int) -> Missing:
+    """Return a reason of `choose_reason` with the names of the run and the loop."""
+    missing = REASONS[reason]
+    if reason == NO_PHASE:
+        return Missing(missing.status, describe_no_phase(run, loop))
+    if reason == _NO_REFERENCE:
+        return Missing(missing.status, _describe_unknown(run, loop))
+    if reason == _TOO_SHORT:
+        poses = len(run.poses.time_ns[segment.first : segment.after])
+        return Missing(missing.status, f"{describe_count(poses, 'pose')} in {loop.name}")
+    return missing
 
 
 def came_to_rest(run: Run) -> bool:

@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 from turtlelog.errors import MeasureError
 from turtlelog.measure import rates
 from turtlelog.measure.dead_time import MOST_TICKS, find_dead_time, take_beginning
+from turtlelog.measure.loop_segment import Aim, aim_at, find_row_from
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
-from turtlelog.measure.references import compute_path_distances, read_heading_reference
+from turtlelog.measure.references import (
+    LastPose,
+    compute_path_distances,
+    read_heading_reference,
+    read_reference,
+)
 from turtlelog.measure.response import Response, find_response
 from turtlelog.measure.signals import Signal, find_signal
 from turtlelog.measure.step_response import SETTLING_BAND
@@ -210,6 +216,28 @@ class RunContext:
         """Heading of the last pose, in [-pi, pi) [rad]."""
         return float(self.run.poses.heading_rad[-1])
 
+    @cached_property
+    def aim(self) -> Aim:
+        """Goal, and the line to it from the start."""
+        return aim_at(self.run.goal_line, self.run.goal_xy_m, self.run.goal_heading_rad)
+
+    @property
+    def last_pose(self) -> LastPose:
+        """Last pose, with the last recorded reference of its heading."""
+        x_m, y_m = map(float, self.run.poses.xy_m[-1])
+        heading = self.get_signal("heading")
+        assert heading is not None
+        loops = [one for one in self.run.declaration.loops if one.signal == "heading"]
+        found = (read_reference(self.run, loop) for loop in loops if loop.moves)
+        recorded_rad = [float(one[-1]) for one in found if isinstance(one, np.ndarray)]
+        return LastPose(
+            x_m=x_m,
+            y_m=y_m,
+            heading_rad=self.last_heading_rad,
+            unwrapped_rad=float(heading.values[-1]),
+            reference_rad=recorded_rad[0] if recorded_rad else math.nan,
+        )
+
     @property
     def goal(self) -> tuple[float, float, float]:
         """Goal: x, y [m] and heading [rad]; NaN if unknown."""
@@ -225,8 +253,8 @@ class RunContext:
     @property
     def first_row(self) -> int:
         """Row of the first pose at or after the first sample (time zero), or else the last row."""
-        first = int(np.searchsorted(self.run.poses.time_ns, self.run.start_ns))
-        return min(first, len(self.run.poses) - 1)
+        time_ns = self.run.poses.time_ns
+        return find_row_from(time_ns, len(time_ns), self.run.start_ns)
 
     @property
     def goal_row(self) -> int:

@@ -21,6 +21,7 @@ from turtlelog.measure import measure_run
 from turtlelog.measure.loop_segment import aim_at, number_loop
 from turtlelog.measure.metric import REASONS, Status
 from turtlelog.measure.metric_kinds import RUN_METRICS
+from turtlelog.measure.response import NO_PHASE
 from turtlelog.processes import count_cores
 from turtlelog.run.loops import Declaration
 from turtlelog.run.stop_reasons import draw_goal_line, name_stop
@@ -30,7 +31,6 @@ from turtlelog.simulate.class_law import is_built_in
 from turtlelog.simulate.compiled_twins import is_kept
 from turtlelog.simulate.step_budget import STEP_BUDGET_S, StepBudgetError, WatchedCode
 from turtlelog.sweep import batch_arrays as arrays
-from turtlelog.sweep.batch_kernel import NO_PHASE
 from turtlelog.sweep.sweep_plan import build_row_scenario
 
 _MEASURING_S: Final = 5.0

@@ -18,8 +18,8 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.laws import LawPart, find_law
 from turtlelog.laws.sequential import SequentialNumbers
 from turtlelog.measure.loop_segment import GOAL_REFERENCES, SIGNALS, Aim, LoopNumbers, aim_at
-from turtlelog.measure.metric import Status
-from turtlelog.measure.metric_kinds import CUT, LOOP_METRICS, NO_STEP, RUN_METRICS, SMALLEST_STEP
+from turtlelog.measure.metric import FOUND, Status
+from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, refuse_curve
 from turtlelog.measure.response import list_corners
 from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
@@ -177,7 +177,7 @@ def _compile_measurement(coverage: Coverage) -> Any:
     functions, stamp = _bind(coverage)
 
     def bind(compiler: Any) -> dict[str, Any]:
-        twins = Twins(compiler, inline=False, wide=frozenset({"curve", "course", "row"}))
+        twins = Twins(compiler, inline=False, wide=frozenset({"curve", "course", "row", "run"}))
         scope = {name: twins.compile(function) for name, function in functions.items()}
         return {**scope, "ROW": Row, "CURVES": len(coverage.curves), "STAMP": int(stamp[:12], 16)}
 
@@ -216,22 +216,22 @@ def _bind(coverage: Coverage) -> tuple[dict[str, loop_parts.Function], str]:
 def _chain(what: str, kinds: Mapping[str, Any]) -> loop_parts.Function:
     """Return a function that writes each requested metric."""
     lines = [f"def measure_{what}({what}, asked, values, reasons):"]
-    names: dict[str, Any] = {}
-    if what == "curve":
-        lines.append(f"    is_step = not abs(curve.reference - curve.initial) <= {SMALLEST_STEP!r}")
+    names: dict[str, Any] = {"refuse_curve": refuse_curve}
+    refusals: dict[str, str] = {}  # by arguments
     for place, kind in enumerate(kinds.values()):
         names[f"find_{place}"] = kind.numbers
-        tests = {f"not asked[{place}]": "pass"}
-        if what == "curve" and kind.needs_whole:
-            tests["curve.was_cut"] = f"reasons[{place}] = {CUT}"
-        if what == "curve" and kind.needs_step:
-            tests["not is_step"] = f"reasons[{place}] = {NO_STEP}"
-        words = "if"
-        for test, then in tests.items():
-            lines += [f"    {words} {test}:", f"        {then}"]
-            words = "elif"
-        call = f"values[{place}], at_s, reasons[{place}] = find_{place}({what})"
-        lines += ["    else:", f"        {call}"]
+        body = [f"values[{place}], at_s, reasons[{place}] = find_{place}({what})"]
+        if what == "curve" and (kind.needs_whole or kind.needs_step):
+            needs = f"{kind.needs_whole}, {kind.needs_step}"
+            reason = refusals.setdefault(needs, f"reason_{len(refusals)}")
+            body = [
+                f"if {reason} != {FOUND}:",
+                f"    reasons[{place}] = {reason}",
+                "else:",
+                f"    {body[0]}",
+            ]
+        lines += [f"    if asked[{place}]:", *(f"        {line}" for line in body)]
+    lines[1:1] = [f"    {one} = refuse_curve(curve, {needs})" for needs, one in refusals.items()]
     return called(loop_parts.compile_text(f"measure_{what}", [*lines, "    return"], names))
 
 

@@ -9,19 +9,18 @@ longer to compile.
 import math
 from typing import Any, Final, NamedTuple
 
-from turtlelog.arithmetic import called, wrap_angle
+from turtlelog.arithmetic import called
 from turtlelog.measure.loop_segment import (
     ALONG,
     BEARING_NOW,
     CROSS,
-    GOAL_HEADING,
     HEADING,
     Segment,
     Ticks,
     ends_itself,
     find_bearing,
     find_distance,
-    find_last_acting,
+    find_row_from,
     find_segment,
     hold_column,
     project,
@@ -33,16 +32,11 @@ from turtlelog.measure.loop_segment import (
     turn_towards,
     unwrap,
 )
-from turtlelog.measure.metric import Status, add_reason
 from turtlelog.measure.reductions import USES
-from turtlelog.measure.response import LOST_TURNS, Track
-from turtlelog.run.angles import continue_step, explains_step, is_fast_turn
+from turtlelog.measure.references import LastPose, find_last_heading_error
+from turtlelog.measure.response import Track, choose_reason
+from turtlelog.run.angles import continue_step, is_fast_turn
 from turtlelog.run.path_pieces import follow_pieces
-
-NO_PHASE: Final = add_reason(Status.NO_PHASE, "the run has no such phase")
-_TOO_SHORT: Final = add_reason(Status.TOO_SHORT, "less than two poses in the loop")
-_NO_REFERENCE: Final = add_reason(Status.ABSENT, "the reference is not known")
-_LOST_TURNS: Final = add_reason(Status.UNDETERMINED, LOST_TURNS)
 
 
 class Memory(NamedTuple):
@@ -166,26 +160,10 @@ def find_row_segment(row: Row, number: int) -> Segment:
 
 
 def find_missing(row: Row, number: int, segment: Segment) -> int:
-    """Return the reason why a loop has no curve, as in `find_response`; 0 if it has one."""
+    """Return the reason why a loop has no curve; 0 if it has one."""
     loop = row.loops[number]
-    if segment.first_sample == segment.after_sample:
-        return NO_PHASE
-    if loop.reference == GOAL_HEADING and math.isnan(row.aim.goal_heading_rad):
-        return _NO_REFERENCE
-    if segment.after - segment.first < 2:
-        return _TOO_SHORT
-    return _LOST_TURNS if loop.signal == HEADING and _loses_turns(row, loop, segment) else 0
-
-
-def _loses_turns(row: Row, loop: Any, segment: Segment) -> bool:
-    period_s, lost = row.facts.period_ns / 1e9, 0
-    for place in range(segment.first + 1, segment.after):
-        turned_rad = row.ticks[place].turn_rate_rad_s * period_s
-        step_rad = row.ticks[place].heading_rad - row.ticks[place - 1].heading_rad
-        moves = loop.reference >= BEARING_NOW
-        if is_fast_turn(turned_rad) and (moves or not explains_step(step_rad, turned_rad)):
-            lost += 1
-    return lost > 0
+    is_known = not math.isnan(read_constant(loop.reference, row.aim))
+    return choose_reason(row, loop, segment, is_known)
 
 
 @called
@@ -268,7 +246,7 @@ def read_course(row: Row) -> Course:
     """Return the quantities of the whole run."""
     last, none = row.ticks[-1], row.memory.numbers[_HEADINGS][:0]
     last_m = project(last.x_m, last.y_m, row.aim, False)  # noqa: FBT003
-    return _build_course(row, none, last_m, _find_heading_error(row))
+    return _build_course(row, none, last_m, _find_heading_error(row, math.nan))
 
 
 def _build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: float) -> Course:
@@ -286,7 +264,7 @@ def _build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: flo
         aim,
         row.start_ns,
         facts.period_ns,
-        min(-(-row.start_ns // facts.period_ns), facts.ticks - 1),
+        find_row_from(Ticks(facts.period_ns, 0, facts.ticks), facts.ticks, row.start_ns),
         len(row.samples),
         (row.end_ns - row.start_ns) / 1e9,
         ((facts.ticks - 1) * facts.period_ns - row.start_ns) / 1e9,
@@ -299,23 +277,18 @@ def _build_course(row: Row, offset_m: Any, last_m: float, heading_error_rad: flo
     )
 
 
-def _find_heading_error(row: Row) -> float:
-    """Return the final heading error, as `get_heading_error`; NaN if it is unknown."""
-    aim, known = row.aim, 0
-    for number in range(len(row.loops)):
-        loop = row.loops[number]
-        wanted_rad = read_constant(loop.reference, aim)
-        if loop.signal == HEADING and not math.isnan(wanted_rad):
-            known |= 1 << number
-    acting = find_last_acting(row.samples.phase, row.loops, known)
-    wanted_rad = aim.goal_heading_rad
-    if acting >= 0 and row.loops[acting].reference != BEARING_NOW:
-        wanted_rad = read_constant(row.loops[acting].reference, aim)
-    elif acting >= 0 and math.isnan(wanted_rad):
-        wanted_rad = _find_bearing(row, len(row.ticks) - 1)
-    if math.isnan(wanted_rad):
-        return math.nan
-    return wrap_angle(wanted_rad - row.memory.numbers[_HEADINGS][len(row.ticks) - 1])
+def _find_heading_error(row: Row, reference_rad: float) -> float:
+    """Return the final heading error, otherwise the recorded error; NaN if it is unknown."""
+    last, samples = row.ticks[-1], row.samples
+    unwrapped_rad = row.memory.numbers[_HEADINGS][len(row.ticks) - 1]
+    pose = LastPose(last.x_m, last.y_m, last.heading_rad, unwrapped_rad, reference_rad)
+    error_rad = find_last_heading_error(samples.phase, row.loops, row.aim, pose)
+    if not math.isnan(error_rad):
+        return error_rad
+    for place in range(len(samples)):
+        if math.isnan(samples[place].heading_error_rad):
+            return math.nan
+    return samples[len(samples) - 1].heading_error_rad  # type: ignore[no-any-return]
 
 
 # Laws that track a path.
@@ -345,14 +318,14 @@ def _has_any(column: Any) -> bool:
 
 
 def find_path_missing(row: Row, number: int, segment: Segment) -> int:
-    """Return the reason of `find_missing`, or that a loop has no reference on the path."""
-    reason, signal = find_missing(row, number, segment), row.loops[number].signal
-    is_known = signal == CROSS
-    if signal == HEADING:
+    """Return the reason why a loop has no curve; 0 if it has one."""
+    loop = row.loops[number]
+    is_known = loop.signal == CROSS
+    if loop.signal == HEADING:
         is_known = _has_any(row.samples.reference_heading_rad)
-    elif signal == ALONG:
+    elif loop.signal == ALONG:
         is_known = row.memory.path[0].has_speed and _has_any(row.samples.reference_x_m)
-    return reason if is_known or reason == NO_PHASE else _NO_REFERENCE
+    return choose_reason(row, loop, segment, is_known)
 
 
 @called
@@ -389,15 +362,12 @@ def read_path_course(row: Row) -> Course:
 
 
 def _find_path_heading_error(row: Row) -> float:
-    """Return the final heading error: of a loop of the heading, otherwise the recorded error."""
-    samples, numbers, count = row.samples, row.memory.numbers, len(row.ticks)
-    column, has_loop = samples.reference_heading_rad, False
+    """Return the final heading error, with the reference that the law last recorded."""
+    samples, count, reference_rad = row.samples, len(row.ticks), math.nan
+    column, held_rad = samples.reference_heading_rad, row.memory.numbers[_REFERENCE][:count]
+    has_loop = False
     for number in range(len(row.loops)):
         has_loop = has_loop or row.loops[number].signal == HEADING
     if has_loop and _has_any(column):
-        held_rad = hold_column(column, samples.pose_sequence, count, numbers[_REFERENCE][:count])
-        return wrap_angle(held_rad[-1] - numbers[_HEADINGS][count - 1])
-    for place in range(len(samples)):
-        if math.isnan(samples[place].heading_error_rad):
-            return math.nan
-    return samples[len(samples) - 1].heading_error_rad  # type: ignore[no-any-return]
+        reference_rad = hold_column(column, samples.pose_sequence, count, held_rad)[-1]
+    return _find_heading_error(row, reference_rad)

@@ -230,8 +230,9 @@ def list_row_metrics(declaration: Declaration, patterns: Sequence[str] | None) -
     """
     if patterns is not None:
         return measure.choose_metrics(patterns, declaration)
+    kinds = measure.list_metrics(declaration)
     essential = measure.list_essential_metrics(declaration)
-    return tuple(name for name in essential if not name.endswith(".dead_time"))
+    return tuple(name for name in essential if not kinds[name].needs_dead_time)
 
 
 def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:

@@ -18,6 +18,7 @@ from turtlelog.errors import LogError, SweepError, TurtlelogError, describe_unkn
 from turtlelog.files.text_files import parse_toml
 from turtlelog.log.file_access import name_file
 from turtlelog.log.parquet_file import list_cells
+from turtlelog.measure import find_metric_kind
 from turtlelog.run.loops import ControlLoop
 from turtlelog.run.tables import Tabular
 from turtlelog.scenario import Scenario, build_scenario, parse_scenario, resolve_scenario
@@ -98,7 +99,8 @@ class SweptMetric:
     @property
     def is_verdict(self) -> bool:
         """Whether the values are verdicts, 0 or 1 by definition, instead of quantities."""
-        return self.name.rpartition(".")[2] == _FIRST[0]
+        kind = find_metric_kind(self.name)
+        return kind is not None and kind.nature == "verdict"
 
     @property
     def loop(self) -> str:

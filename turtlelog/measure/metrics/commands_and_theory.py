@@ -122,7 +122,7 @@ def measure_largest_slew_rate(commands: CommandStretch) -> Result:
     return Found(float(rates[row]), float(time_s[rows[row + 1]]))
 
 
-@_command_metric("reversals", "1", grows=True)
+@_command_metric("reversals", "1", nature="count", grows=True)
 def measure_reversals(commands: CommandStretch) -> Result:
     """Number of times that the {command} changes its sign.
 
@@ -141,7 +141,7 @@ def _measure_largest_wanted(commands: CommandStretch) -> Result:
     return Found(abs(float(wanted[row])), float(commands.time_s[row]))
 
 
-@curve_metric("saturated_share", "1", needs_whole=False)
+@curve_metric("saturated_share", "1", nature="share", needs_whole=False)
 def _measure_saturated_share(curve: Response) -> Outcome:
     """Share of the samples whose {command} is at its limit."""
     # The time of the metric is that of the first such sample.
@@ -152,7 +152,7 @@ def _measure_saturated_share(curve: Response) -> Outcome:
     return count / len(curve.commands.values), at_s, FOUND
 
 
-@_command_metric("saturated_time_share", "1", needs_whole=False)
+@_command_metric("saturated_time_share", "1", nature="share", needs_whole=False)
 def _measure_saturated_time_share(commands: CommandStretch) -> Result:
     """Share of the time during which the {command} is at its limit."""
     # The time of the metric is that of the first such sample.
@@ -197,6 +197,7 @@ _SAMPLES_AT_ONCE: Final = Missing(Status.TOO_SHORT, "the samples share one time"
     "s",
     "Time from reading a pose until its {command} moves the turtle, less the plant's smallest"
     " delay.",
+    needs_dead_time=True,
     needs_whole=False,
 )
 def _compute_dead_time(context: RunContext, response: Response) -> Result:
@@ -282,6 +283,7 @@ for _theory, _described in (
             f"{_start} of the {{signal}} from {_described}, at the same gain.",
             # The dead time of the third theory is estimated from all rows.
             grows=_figure == "max" and _theory != "delayed",
+            needs_dead_time=_theory == "delayed",
             needs_whole=False,
             applies=lambda loop: loop.has_theory and not loop.moves,
         )(_deviate_by(_theory, _figure))

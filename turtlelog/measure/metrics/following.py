@@ -180,12 +180,14 @@ for _axis, _unit in AXES.items():
         f"run.{_axis}_tracking_rms",
         _unit,
         f"Root of the mean square of measured minus published {_words} over the time with poses.",
+        axis=_axis,
     )(_on_axis(_axis, _compute_rms))
     run_metric(
         f"run.{_axis}_lag",
         "s",
         f"Shift of the published {_words} in time that fits the measured one best.",
         floor=0.0,
+        axis=_axis,
     )(_on_axis(_axis, _compute_lag))
 
 
@@ -409,18 +411,22 @@ for _axis, _unit in AXES.items():
         "1",
         f"Number of steps of the published {_words}: constant for 0.5 s before and 1 s after.",
         better=None,
+        nature="count",
+        axis=_axis,
         needs_poses=False,
     )(_count_steps(_axis))
     run_metric(
         f"run.{_axis}_rise_time",
         "s",
         "Time from 10 % to 90 % of the answer to a step of the command; median of the steps.",
+        axis=_axis,
     )(_take_median(_axis, "rise_time"))
     run_metric(
         f"run.{_axis}_settling_time",
         "s",
         "Time from the command until the measured rate stays within 5 % (or a wider `band`, or"
         " its scatter) of its final value; median of the steps.",
+        axis=_axis,
     )(_take_median(_axis, "settling_time"))
     run_metric(
         f"run.{_axis}_overshoot",
@@ -428,4 +434,5 @@ for _axis, _unit in AXES.items():
         "Furthest measured rate beyond its final value, as a share of the change; 0 within the"
         " band; median of the steps.",
         floor=0.0,
+        axis=_axis,
     )(_take_median(_axis, "overshoot", 100.0))

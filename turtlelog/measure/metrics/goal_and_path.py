@@ -8,7 +8,7 @@ import numpy as np
 from numpy import hypot
 
 from turtlelog.arithmetic import compiled_as
-from turtlelog.measure.loop_segment import project
+from turtlelog.measure.loop_segment import number_loop, project
 from turtlelog.measure.metric import (
     FOUND,
     GOAL_UNKNOWN,
@@ -33,7 +33,7 @@ from turtlelog.measure.reductions import (
     measure_way,
     subtract_neighbours,
 )
-from turtlelog.measure.references import compute_straightness, has_lasting_heading
+from turtlelog.measure.references import compute_straightness, find_last_heading_error
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.run_context import RunContext
 from turtlelog.measure.signals import find_no_commands
@@ -65,14 +65,20 @@ def _get_heading_error(course: Any) -> float:
 
 @compiled_as(_get_heading_error)
 def get_heading_error(course: RunContext) -> float:
-    """Return the reference heading minus the final heading [rad]; NaN if unknown."""
-    if course.run.goal_heading_rad is not None and not has_lasting_heading(course.run):
-        return wrap_angle(course.run.goal_heading_rad - course.last_heading_rad)
-    error_rad = _find_heading_error(course, math.inf)
-    return math.nan if error_rad is None else error_rad
+    """Return the reference heading minus the final heading [rad]; NaN if unknown.
+
+    Without a known reference, this is the error that the controller recorded.
+    """
+    run, declaration = course.run, course.run.declaration
+    loops = [number_loop(declaration, loop) for loop in declaration.loops]
+    error_rad = find_last_heading_error(run.samples.phase, loops, course.aim, course.last_pose)
+    if not math.isnan(error_rad) or not len(run.samples):
+        return error_rad
+    recorded = course.get_signal("heading_error")
+    return math.nan if recorded is None else float(recorded.values[-1])
 
 
-@course_metric("final.heading_error", "deg")
+@course_metric("final.heading_error", "deg", nature="error", axis="turn_rate")
 def _measure_heading_error(course: RunContext) -> Outcome:
     """Magnitude of the reference heading, or the goal's for a moving bearing, minus the heading."""
     error_rad = get_heading_error(course)
@@ -81,7 +87,7 @@ def _measure_heading_error(course: RunContext) -> Outcome:
     return math.degrees(abs(error_rad)), course.last_pose_s, FOUND
 
 
-@course_metric("final.position_error", "m", "Distance to the goal at the end.")
+@course_metric("final.position_error", "m", "Distance to the goal at the end.", nature="error")
 def _measure_position_error(course: RunContext) -> Outcome:
     x_m, y_m, _ = course.goal
     if math.isnan(x_m):
@@ -98,7 +104,7 @@ def _measure_last_cross_track(course: RunContext) -> Outcome:
     return offset_m, course.last_pose_s, FOUND
 
 
-@course_metric("final.goal_heading_error", "deg")
+@course_metric("final.goal_heading_error", "deg", nature="error", axis="turn_rate")
 def _measure_goal_heading_error(course: RunContext) -> Outcome:
     """Magnitude of the goal's heading minus the heading at the end."""
     wanted_rad = course.goal[2]
@@ -108,7 +114,7 @@ def _measure_goal_heading_error(course: RunContext) -> Outcome:
     return math.degrees(error_rad), course.last_pose_s, FOUND
 
 
-@run_metric("final.heading_error_at_15s", "deg")
+@run_metric("final.heading_error_at_15s", "deg", nature="error", axis="turn_rate")
 def _compute_heading_error_at_15s(context: RunContext) -> Result:
     """Heading error 15 s after the first sample, or at the end: the paper's definition."""
     error_rad = _find_heading_error(context, PAPER_WINDOW_S)
@@ -117,7 +123,7 @@ def _compute_heading_error_at_15s(context: RunContext) -> Result:
     return _find_cut(context) or Found(math.degrees(abs(error_rad)), _tell_time(context))
 
 
-@run_metric("final.position_error_at_15s", "m")
+@run_metric("final.position_error_at_15s", "m", nature="error")
 def _compute_position_error_at_15s(context: RunContext) -> Result:
     """Distance to the goal 15 s after the first sample, or at the end: the paper's definition."""
     goal_xy_m, time_s = context.run.goal_xy_m, context.pose_time_s
@@ -129,7 +135,7 @@ def _compute_position_error_at_15s(context: RunContext) -> Result:
 
 
 def _find_heading_error(context: RunContext, at_s: float) -> float | None:
-    """Return reference heading minus heading at a time [rad], in [-pi, pi); inf: at the end."""
+    """Return reference heading minus heading at a time [rad], in [-pi, pi)."""
     run, time_s, reference = context.run, context.pose_time_s, context.heading_reference_rad
     row = max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
     if reference is None:
@@ -343,9 +349,16 @@ for _name, _column, _unit in (("speed", "speed_m_s", "m"), ("turn_rate", "turn_r
             f"run.{_name}_{_figure}",
             LOOP_METRICS[_figure].unit.format(command=_unit),
             _meaning.format(_name.replace("_", " ")),
-            grows=True,
+            axis=_name,
             needs_poses=False,
+            **LOOP_METRICS[_figure].traits,
         )(_on_commands(_name, _column, COMMAND_METRICS[_figure]))
+
+
+@run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
+def _compute_displacement(context: RunContext) -> Result:
+    xy_m = context.run.poses.xy_m
+    return Found(float(np.hypot(*(xy_m[-1] - xy_m[0]))))
 
 
 def _moves_along(loop: ControlLoop) -> bool:

@@ -160,7 +160,7 @@ def find_needed_hold(time_s: Values, values: Values, reference: float, half_widt
     return max(SHORTEST_HOLD_S, find_swing_period(time_s, values, reference, half_width))
 
 
-@curve_metric("crossings", "1", grows=True, applies=has_sides)
+@curve_metric("crossings", "1", nature="count", grows=True, applies=has_sides)
 def _count_crossings(curve: Response) -> Outcome:
     """Number of times that the {signal} passes the {goal}."""
     # The time of the metric is the first crossing.
@@ -183,6 +183,7 @@ def _measure_decay_ratio(curve: Response) -> Outcome:
     "1",
     "1 if the oscillation of the {signal} around the {goal} dies out, 0 if it continues or grows.",
     better="higher",
+    nature="verdict",
     needs_whole=False,
     applies=has_sides,
 )
@@ -199,25 +200,38 @@ def _judge_stability(curve: Response) -> Outcome:
     return 1.0 if verdict == RESTS else 0.0, curve.start_s + curve.time_s[-1], FOUND
 
 
-@curve_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
+@curve_metric(
+    "final_error",
+    "{value}",
+    "Magnitude of the error of the {signal} at the end.",
+    nature="error",
+)
 def _find_final_error(curve: Response) -> Outcome:
     return abs(curve.error[-1]), curve.start_s + curve.time_s[-1], FOUND
 
 
-@curve_metric("steady_state_error", "{value}", better=None, applies=has_step)
+@curve_metric("steady_state_error", "{value}", better=None, nature="error", applies=has_step)
 def _find_steady_state_error(curve: Response) -> Outcome:
     """Reference minus final {signal}: positive short of the reference, negative past it."""
     direction = 1.0 if curve.reference >= curve.initial else -1.0
     return curve.error[-1] * direction, curve.start_s + curve.time_s[-1], FOUND
 
 
-@curve_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
+@curve_metric(
+    "largest_error",
+    "{value}",
+    "Largest magnitude of {goal} minus {signal}.",
+    nature="error",
+    grows=True,
+)
 def _find_largest_error(curve: Response) -> Outcome:
     largest, row = find_largest(curve.error)
     return largest, curve.start_s + curve.time_s[row], FOUND
 
 
-@curve_metric("rms_error", "{value}", "Root of the mean square of the error over time.")
+@curve_metric(
+    "rms_error", "{value}", "Root of the mean square of the error over time.", nature="error"
+)
 def _compute_rms_error(curve: Response) -> Outcome:
     return compute_rms(curve.step_s, curve.error, curve.memory), math.nan, FOUND
 

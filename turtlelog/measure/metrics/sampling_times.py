@@ -182,7 +182,7 @@ def _measure_largest_gap(course: RunContext) -> Outcome:
     return periods_s[row], _tell_sample(course, row), FOUND
 
 
-@_period_metric("sample", "burst_samples", "1", fewest=0, grows=True)
+@_period_metric("sample", "burst_samples", "1", fewest=0, nature="count", grows=True)
 def count_burst_rows(periods_s: Values) -> int:
     """Number of samples that have the same time as the sample before."""
     return int(np.count_nonzero(periods_s == 0.0))
@@ -193,7 +193,7 @@ def count_missing(sequence: NDArray[np.int64]) -> int:
     return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
 
 
-@run_metric("run.dropped_samples", "1", grows=True)
+@run_metric("run.dropped_samples", "1", nature="count", grows=True)
 def _count_missing(context: RunContext) -> Result:
     """Number of missing sequence numbers between the first and the last sample."""
     sequence = context.run.samples.sequence
@@ -219,7 +219,7 @@ def _find_largest_pose_gap(context: RunContext) -> Result:
     return Found(float(periods_s[row]), float(context.pose_time_s[row]))
 
 
-@run_metric("run.pose_jumps", "1")
+@run_metric("run.pose_jumps", "1", nature="count")
 def _count_jumps(context: RunContext) -> Result:
     """Number of steps from pose to pose that the robot cannot have driven."""
     if not len(context.pose_period_s):
@@ -231,6 +231,7 @@ def _count_jumps(context: RunContext) -> Result:
     "run.duplicates",
     "1",
     "Number of duplicate rows of the imported file, which were dropped.",
+    nature="count",
     grows=True,
     needs_poses=False,
 )
@@ -242,6 +243,7 @@ def _count_duplicates(context: RunContext) -> Result:
     "run.disorder",
     "1",
     "Number of rows of the imported file that were out of order, and were sorted.",
+    nature="count",
     grows=True,
     needs_poses=False,
 )

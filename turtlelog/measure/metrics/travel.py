@@ -22,12 +22,6 @@ if TYPE_CHECKING:
     from turtlelog.measure.pose_quality import WhiteNoise
 
 
-@run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
-def _compute_displacement(context: RunContext) -> Result:
-    xy_m = context.run.poses.xy_m
-    return Found(float(np.hypot(*(xy_m[-1] - xy_m[0]))))
-
-
 _IN_PLANE: Final = Missing(
     Status.ABSENT, "the robot stays in the plane, or its poses have no height"
 )
@@ -68,7 +62,7 @@ run_metric(
 )(_on_space("tilt_rad", lambda _, tilt_rad: Found(float(np.degrees(tilt_rad.max())))))
 
 
-@run_metric("run.total_turning", "deg", better=None, grows=True)
+@run_metric("run.total_turning", "deg", better=None, axis="turn_rate", grows=True)
 def _compute_turning(context: RunContext) -> Result:
     """Sum of the magnitudes of all turns from pose to pose."""
     turns_rad = subtract_neighbours(unwrap_headings(context.run.poses))
@@ -108,12 +102,14 @@ for _axis, _unit in AXES.items():
         f"Largest magnitude of the {_words} that the robot reports, or else of differences of"
         " poses; outliers, gaps and jumps left out.",
         better=None,
+        axis=_axis,
     )(_on_rates(_axis, _find_largest))
     run_metric(
         f"run.measured_{_axis}_mean",
         _unit,
         f"Mean magnitude of the measured {_words} over the time with poses.",
         better=None,
+        axis=_axis,
     )(_on_rates(_axis, _compute_mean))
 
 
@@ -254,8 +250,9 @@ def _compute_rest_time(context: RunContext) -> Result:
     return found if isinstance(found, Missing) else Found(found.time_s)
 
 
-@run_metric("run.rest_share", "1", "Share of the time with poses at standstill.", better=None)
+@run_metric("run.rest_share", "1", better=None, nature="share")
 def _compute_rest_share(context: RunContext) -> Result:
+    """Share of the time with poses at standstill."""
     found = judge_rest(context)
     if isinstance(found, Missing):
         return found
