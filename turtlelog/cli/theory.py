@@ -369,7 +369,7 @@ def _build_declared(
         status="ok" if found else "unknown",
         reason=model.reason or None,
         sources=model.sources,
-        left_out=model.left_out,
+        left_out=[one.describe() for one in model.left_out],
         most_dead_time_s=model.most_dead_time_s,
         largest_step=None if model.limits is None else model.limits.step,
         sampled=None if found is None else build_pid_loop(found),

@@ -16,10 +16,12 @@ from .continuous_loop import (
     find_plant_final_value as find_plant_final_value,
     judge_bibo as judge_bibo,
 )
+from .loop_design import find_lasting_gains as find_lasting_gains
 from .loop_models import (
     LoopModel as LoopModel,
     LoopTiming as LoopTiming,
     MeasuredTiming as MeasuredTiming,
+    NeglectedSetting as NeglectedSetting,
     find_timing as find_timing,
     hides_stability as hides_stability,
     list_known as list_known,

@@ -7,7 +7,7 @@ P has no overshoot up to the Kp at which its two slowest poles meet on the real 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Final
 
 import numpy as np
@@ -33,6 +33,7 @@ from turtlelog.theory.step_motion import (
 )
 
 _Array = NDArray[np.float64]
+_Ranges = tuple[tuple[float, float], ...]
 
 _SETTLES: Final = 4.0  # time constants to the band of 2 %
 
@@ -279,3 +280,32 @@ def solve_between(
             at, value = other, far
         other, far = middle, found
     return middle
+
+
+def find_lasting_gains(
+    gains: PidGains, *, period_s: float, process: Process, least_dead_time_s: float
+) -> _Ranges:
+    """Return the ranges of Kp [1/s] that are stable at all dead times up to that of the process.
+
+    Between two samples, a longer dead time may be stable with a larger Kp.
+
+    Args:
+        gains: Gains of the controller; Ki and Kd keep their values.
+        period_s: Sampling period T [s].
+        process: Plant that the command drives, with the largest dead time.
+        least_dead_time_s: Smallest dead time [s].
+    """
+    found = [
+        find_stable_gains(gains, period_s=period_s, process=replace(process, dead_time_s=late_s))
+        for late_s in np.linspace(least_dead_time_s, process.dead_time_s, _DEAD_TIMES).tolist()
+    ]
+    return reduce(_intersect, found)
+
+
+_DEAD_TIMES: Final = 5
+"""Number of dead times, from the least to the most, at which stability is examined."""
+
+
+def _intersect(first: _Ranges, second: _Ranges) -> _Ranges:
+    common = [(max(a, c), min(b, d)) for a, b in first for c, d in second]
+    return tuple((low, high) for low, high in common if low < high)
