@@ -260,15 +260,15 @@ def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: 
     said = []
     if motion is not None and motion.overshoot_percent is not None:
         percent = motion.overshoot_percent
-        told = "no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %"
+        told = (
+            "no overshoot"
+            if percent < tl.theory.EQUAL_PERCENT
+            else f"overshoots by {percent:.2f} %"
+        )
         said.append(f"{told}{where}")
     if motion is not None and motion.settling_time_s is not None:
         said.append(f"settles in {motion.settling_time_s:.3g} s")
     return ", ".join(said)
-
-
-NO_OVERSHOOT: Final = 0.005
-"""Overshoot below which the shown digits are 0 [%]."""
 
 
 def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommendation") -> str:
@@ -308,7 +308,7 @@ better."""
 def _list_figures(one: "tl.theory.Recommendation") -> tuple[float | None, ...]:
     """Return the values of the figures; None if unknown."""
     overshoot, settles_s = take_fields(one.motion, "overshoot_percent", "settling_time_s").values()
-    if overshoot is not None and overshoot < NO_OVERSHOOT:
+    if overshoot is not None and overshoot < tl.theory.EQUAL_PERCENT:
         overshoot = 0.0
     factor, phase_rad = take_fields(one.margins, "gain_margin", "phase_margin_rad").values()
     return overshoot, settles_s, factor, None if phase_rad is None else math.degrees(phase_rad)

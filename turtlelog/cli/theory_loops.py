@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import turtlelog as tl
 from turtlelog.cli.console import build_table, copy_fields
 from turtlelog.cli.theory_gains import (
-    NO_OVERSHOOT,
     Recommended,
     RecommendedGains,
     build_recommended,
@@ -240,7 +239,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.T
         cells = tuple("-" if one.found is None else write(one.found) for one in answers)
         if known and not (is_optional and set(cells) <= {"-", "0"}):
             rows.append((name, *cells))
-    notes = [_AT_SAMPLES] if any(map(_moves_between, known)) else []
+    notes = [_AT_SAMPLES] if any(loop.moves_between for loop in known) else []
     return build_table(title, ("", *(answer.title for answer in answers)), rows, notes)
 
 
@@ -256,7 +255,7 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
             columns["overshoot [%]"] = [*map(_find_overshoot, loops)]
         else:
             columns[name] = [*map(_read_cell, texts)]
-    where = ", at its samples" if any(map(_moves_between, loops)) else ""
+    where = ", at its samples" if any(loop.moves_between for loop in loops) else ""
     return build_table(f"The sampled loop{where}", columns, zip(*columns.values(), strict=True))
 
 
@@ -357,23 +356,11 @@ def tell_motion(loop: "tl.theory.PidLoop", *, is_short: bool = False) -> str:
         return "unstable"
     if loop.overshoot_percent is None:
         return "stable, but its slowest part hardly decays"
-    where = " at the samples" if _moves_between(loop) else ""
+    where = " at the samples" if loop.moves_between else ""
     if is_short:
         return "stable, overshoots" if _overshoots(loop) else f"stable, no overshoot{where}"
     return f"stable, {tell_step(loop, where)}"
 
-
-def _moves_between(loop: "tl.theory.PidLoop") -> bool:
-    """Return whether a loop may overshoot more between its samples than at the samples.
-
-    The motion of an integrator turns only where a new command begins to act.
-    """
-    samples = loop.dead_time_s / loop.period_s
-    return loop.process.lag_s > 0.0 or abs(samples - round(samples)) > _WHOLE
-
-
-_WHOLE: Final = 1e-9
-"""Largest distance from a whole number of samples that is rounding."""
 
 _AT_SAMPLES: Final = "Overshoot is at the samples; between samples the motion may go further."
 
@@ -387,7 +374,7 @@ def _tell_sources(model: "tl.theory.LoopModel") -> str:
 
 
 def _overshoots(loop: "tl.theory.PidLoop") -> bool:
-    return loop.overshoot_percent is not None and loop.overshoot_percent >= NO_OVERSHOOT
+    return loop.overshoot_percent is not None and loop.overshoot_percent >= tl.theory.EQUAL_PERCENT
 
 
 def _tell_overshoot(loop: "tl.theory.PidLoop") -> str:

@@ -44,6 +44,7 @@ from .pid_loop import (
 from .pid_stability import Margins as Margins, PidGains as PidGains
 from .process import INTEGRATOR as INTEGRATOR, Process as Process
 from .recommended_gains import (
+    EQUAL_PERCENT as EQUAL_PERCENT,
     OVERSHOOT_PERCENT as OVERSHOOT_PERCENT,
     PHASE_MARGIN_RAD as PHASE_MARGIN_RAD,
     Recommendation as Recommendation,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import TheoryError
+from turtlelog.theory.continuous_loop import SETTLING_TIME_CONSTANTS
 from turtlelog.theory.pid_loop import find_stable_gains
 from turtlelog.theory.pid_stability import (
     LoopShape,
@@ -34,8 +35,6 @@ from turtlelog.theory.step_motion import (
 
 _Array = NDArray[np.float64]
 _Ranges = tuple[tuple[float, float], ...]
-
-_SETTLES: Final = 4.0  # time constants to the band of 2 %
 
 _MOST_SAMPLES: Final = 2000
 """Largest sum of lag, low-pass, dead time and a step's duration under limits [samples] for which
@@ -228,7 +227,7 @@ def find_p_without_any_overshoot(design: LoopDesign) -> float:
     high = find_p_without_overshoot(design)
     if design.limits is None or not design.overshoots(PidGains(kp=high)):
         return high
-    low, slowest = 0.5 * high, _SETTLES * design.unit_gain / LONGEST_MOTION
+    low, slowest = 0.5 * high, SETTLING_TIME_CONSTANTS * design.unit_gain / LONGEST_MOTION
     while design.overshoots(PidGains(kp=low)):
         if low < slowest:
             raise TheoryError("no P without overshoot comes to rest while a step is simulated")
