@@ -174,7 +174,8 @@ class GainTrial:
     """A simulated run with recommended gains by key, beside the run with the present gains.
 
     Attributes:
-        is_better: Whether the run ends nearer to a missed goal, or settles earlier.
+        is_better: Whether the run ends nearer to a missed goal, or settles earlier without ending
+            later.
         seed: Seed of both runs; None if nothing is random.
     """
 
@@ -205,7 +206,8 @@ def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
     """Return whether a run ends better than another one.
 
     What counts first: whether it ends at its goal, its distance if not, how many loops settle, and
-    when. Distances are equal within the tolerances of the law, times within a sample.
+    when. A run that settles earlier must not end later. Distances are equal within the tolerances
+    of the law, times within a sample.
     """
     end, other_end = find_goal_end(run), find_goal_end(other)
     if end is not None and other_end is not None:
@@ -217,7 +219,9 @@ def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
     if len(times_s) != len(other_s):
         return len(times_s) > len(other_s)
     earlier_s = sum(other_s.values()) - sum(times_s.values())
-    return earlier_s * len(run.samples) > run.duration_s * len(times_s)
+    sample_s = run.duration_s / max(len(run.samples), 1)
+    ends_later = run.duration_s - other.duration_s > sample_s
+    return earlier_s > sample_s * len(times_s) and not ends_later
 
 
 def tell_end(run: "tl.Run", loops: Sequence[str]) -> str:
