@@ -211,6 +211,15 @@ def test_ends_within_the_tolerances_and_times_within_a_sample_are_equally_good()
     assert not is_better(slow, fast, ("rotate",))
 
 
+def test_gains_that_settle_earlier_are_no_better_if_the_run_ends_later(call: Call) -> None:
+    gains = ("--set", "law.kp_angular=1.94", "--set", "law.kp_linear=4.01")
+    (*_, last) = call("theory", "paper", *gains, "--json").json["trials"]
+    assert last["ending"].startswith("reached the goal within 5.85 mm after 11.6 s")
+    assert "after 11 s (settling time: rotate 2.82 s" in last["present_ending"]
+    assert "(settling time: rotate 2.35 s" in last["ending"]
+    assert not last["is_better"]
+
+
 def test_gains_of_a_recording_that_cannot_be_simulated_are_not_tried(
     call: Call, tmp_path: Path
 ) -> None:

@@ -202,6 +202,8 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["textbook", "--dead-time", "1"], "--dead-time: leave it out beside SCENARIO"),
         (["textbook", "--dead-time", "0"], "--dead-time: leave it out beside SCENARIO"),
         (["textbook", "--kp", "1,2"], "--kp: takes one gain with SCENARIO, not 2"),
+        (["textbook", "--kp", "nan"], "--kp nan: must be a gain > 0"),
+        (["textbook", "--kp=-1"], "--kp -1: must be greater than 0"),
         (["textbuch"], 'no preset or file "textbuch"'),
         (
             ["--dead-time", "1000000000"],

@@ -19,7 +19,8 @@ from turtlelog.explain import (
     simulate_without,
 )
 from turtlelog.explain.causes import FINER, find_resolution, is_present, list_effects
-from turtlelog.explain.contributions import find_steady_span, turn_start, vary_start
+from turtlelog.explain.contributions import find_steady_span, vary_start
+from turtlelog.explain.game import turn_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run

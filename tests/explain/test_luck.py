@@ -15,8 +15,7 @@ from tests.lucky_runs import (
 )
 from turtlelog.errors import ExplainError
 from turtlelog.explain import Luck, measure_luck, simulate_without
-from turtlelog.explain.contributions import turn_start
-from turtlelog.explain.game import SEEDS
+from turtlelog.explain.game import SEEDS, turn_start
 from turtlelog.measure import measure_run
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run

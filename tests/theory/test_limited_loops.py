@@ -255,7 +255,7 @@ def test_a_loop_has_the_larger_gain_of_both_directions() -> None:
     gains = [(0.9, 0.7), (0.7, 0.9)]
     found = [model(plant__turn_gain=one, plant__turn_reverse_gain=other) for one, other in gains]
     assert [one.require()[1]["process"].gain for one in found] == [0.9, 0.9]
-    assert "plant.turn_reverse_gain = 0.7" in found[0].left_out
+    assert "plant.turn_reverse_gain = 0.7" in [one.describe() for one in found[0].left_out]
 
 
 def test_what_theory_leaves_out_of_a_robot_with_limits_is_named() -> None:
@@ -265,7 +265,7 @@ def test_what_theory_leaves_out_of_a_robot_with_limits_is_named() -> None:
         "plant__turn_deadband": 0.1,
     }
     found = model(**limits, plant__speed_bound=0.5).left_out
-    own = [name for name in found if name.startswith("plant.")]
+    own = [one.describe() for one in found if one.key.startswith("plant.")]
     assert own == [
         "plant.turn_bound = 1",
         "plant.turn_acceleration = 4",

@@ -369,7 +369,7 @@ def _build_declared(
         status="ok" if found else "unknown",
         reason=model.reason or None,
         sources=model.sources,
-        left_out=model.left_out,
+        left_out=[one.describe() for one in model.left_out],
         most_dead_time_s=model.most_dead_time_s,
         largest_step=None if model.limits is None else model.limits.step,
         sampled=None if found is None else build_pid_loop(found),
@@ -396,6 +396,8 @@ def _read_subject(word: str, options: LoopOptions, topics: ReadingOptions) -> _S
     gains = [] if options.kp is None else _parse_gains(options.kp)
     if len(gains) > 1:
         raise UsageError(f"--kp: takes one gain with SCENARIO, not {len(gains)}")
+    for kp in gains:
+        tl.theory.PidGains(kp=kp)  # an error on the option, not on a key of the law
     changes = LawOptions(kp=gains[0] if gains else None, assignments=options.assignments)
     chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, changes))
     parameters = tl.scenario.flatten_scenario(chosen)

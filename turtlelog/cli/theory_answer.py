@@ -3,11 +3,7 @@
 import math
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from functools import reduce
 from typing import TYPE_CHECKING, Final, NamedTuple
-
-import numpy as np
 
 import turtlelog as tl
 from turtlelog.cli.console import build_table, fill_lines, find_width
@@ -26,6 +22,7 @@ from turtlelog.cli.theory_loops import (
     compute_limits,
     describe_plant,
     list_dead_times,
+    list_motions,
     list_sources,
     tabulate_answers,
     tabulate_gains,
@@ -36,8 +33,6 @@ from turtlelog.display import describe_count, format_short, join_words
 
 if TYPE_CHECKING:
     from turtlelog.theory import LoopModel, PidLoop, Recommendation, SampledLoop
-
-_Ranges = tuple[tuple[float, float], ...]
 
 _MOST_COLUMNS: Final = 3
 """Largest number of loops side by side in a table; more loops do not fit a line."""
@@ -185,7 +180,7 @@ def format_terms(
     head = [
         *_list_recommended(recommended, wishes),
         *(f"Stable for Kp {_write_ranges(loop.stable_gains)}." for loop in known[:1]),
-        *_list_motions(answers),
+        *list_motions(answers),
         *map(describe_plant, known[:1]),
     ]
     tables = [
@@ -418,51 +413,17 @@ def _list_recommended(
     yield f"{compared[:1].upper()}{compared[1:]}"
 
 
-def _list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
-    """Yield the response of the loop at each Kp. Gains with similar responses share a sentence."""
-    known = [(one.title.removeprefix("Kp = "), one.found) for one in answers if one.found]
-    groups: dict[str, list[str]] = {}
-    for kp, found in known:
-        motion = tell_motion(found)
-        short = ", ".join(motion.split(" by ")[0].split(", ")[:2])
-        alike = motion if len(known) <= _MOST_SAID else short
-        groups.setdefault(alike, []).append(kp)
-    for motion, gains in groups.items():
-        yield f"Kp = {', '.join(gains)}: {motion}."
-
-
-_MOST_SAID: Final = 4
-"""Largest number of gains with separate sentences."""
-
-
 def _show_late_range(loop: "PidLoop", model: "LoopModel | None") -> str:
-    """Return the range of Kp that is stable at the most dead time and at those below it.
-
-    Between two samples, a longer dead time may be stable with a larger Kp.
-    """
+    """Return the range of Kp that is stable at the most dead time and at those below it."""
     if model is None or model.most_dead_time_s is None:
         return _write_ranges(loop.stable_gains)
     gains, settings = model.require()
-    process, most_s = settings["process"], model.most_dead_time_s
-    found = [
-        tl.theory.find_stable_gains(
-            gains, period_s=settings["period_s"], process=replace(process, dead_time_s=dead_time_s)
-        )
-        for dead_time_s in np.linspace(process.dead_time_s, most_s, _DEAD_TIMES).tolist()
-    ]
-    stable = reduce(_intersect, found)
-    most = f"{1e3 * most_s:.6g} ms"
-    where = f"the most dead time, {most}" if stable == found[-1] else f"dead times up to {most}"
+    least_s, latest = settings["process"].dead_time_s, model.require_latest()
+    stable = tl.theory.find_lasting_gains(gains, least_dead_time_s=least_s, **latest)
+    is_at_most = stable == tl.theory.find_stable_gains(gains, **latest)
+    most = f"{1e3 * model.most_dead_time_s:.6g} ms"
+    where = f"the most dead time, {most}" if is_at_most else f"dead times up to {most}"
     return f"{_write_ranges(stable)} at {where}"
-
-
-_DEAD_TIMES: Final = 5
-"""Number of dead times, from the least to the most, at which stability is examined."""
-
-
-def _intersect(first: _Ranges, second: _Ranges) -> _Ranges:
-    common = [(max(a, c), min(b, d)) for a, b in first for c, d in second]
-    return tuple((low, high) for low, high in common if low < high)
 
 
 def _write_ranges(ranges: "Sequence[tuple[float, float]]") -> str:

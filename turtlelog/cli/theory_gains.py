@@ -174,7 +174,8 @@ class GainTrial:
     """A simulated run with recommended gains by key, beside the run with the present gains.
 
     Attributes:
-        is_better: Whether the run ends nearer to a missed goal, or settles earlier.
+        is_better: Whether the run ends nearer to a missed goal, or settles earlier without ending
+            later.
         seed: Seed of both runs; None if nothing is random.
     """
 
@@ -205,7 +206,8 @@ def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
     """Return whether a run ends better than another one.
 
     What counts first: whether it ends at its goal, its distance if not, how many loops settle, and
-    when. Distances are equal within the tolerances of the law, times within a sample.
+    when. A run that settles earlier must not end later. Distances are equal within the tolerances
+    of the law, times within a sample.
     """
     end, other_end = find_goal_end(run), find_goal_end(other)
     if end is not None and other_end is not None:
@@ -217,7 +219,9 @@ def is_better(run: "tl.Run", other: "tl.Run", loops: Sequence[str]) -> bool:
     if len(times_s) != len(other_s):
         return len(times_s) > len(other_s)
     earlier_s = sum(other_s.values()) - sum(times_s.values())
-    return earlier_s * len(run.samples) > run.duration_s * len(times_s)
+    sample_s = run.duration_s / max(len(run.samples), 1)
+    ends_later = run.duration_s - other.duration_s > sample_s
+    return earlier_s > sample_s * len(times_s) and not ends_later
 
 
 def tell_end(run: "tl.Run", loops: Sequence[str]) -> str:
@@ -260,15 +264,15 @@ def tell_step(motion: "tl.theory.StepMotion | tl.theory.PidLoop | None", where: 
     said = []
     if motion is not None and motion.overshoot_percent is not None:
         percent = motion.overshoot_percent
-        told = "no overshoot" if percent < NO_OVERSHOOT else f"overshoots by {percent:.2f} %"
+        told = (
+            "no overshoot"
+            if percent < tl.theory.EQUAL_PERCENT
+            else f"overshoots by {percent:.2f} %"
+        )
         said.append(f"{told}{where}")
     if motion is not None and motion.settling_time_s is not None:
         said.append(f"settles in {motion.settling_time_s:.3g} s")
     return ", ".join(said)
-
-
-NO_OVERSHOOT: Final = 0.005
-"""Overshoot below which the shown digits are 0 [%]."""
 
 
 def compare_gains(best: "tl.theory.Recommendation", given: "tl.theory.Recommendation") -> str:
@@ -308,7 +312,7 @@ better."""
 def _list_figures(one: "tl.theory.Recommendation") -> tuple[float | None, ...]:
     """Return the values of the figures; None if unknown."""
     overshoot, settles_s = take_fields(one.motion, "overshoot_percent", "settling_time_s").values()
-    if overshoot is not None and overshoot < NO_OVERSHOOT:
+    if overshoot is not None and overshoot < tl.theory.EQUAL_PERCENT:
         overshoot = 0.0
     factor, phase_rad = take_fields(one.margins, "gain_margin", "phase_margin_rad").values()
     return overshoot, settles_s, factor, None if phase_rad is None else math.degrees(phase_rad)

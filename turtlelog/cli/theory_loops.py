@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import turtlelog as tl
 from turtlelog.cli.console import build_table, copy_fields
 from turtlelog.cli.theory_gains import (
-    NO_OVERSHOOT,
     Recommended,
     RecommendedGains,
     build_recommended,
@@ -240,7 +239,7 @@ def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "tl.compare.T
         cells = tuple("-" if one.found is None else write(one.found) for one in answers)
         if known and not (is_optional and set(cells) <= {"-", "0"}):
             rows.append((name, *cells))
-    notes = [_AT_SAMPLES] if any(map(_moves_between, known)) else []
+    notes = [_AT_SAMPLES] if any(loop.moves_between for loop in known) else []
     return build_table(title, ("", *(answer.title for answer in answers)), rows, notes)
 
 
@@ -256,7 +255,7 @@ def tabulate_gains(answers: Sequence[LoopAnswer]) -> "tl.compare.Table":
             columns["overshoot [%]"] = [*map(_find_overshoot, loops)]
         else:
             columns[name] = [*map(_read_cell, texts)]
-    where = ", at its samples" if any(map(_moves_between, loops)) else ""
+    where = ", at its samples" if any(loop.moves_between for loop in loops) else ""
     return build_table(f"The sampled loop{where}", columns, zip(*columns.values(), strict=True))
 
 
@@ -316,15 +315,15 @@ def _list_left_out(of: str, model: "tl.theory.LoopModel", *, shows_all: bool) ->
         yield f"{of}: jitter counts as its mean delay, {mean}; its variation is left out."
     left_out = []
     for one in model.left_out:
-        key = one.partition(" = ")[0]
         # A sentence on clipped commands covers the limit.
-        is_said = key == model.loop.limit_key or model.allows_for(key)
-        if not model.counts_as_delay(key) and (shows_all or not is_said):
+        is_said = one.key == model.loop.limit_key or model.allows_for(one.key)
+        if not model.counts_as_delay(one.key) and (shows_all or not is_said):
             left_out.append(one)
     if left_out:
-        is_late = any(one.startswith(_LATE) for one in left_out)
+        is_late = any(one.key.startswith(_LATE) for one in left_out)
+        said = ", ".join(one.describe() for one in left_out)
         but = ", which may make it unstable at smaller gains" if is_late else ""
-        yield f"{of}: theory's linear loop leaves out {', '.join(left_out)}{but}."
+        yield f"{of}: theory's linear loop leaves out {said}{but}."
     if shows_all and model.limits is not None:
         yield f"{of}: the table of loops is for small steps."
 
@@ -333,25 +332,35 @@ _LATE: Final = ("loop.late_", "loop.loss_", "loop.repeat_", "sensing.dropout_")
 """Beginnings of keys of random delays that theory leaves out."""
 
 
-def tell_motion(loop: "tl.theory.PidLoop") -> str:
-    """Return whether a loop is stable, with its overshoot and settling time, as text."""
+def list_motions(answers: Sequence[LoopAnswer]) -> Iterator[str]:
+    """Yield the response of the loop at each Kp. Gains with similar responses share a sentence."""
+    known = [(one.title.removeprefix("Kp = "), one.found) for one in answers if one.found]
+    is_short = len(known) > _MOST_SAID
+    groups: dict[object, list[tuple[str, tl.theory.PidLoop]]] = {}
+    for kp, loop in known:
+        kind = loop.stable, loop.overshoot_percent is None, _overshoots(loop)
+        numbers = () if is_short else (_find_overshoot(loop), loop.settling_time_s)
+        groups.setdefault((*kind, *numbers), []).append((kp, loop))
+    for group in groups.values():
+        motion = tell_motion(group[0][1], is_short=is_short)
+        yield f"Kp = {', '.join(kp for kp, _ in group)}: {motion}."
+
+
+_MOST_SAID: Final = 4
+"""Largest number of gains with separate sentences."""
+
+
+def tell_motion(loop: "tl.theory.PidLoop", *, is_short: bool = False) -> str:
+    """Return whether a loop is stable and overshoots; with the numbers, unless it is short."""
     if not loop.stable:
         return "unstable"
-    step = tell_step(loop, " at the samples" if _moves_between(loop) else "")
-    return f"stable, {step or 'but its slowest part hardly decays'}"
+    if loop.overshoot_percent is None:
+        return "stable, but its slowest part hardly decays"
+    where = " at the samples" if loop.moves_between else ""
+    if is_short:
+        return "stable, overshoots" if _overshoots(loop) else f"stable, no overshoot{where}"
+    return f"stable, {tell_step(loop, where)}"
 
-
-def _moves_between(loop: "tl.theory.PidLoop") -> bool:
-    """Return whether a loop may overshoot more between its samples than at the samples.
-
-    The motion of an integrator turns only where a new command begins to act.
-    """
-    samples = loop.dead_time_s / loop.period_s
-    return loop.process.lag_s > 0.0 or abs(samples - round(samples)) > _WHOLE
-
-
-_WHOLE: Final = 1e-9
-"""Largest distance from a whole number of samples that is rounding."""
 
 _AT_SAMPLES: Final = "Overshoot is at the samples; between samples the motion may go further."
 
@@ -365,7 +374,7 @@ def _tell_sources(model: "tl.theory.LoopModel") -> str:
 
 
 def _overshoots(loop: "tl.theory.PidLoop") -> bool:
-    return loop.overshoot_percent is not None and loop.overshoot_percent >= NO_OVERSHOOT
+    return loop.overshoot_percent is not None and loop.overshoot_percent >= tl.theory.EQUAL_PERCENT
 
 
 def _tell_overshoot(loop: "tl.theory.PidLoop") -> str:

@@ -9,11 +9,11 @@ from turtlelog.compare.table import Mark
 from turtlelog.display import describe_count, format_number, format_range, join_words, show_list
 from turtlelog.errors import CompareError, describe_unknown
 from turtlelog.measure import Metric, Status, find_metric_kind
-from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.angles import wrap_angle
 from turtlelog.run.paths import closes_by_itself
 from turtlelog.run.stop_reasons import allow_position
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 if TYPE_CHECKING:
     from turtlelog.compare.run_summary import RunSummary

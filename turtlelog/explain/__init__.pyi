@@ -1,7 +1,5 @@
 from .answer_words import (
     Attribution as Attribution,
-    choose_leading as choose_leading,
-    choose_named as choose_named,
     format_contribution as format_contribution,
     write_cause_head as write_cause_head,
     write_headline as write_headline,
@@ -37,6 +35,7 @@ from .causes import (
     require_causes as require_causes,
     simulate_without as simulate_without,
 )
+from .contributions import choose_leading as choose_leading, choose_named as choose_named
 from .difference_report import (
     ExplainedDifference as ExplainedDifference,
     format_change as format_change,

@@ -1,17 +1,31 @@
 """An attribution in sentences that hold for the run."""
 
 import math
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from html import escape
 from typing import Final
 
 from turtlelog.display import capitalise, format_html, format_notebook, join_words
 from turtlelog.explain import answers
-from turtlelog.explain.answers import AttributedValue, Contribution, is_clear
+from turtlelog.explain.answers import (
+    AttributedValue,
+    Contribution,
+    Together,
+    ValueSet,
+    is_clear,
+)
 from turtlelog.explain.causes import NAMED, RANDOM_EFFECTS
-from turtlelog.explain.game import write_joint_parts, write_missing
-
-_ALIKE: Final = 1.25  # largest ratio of contributions that count as about equal
+from turtlelog.explain.contributions import (
+    ALIKE,
+    choose_leading,
+    choose_named,
+    is_lowering,
+    is_negligible,
+    list_large,
+    list_telling,
+    sum_effects,
+)
 
 _COUNTS: Final = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 """Numbers of effects in words. More than six effects take part only if the user chooses them."""
@@ -39,8 +53,8 @@ def write_headline(found: AttributedValue) -> str:
         main = _write_main(found)
     elif not found.acting:
         main = "no effect changes it"
-    elif _is_negligible(found):
-        added = _sum_effects(found)
+    elif is_negligible(found):
+        added = sum_effects(found)
         does = "add" if added >= 0.0 else "lower it by"
         main = f"effects {does} only {_format_value(found, abs(added))}"
     else:
@@ -49,18 +63,6 @@ def write_headline(found: AttributedValue) -> str:
     for one in choose_leading(found)[:1]:
         main = f"without {one.cause} {_format_value(found, one.alone)}{mean}; {main}"
     return f"{found.metric} is {sizes[0]}{again}: {main}"
-
-
-def choose_leading(found: AttributedValue) -> list[Contribution]:
-    """Return the other causes that change the value more than all effects, the largest first."""
-    if found.without_value or found.withheld:
-        return []
-    sizes = [abs(one.size) for one in found.contributions]
-    least = _ALIKE * max(abs(_sum_effects(found)), *sizes, 0.0)
-    telling = sorted(_list_telling(found), key=partial(_measure_change, found), reverse=True)
-    # Runs that end otherwise have values of another kind.
-    telling = [one for one in telling if not (one.ending or _is_lowering(found, one))]
-    return [one for one in telling if least < _measure_change(found, one) < math.inf]
 
 
 def write_leading(found: AttributedValue) -> tuple[str, ...]:
@@ -106,7 +108,7 @@ def write_cause_head(found: AttributedValue) -> str:
     here = " in this run" if _is_wide(found) else ""
     if _need_each_other(found, named):
         return f"{head} together{here}"
-    is_alike = len(named) > 1 and 0.0 < max(sizes) <= _ALIKE * min(sizes)
+    is_alike = len(named) > 1 and 0.0 < max(sizes) <= ALIKE * min(sizes)
     return f"{head}, in about equal parts{here}" if is_alike else head
 
 
@@ -129,7 +131,7 @@ def _write_main(found: AttributedValue) -> str:
     """Return the largest contributions; for causes that mostly act together, only their total."""
     named = choose_named(found)
     largest = abs(named[0].size)
-    main = [one for one in named if largest <= _ALIKE * abs(one.size)]
+    main = [one for one in named if largest <= ALIKE * abs(one.size)]
     label = "mainly " if len(main) < len(named) else ""
     mean = " in the mean over seeds" if found.seeds is not None else ""
     added = math.fsum(one.size for one in named)
@@ -139,13 +141,6 @@ def _write_main(found: AttributedValue) -> str:
         return f"{names} add {_format_value(found, added)}{mean}"
     parts = ", ".join(f"{one.cause} {format_contribution(found, one)}" for one in main)
     return f"{label}{parts}{mean}"
-
-
-def choose_named(found: AttributedValue) -> list[Contribution]:
-    """Return the contributions that explain the value, the largest first; empty if too small."""
-    if not found.acting or found.withheld or _is_negligible(found):
-        return []
-    return [one for one in _list_large(found) if one.is_clear]
 
 
 def format_contribution(found: AttributedValue, one: Contribution) -> str:
@@ -183,16 +178,6 @@ def write_reasons(found: AttributedValue) -> tuple[str, ...]:
     return tuple(filter(None, sentences))
 
 
-def _is_negligible(found: AttributedValue) -> bool:
-    """Return whether each effect, and their total, is within the resolution."""
-    largest = max((abs(one.size) for one in found.contributions), default=0.0)
-    return max(largest, abs(_sum_effects(found))) <= found.resolution.size
-
-
-def _sum_effects(found: AttributedValue) -> float:
-    return found.divided - (found.without_all or 0.0)
-
-
 def _write_rest(found: AttributedValue) -> str:
     """Return the value without the effects, or a sentence that they change it little."""
     if not found.causes:
@@ -201,8 +186,8 @@ def _write_rest(found: AttributedValue) -> str:
         return ""  # the sentence on seeds contains it
     if not found.acting:
         return f"Without {join_words(found.causes, 'or')} it is the same."
-    added = _sum_effects(found)
-    if _is_negligible(found):
+    added = sum_effects(found)
+    if is_negligible(found):
         idle = _list_idle(found) if found.seeds is not None else []  # named in another sentence
         names = [name for name in found.causes if name not in idle]
         change = "change" if len(names) > 1 else "changes"
@@ -254,15 +239,9 @@ def _write_bound(found: AttributedValue) -> str:
     return f", not more than {_describe_resolution(found)}"
 
 
-def _list_large(found: AttributedValue) -> list[Contribution]:
-    ordered = sorted(found.contributions, key=lambda one: -abs(one.size))
-    least = NAMED * math.fsum(abs(one.size) for one in ordered)
-    return [one for one in ordered if abs(one.size) > least]
-
-
 def _write_together(found: AttributedValue) -> str:
     """Return the part that arises only if several causes act together; empty if it is small."""
-    if not found.acting or _is_negligible(found):
+    if not found.acting or is_negligible(found):
         return ""
     sizes = {one.cause: one.size for one in found.contributions}
     return write_joint_parts(found.together, sizes, {}, partial(_format_value, found))
@@ -314,7 +293,7 @@ def _list_idle(found: AttributedValue) -> list[str]:
 
 
 def _write_unclear(found: AttributedValue) -> str:
-    unclear = [one for one in _list_large(found) if not one.is_clear]
+    unclear = [one for one in list_large(found) if not one.is_clear]
     if found.seeds is None or not unclear:
         return ""
     parts = [
@@ -352,34 +331,10 @@ def _format_span(found: AttributedValue, low: float, high: float) -> str:
     return most if _format_value(found, low) == most else f"{least} to {most}"
 
 
-def _measure_change(found: AttributedValue, one: Contribution) -> float:
-    return math.inf if one.alone is None else abs(one.alone - found.divided)
-
-
-def _list_telling(found: AttributedValue) -> list[Contribution]:
-    """Return the other causes that change the value clearly if they are removed alone."""
-
-    def tells(one: Contribution) -> bool:
-        # The tolerance is not judged by the resolution that it makes.
-        makes = one.cause == "tolerance" and found.resolution.is_tolerance
-        least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
-        change = _measure_change(found, one)
-        return change > least and is_clear(change, one.standard_error)
-
-    return [*filter(tells, found.others)]
-
-
-def _is_lowering(found: AttributedValue, one: Contribution) -> bool:
-    """Return whether a design parameter lowers a value that the effects do not lower."""
-    if one.cause in found.effects or one.alone is None or one.ending:
-        return False
-    return one.alone > found.divided >= 0.0 <= _sum_effects(found)
-
-
 def _write_others(found: AttributedValue) -> list[str]:
     """Return the causes that change the value alone, except those that lower a large value."""
-    telling, leading = _list_telling(found), choose_leading(found)
-    lowering = [one for one in telling if _is_lowering(found, one)]
+    telling, leading = list_telling(found), choose_leading(found)
+    lowering = [one for one in telling if is_lowering(found, one)]
     rest = [one for one in telling if one not in leading and one not in lowering]
     told = [_write_alone(found, one) for one in rest]
     if not lowering:
@@ -410,6 +365,59 @@ def _format_value(
     """Return a value with four digits, the metric's unit, and a given standard error."""
     spread = f" +- {standard_error:.2g}" if standard_error else ""
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
+
+
+_MOST_TOGETHER: Final = 3
+"""Largest number of joint parts in one sentence; four causes have eleven joint parts."""
+
+
+def write_missing(
+    without: Iterable[ValueSet], having: Iterable[ValueSet], names: Mapping[str, str], nothing: str
+) -> str:
+    """Return the sets that leave a metric without a value, and those that give it one, in words.
+
+    `names` are the words for all causes, and `nothing` those for a run without them.
+    """
+
+    def name_set(case: ValueSet) -> str:
+        words = join_words([names.get(name, name) for name in case.causes])
+        words += " alone" * (len(case.causes) < len(names))
+        return f"with {words}" if case.causes else nothing
+
+    parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
+    parts += [f"{name_set(case)} it has a value" for case in having]
+    return capitalise("; ".join(parts)) + ". Therefore there are no contributions."
+
+
+def write_joint_parts(
+    together: Iterable[Together],
+    sizes: Mapping[str, float],
+    names: Mapping[str, str],
+    format_size: Callable[[float, float | None], str],
+) -> str:
+    """Return the parts that arise only if several causes act, if clear and not small.
+
+    `sizes` are the contributions, `names` other words for causes.
+    """
+    sentences, total = [], math.fsum(map(abs, sizes.values()))
+    for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
+        if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
+            continue
+        of, is_pair = [names.get(name, name) for name in case.causes], len(case.causes) == 2
+        size = format_size(abs(case.value), case.standard_error)
+        them, both = capitalise(join_words(of)), "both" if is_pair else "all of them"
+        # What they change without this part; of two causes, each alone.
+        apart_size = sum(sizes.get(name, 0.0) for name in case.causes) - case.value
+        if abs(apart_size) <= NAMED * abs(case.value):  # alone they change little or nothing
+            apart_size = case.value
+        change = "add" if apart_size >= 0.0 else "take away"
+        text = f"{them} act together: {size} of what they {change} arises only if {both} act."
+        if case.value * apart_size < 0.0:
+            pair = " alone plus ".join(of)
+            apart = f"{pair} alone" if is_pair else "their parts, alone and in smaller groups"
+            text = f"{them} overlap: together they {change} {size} less than {apart}."
+        sentences.append(text)
+    return " ".join(sentences)
 
 
 class Attribution(AttributedValue):  # noqa: D101 (the fields are those of the value)

@@ -39,6 +39,7 @@ from turtlelog.explain.game import (
     Work,
     iterate_outcomes,
     list_coalitions,
+    spread_starts,
 )
 from turtlelog.explain.scenario_from_log import (
     LOOP_KEYS,
@@ -162,7 +163,7 @@ def attribute_scenario(
         without_all=game.take_out(chosen).value,
         causes=tuple(chosen),
         contributions=(),
-        others=tuple(contributions.describe_alone(game, name) for name in others),
+        others=tuple(game.describe_alone(name) for name in others),
         resolution=find_resolution(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason or None,
         left=tuple(name for name in causes if name in others),
@@ -365,7 +366,7 @@ def measure_luck(
     game = ScenarioGame(scenario, found.metric)
     offsets_rad = np.zeros(0)
     if not game.is_random:
-        offsets_rad = contributions.spread_starts(scenario, simulate_run(scenario), _COUNT)
+        offsets_rad = spread_starts(scenario, simulate_run(scenario), _COUNT)
         if not len(offsets_rad):
             reason = "the robot does not turn, or by more than 90 deg between two samples"
             raise ExplainError(f"{reason}: no start meets its samples elsewhere")
@@ -413,8 +414,7 @@ def _simulate_curves(
             plays.append([game.build_play(out, seed) for seed in game.list_seeds(out)])
             continue
         play = game.build_play(out)
-        turned = (contributions.turn_start(play.scenario, by) for by in offsets_rad.tolist())
-        plays.append([replace(play, scenario=one, may_fail=True) for one in turned])
+        plays.append([play.turn(offset_rad) for offset_rad in offsets_rad.tolist()])
     every = [play for row in plays for play in row]
     outcomes: list[Outcome] = []
     for outcome in iterate_outcomes(metric, every, work.jobs):

@@ -10,12 +10,12 @@ import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise
 from statistics import fmean, stdev
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.explain import answers
 from turtlelog.explain.answers import (
@@ -24,8 +24,9 @@ from turtlelog.explain.answers import (
     Contribution,
     StartRange,
     Together,
+    is_clear,
 )
-from turtlelog.explain.causes import find_sample_period_s
+from turtlelog.explain.causes import NAMED
 from turtlelog.explain.game import (
     SEEDS,
     Coalition,
@@ -35,8 +36,9 @@ from turtlelog.explain.game import (
     ScenarioGame,
     iterate_outcomes,
     list_coalitions,
+    spread_starts,
+    turn_start,
 )
-from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
 
@@ -155,32 +157,6 @@ _MOST_TICKS: Final = 200_000
 seconds."""
 
 
-_FURTHEST_RAD: Final = math.pi / 4.0
-"""Largest angle between the scenario's start and another start. Between starts further apart, the
-robot turns to the goal in another way, and its value is no chance of when it is sampled."""
-
-
-def spread_starts(scenario: Scenario, built: Run, count: int = _COUNT) -> NDArray[np.float64]:
-    """Return angles of equally spaced starts, relative to the scenario's start [rad], shape (n,).
-
-    The angles span the largest turn from one sample to the next, with the scenario's own start in
-    the middle; `count` is odd. Empty if the robot does not turn in `built`, the scenario's run, or
-    if it turns by more than a quarter turn from one sample to the next.
-    """
-    turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
-    within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
-    is_near = 0.0 < within_rad <= _FURTHEST_RAD
-    return np.linspace(-within_rad, within_rad, count) if is_near else np.zeros(0)
-
-
-def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
-    """Return a scenario with its start turned by an angle."""
-    heading_rad = scenario.start.heading_rad + offset_rad
-    if abs(heading_rad) > math.tau:
-        heading_rad -= math.copysign(math.tau, heading_rad)
-    return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
-
-
 def find_steady_span(values: Sequence[float | None], added: float, resolution: float) -> float:
     """Return the largest range of values that counts as steady, for a total of the causes."""
     if abs(added) > resolution:
@@ -218,7 +194,7 @@ def vary_start(
     within `resolution` is negligible.
     """
     built = simulate_run(scenario)
-    offsets_rad = spread_starts(scenario, built).tolist()
+    offsets_rad = spread_starts(scenario, built, _COUNT).tolist()
     if not offsets_rad:
         return None
     games = [ScenarioGame(turn_start(scenario, offset_rad), metric) for offset_rad in offsets_rad]
@@ -246,7 +222,7 @@ def vary_both_starts(
     scenarios: Sequence[Scenario], metric: str, difference: float, resolution: float
 ) -> answers.DifferenceRange | None:
     """Return the range of the difference over starts within one sample's turn of the faster run."""
-    spreads = [spread_starts(one, simulate_run(one)) for one in scenarios]
+    spreads = [spread_starts(one, simulate_run(one), _COUNT) for one in scenarios]
     offsets_rad = max(spreads, key=lambda one: one[-1] if len(one) else 0.0).tolist()
     if not offsets_rad:
         return None
@@ -308,7 +284,7 @@ def divide_game(found: _Divided, game: Game) -> _Divided:
     dividends = compute_dividends(worth, found.causes)
     return replace(
         found,
-        contributions=tuple(describe_alone(game, *one) for one in contributions.items()),
+        contributions=tuple(game.describe_alone(*one) for one in contributions.items()),
         together=tuple(Together(causes=names, value=value) for names, value in dividends.items()),
     )
 
@@ -385,7 +361,7 @@ def divide_over_seeds(found: _Divided, game: Game) -> _Divided:
         ),
         contributions=tuple(
             replace(
-                describe_alone(game, name, contribution),
+                game.describe_alone(name, contribution),
                 standard_error=_find_error([one[name] for one in contributions]),
             )
             for name, contribution in means.items()
@@ -402,16 +378,69 @@ def divide_over_seeds(found: _Divided, game: Game) -> _Divided:
     )
 
 
-def describe_alone(game: Game, name: str, contribution: float | None = None) -> Contribution:
-    """Return the value without a cause alone."""
-    return Contribution(
-        cause=name,
-        contribution=contribution,
-        alone=game.take_out([name]).value,
-        ending=game.describe_ending(name) or None,
-        meaning=game.causes[name].meaning,
-    )
-
-
 def _find_error(values: Sequence[float]) -> float:
     return stdev(values) / math.sqrt(len(values))
+
+
+ALIKE: Final = 1.25  # largest ratio of contributions that count as about equal
+
+
+def choose_leading(found: AttributedValue) -> list[Contribution]:
+    """Return the other causes that change the value more than all effects, the largest first."""
+    if found.without_value or found.withheld:
+        return []
+    sizes = [abs(one.size) for one in found.contributions]
+    least = ALIKE * max(abs(sum_effects(found)), *sizes, 0.0)
+    telling = sorted(list_telling(found), key=partial(_measure_change, found), reverse=True)
+    # Runs that end otherwise have values of another kind.
+    telling = [one for one in telling if not (one.ending or is_lowering(found, one))]
+    return [one for one in telling if least < _measure_change(found, one) < math.inf]
+
+
+def choose_named(found: AttributedValue) -> list[Contribution]:
+    """Return the contributions that explain the value, the largest first; empty if too small."""
+    if not found.acting or found.withheld or is_negligible(found):
+        return []
+    return [one for one in list_large(found) if one.is_clear]
+
+
+def is_negligible(found: AttributedValue) -> bool:
+    """Return whether each effect, and their total, is within the resolution."""
+    largest = max((abs(one.size) for one in found.contributions), default=0.0)
+    return max(largest, abs(sum_effects(found))) <= found.resolution.size
+
+
+def sum_effects(found: AttributedValue) -> float:
+    """Return the change of the value by all effects together."""
+    return found.divided - (found.without_all or 0.0)
+
+
+def list_large(found: AttributedValue) -> list[Contribution]:
+    """Return the contributions that are not small beside all others, the largest first."""
+    ordered = sorted(found.contributions, key=lambda one: -abs(one.size))
+    least = NAMED * math.fsum(abs(one.size) for one in ordered)
+    return [one for one in ordered if abs(one.size) > least]
+
+
+def _measure_change(found: AttributedValue, one: Contribution) -> float:
+    return math.inf if one.alone is None else abs(one.alone - found.divided)
+
+
+def list_telling(found: AttributedValue) -> list[Contribution]:
+    """Return the other causes that change the value clearly if they are removed alone."""
+
+    def tells(one: Contribution) -> bool:
+        # The tolerance is not judged by the resolution that it makes.
+        makes = one.cause == "tolerance" and found.resolution.is_tolerance
+        least = max(0.0 if makes else found.resolution.size, NAMED * abs(found.divided))
+        change = _measure_change(found, one)
+        return change > least and is_clear(change, one.standard_error)
+
+    return [*filter(tells, found.others)]
+
+
+def is_lowering(found: AttributedValue, one: Contribution) -> bool:
+    """Return whether a design parameter lowers a value that the effects do not lower."""
+    if one.cause in found.effects or one.alone is None or one.ending:
+        return False
+    return one.alone > found.divided >= 0.0 <= sum_effects(found)

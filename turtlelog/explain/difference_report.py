@@ -13,6 +13,7 @@ from turtlelog.display import (
     format_short,
     join_words,
 )
+from turtlelog.explain.answer_words import write_joint_parts, write_missing
 from turtlelog.explain.answers import (
     SAME,
     SEED,
@@ -21,7 +22,6 @@ from turtlelog.explain.answers import (
     Side,
 )
 from turtlelog.explain.causes import NAMED
-from turtlelog.explain.game import write_joint_parts, write_missing
 from turtlelog.explain.robot_log import CHANCE, COMMANDS, NOISE, ROBOT, TIMES, is_place
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS
 from turtlelog.run import LAW, describe_changes, describe_software, list_software_changes

@@ -1,4 +1,4 @@
-"""A value as a cooperative game: simulations without sets of causes, and what sets do, in words.
+"""A value as a cooperative game: simulations without sets of causes, and from turned starts.
 
 Scenarios with a random acting cause are simulated with all of `SEEDS`, also without causes.
 """
@@ -14,14 +14,17 @@ from itertools import chain, combinations, islice
 from statistics import fmean
 from typing import Any, Final
 
-from turtlelog.display import capitalise, join_words
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import join_words
 from turtlelog.errors import ExplainError, ScenarioError, SimulationError
-from turtlelog.explain.answers import AttributedValue, Together, ValueSet, is_clear
+from turtlelog.explain.answers import AttributedValue, Contribution
 from turtlelog.explain.causes import (
-    NAMED,
     SAMPLING,
     draws_random,
     find_causes,
+    find_sample_period_s,
     is_present,
     simulate_finer,
     simulate_without,
@@ -127,6 +130,16 @@ class Game(ABC):
     @abstractmethod
     def _play(self, plays: Sequence[_Play]) -> Iterator[Outcome]:
         """Yield the outcome of each simulation."""
+
+    def describe_alone(self, name: str, contribution: float | None = None) -> Contribution:
+        """Return the value without a cause alone."""
+        return Contribution(
+            cause=name,
+            contribution=contribution,
+            alone=self.take_out([name]).value,
+            ending=self.describe_ending(name) or None,
+            meaning=self.causes[name].meaning,
+        )
 
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these causes; for a random game, the majority over seeds."""
@@ -238,6 +251,10 @@ class Play:
     is_finer: bool
     may_fail: bool
 
+    def turn(self, offset_rad: float) -> "Play":
+        """Return the simulation from a start that is turned by an angle."""
+        return replace(self, scenario=turn_start(self.scenario, offset_rad), may_fail=True)
+
 
 def iterate_outcomes(metric: str, plays: Sequence[Play], jobs: int | None) -> Iterator[Outcome]:
     """Yield the outcome of each simulation, computed in as many processes as `Work` allows."""
@@ -345,6 +362,32 @@ class ChangeGame(ScenarioGame):
         return self._impossible[out]
 
 
+_FURTHEST_RAD: Final = math.pi / 4.0
+"""Largest angle between the scenario's start and another start. Between starts further apart, the
+robot turns to the goal in another way, and its value is no chance of when it is sampled."""
+
+
+def spread_starts(scenario: Scenario, built: Run, count: int) -> NDArray[np.float64]:
+    """Return angles of equally spaced starts, relative to the scenario's start [rad], shape (n,).
+
+    The angles span the largest turn from one sample to the next, with the scenario's own start in
+    the middle; `count` is odd. Empty if the robot does not turn in `built`, the scenario's run, or
+    if it turns by more than a quarter turn from one sample to the next.
+    """
+    turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max(initial=0.0))
+    within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
+    is_near = 0.0 < within_rad <= _FURTHEST_RAD
+    return np.linspace(-within_rad, within_rad, count) if is_near else np.zeros(0)
+
+
+def turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
+    """Return a scenario with its start turned by an angle."""
+    heading_rad = scenario.start.heading_rad + offset_rad
+    if abs(heading_rad) > math.tau:
+        heading_rad -= math.copysign(math.tau, heading_rad)
+    return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
+
+
 _MOST_NAMED: Final = 3
 """Largest number of causes in a name. A name for more causes gives their number, because a legend
 has little space."""
@@ -394,56 +437,3 @@ def name_without(causes: tuple[str, ...]) -> str:
     if len(causes) > _MOST_NAMED:
         return f"all {len(causes)} effects"
     return join_words(causes)
-
-
-_MOST_TOGETHER: Final = 3
-"""Largest number of joint parts in one sentence; four causes have eleven joint parts."""
-
-
-def write_missing(
-    without: Iterable[ValueSet], having: Iterable[ValueSet], names: Mapping[str, str], nothing: str
-) -> str:
-    """Return the sets that leave a metric without a value, and those that give it one, in words.
-
-    `names` are the words for all causes, and `nothing` those for a run without them.
-    """
-
-    def name_set(case: ValueSet) -> str:
-        words = join_words([names.get(name, name) for name in case.causes])
-        words += " alone" * (len(case.causes) < len(names))
-        return f"with {words}" if case.causes else nothing
-
-    parts = [f"{name_set(case)} it has no value: {case.reason}" for case in without]
-    parts += [f"{name_set(case)} it has a value" for case in having]
-    return capitalise("; ".join(parts)) + ". Therefore there are no contributions."
-
-
-def write_joint_parts(
-    together: Iterable[Together],
-    sizes: Mapping[str, float],
-    names: Mapping[str, str],
-    format_size: Callable[[float, float | None], str],
-) -> str:
-    """Return the parts that arise only if several causes act, if clear and not small.
-
-    `sizes` are the contributions, `names` other words for causes.
-    """
-    sentences, total = [], math.fsum(map(abs, sizes.values()))
-    for case in sorted(together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]:
-        if abs(case.value) <= NAMED * total or not is_clear(case.value, case.standard_error):
-            continue
-        of, is_pair = [names.get(name, name) for name in case.causes], len(case.causes) == 2
-        size = format_size(abs(case.value), case.standard_error)
-        them, both = capitalise(join_words(of)), "both" if is_pair else "all of them"
-        # What they change without this part; of two causes, each alone.
-        apart_size = sum(sizes.get(name, 0.0) for name in case.causes) - case.value
-        if abs(apart_size) <= NAMED * abs(case.value):  # alone they change little or nothing
-            apart_size = case.value
-        change = "add" if apart_size >= 0.0 else "take away"
-        text = f"{them} act together: {size} of what they {change} arises only if {both} act."
-        if case.value * apart_size < 0.0:
-            pair = " alone plus ".join(of)
-            apart = f"{pair} alone" if is_pair else "their parts, alone and in smaller groups"
-            text = f"{them} overlap: together they {change} {size} less than {apart}."
-        sentences.append(text)
-    return " ".join(sentences)

@@ -45,13 +45,13 @@ _MOST_TURN_RAD: Final = 1.0
 """Largest turn of a step [rad]. At this turn an arc differs from its chord by 4 %, which is
 corrected; a larger turn has no single direction."""
 
-_MEMORY_S: Final = 3.0
-"""Time for which an earlier command matters [s]: the largest dead time plus 1.5 s of time
-constants."""
+MEMORY_S: Final = 2.0 * LARGEST_DEAD_TIME_S
+"""Time for which an earlier command matters [s]: the largest dead time plus as long for the
+response of the robot."""
 
-_TOGETHER_S: Final = 0.1
-"""Time within which two commands change together [s]: a usual robot's delay. A program that sends
-both axes apart needs 10 ms."""
+AT_ONCE_S: Final = 0.1
+"""Time within which changes of commands count as one [s]: a usual robot's delay. A program that
+sends both axes apart needs 10 ms."""
 
 STANDING: Final = 0.02
 """Mean rate below which a robot is at rest, as a share of the largest command."""
@@ -136,8 +136,8 @@ class AxisMotion:
         """Whether each change of the command comes together with one of the other axis."""
         changes_s = self.commands.time_s[1:]
         others_s = np.empty(0) if self.beside is None else self.beside.time_s[1:]
-        first = np.searchsorted(others_s, changes_s - _TOGETHER_S)
-        return np.asarray(first < np.searchsorted(others_s, changes_s + _TOGETHER_S, side="right"))
+        first = np.searchsorted(others_s, changes_s - AT_ONCE_S)
+        return np.asarray(first < np.searchsorted(others_s, changes_s + AT_ONCE_S, side="right"))
 
     def is_alone(self, dead_time_s: float, settled_s: float = 0.0) -> NDArray[np.bool_]:
         """Return whether the command of the other axis is 0 in each step, for some time [s]."""
@@ -196,7 +196,7 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     if np.count_nonzero(earlier) >= _FEWEST_WAITING:
         most = max(most, _BY_NOISE * float(np.sqrt((moved[earlier] ** 2).sum())))
     stands = most > 0.0 and abs(float(moved[earlier].sum())) <= most
-    known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
+    known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
     waits = known & (ends_s <= first_s)
     direction_rad = 0.0 * moved
@@ -260,7 +260,7 @@ def _find_active(commands: HeldInput, begins_s: Values, ends_s: Values) -> NDArr
         return np.zeros(len(begins_s), dtype=bool)
     latest = np.searchsorted(commands.time_s[moving], ends_s, side="right") - 1
     over_s = ends_at[moving[np.maximum(latest, 0)]]
-    return np.asarray((latest >= 0) & (begins_s <= over_s + _MEMORY_S))
+    return np.asarray((latest >= 0) & (begins_s <= over_s + MEMORY_S))
 
 
 def count_steps(motions: Sequence[AxisMotion]) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from turtlelog.display import describe_count
 from turtlelog.identify.axis_fit import DEAD_TIME, LAG, AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
+    AT_ONCE_S,
     LARGEST_DEAD_TIME_S,
     NAMES,
     OTHER,
@@ -23,7 +24,8 @@ from turtlelog.identify.axis_motion import (
 from turtlelog.identify.fit_values import cover_waiting, describe_fit, find_differing_parts
 from turtlelog.identify.held_response import COUPLED, Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, Refusal
-from turtlelog.identify.structure_choice import LEAST_BELOW, RESTED_S
+from turtlelog.identify.robot_noise import RESTED_S
+from turtlelog.identify.structure_choice import LEAST_BELOW
 from turtlelog.run import Run
 
 _OPPOSITE_EXPLAINS: Final = 0.5
@@ -35,11 +37,8 @@ _OPPOSITE_CLEARLY: Final = 30.0
 """Smallest advantage of the negative gain in twice the negative log-likelihood. If both signs were
 equally likely, chance would reach it in 1 of a million robots."""
 
-_SUDDEN_S: Final = 0.1
-"""Time within which a change of the command counts as one step [s]: a usual robot's delay."""
-
 _SUDDEN_SHARE: Final = 0.05
-"""Share of the range of commands that must change within this time; slower changes are ramps. A
+"""Share of the range of commands that must change at once; slower changes are ramps. A
 ramp over the range then takes more than 2 s, and shows no start."""
 
 _FEWEST_MOVING: Final = 6
@@ -151,7 +150,7 @@ def refuse_commands(runs: Sequence[Run], axis: Axis) -> AxisModel | None:
     change = max(_find_sudden(run, axis) for run in runs)
     span = float(np.ptp(np.concatenate([*commands, np.zeros(1)])))
     if change < _SUDDEN_SHARE * span:
-        return refuse_axis(axis, "ramps", within_s=_SUDDEN_S, change=change, span=span)
+        return refuse_axis(axis, "ramps", within_s=AT_ONCE_S, change=change, span=span)
     return None
 
 
@@ -186,7 +185,7 @@ def _find_sudden(run: Run, axis: Axis) -> float:
     command, time_ns = get_commands(run, axis), run.commands.time_ns
     if not len(command):
         return 0.0
-    held = np.searchsorted(time_ns, time_ns - round(_SUDDEN_S * 1e9), side="right") - 1
+    held = np.searchsorted(time_ns, time_ns - round(AT_ONCE_S * 1e9), side="right") - 1
     return float(np.abs(command - command[np.maximum(held, 0)]).max())
 
 

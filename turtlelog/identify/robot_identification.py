@@ -19,6 +19,7 @@ from turtlelog.identify import refused_axes
 from turtlelog.identify.axis_fit import NORMAL_95, AxisFit, NoGainError, fit_axis
 from turtlelog.identify.axis_motion import (
     AXES,
+    MEMORY_S,
     NAMES,
     Axis,
     AxisMotion,
@@ -225,9 +226,6 @@ def _tell(value: Estimate) -> str:
     return f"{value.value:.3g} ({value.low:.3g} to {value.high:.3g}){unit}"
 
 
-_LARGEST_S: Final = 3.0
-"""Largest delay that is searched [s]: the largest dead time and an equal time constant."""
-
 _COARSE_S, _FINE_S = 0.05, 0.005
 """Distances of tried delays [s]: first over the whole range, then near the best delay and the
 ends."""
@@ -271,7 +269,7 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
             f"the correlation of commands and motion says nothing: the commands repeat every"
             f" {period_s:.3g} s, and delays so far apart correlate alike"
         )
-    coarse = np.arange(0.0, _LARGEST_S, _COARSE_S)
+    coarse = np.arange(0.0, MEMORY_S, _COARSE_S)
     near_s = float(coarse[np.argmin([misfit.measure(delay_s) for delay_s in coarse.tolist()])])
     fine = np.arange(max(near_s - _COARSE_S, 0.0), near_s + _COARSE_S, _FINE_S)
     best_s = float(fine[np.argmin([misfit.measure(delay_s) for delay_s in fine.tolist()])])
@@ -295,7 +293,7 @@ def find_correlation_delay(motions: Sequence[AxisMotion]) -> tuple[Estimate | No
 
 def _find_end(is_worse: Callable[[float], bool], begin_s: float, step_s: float) -> float:
     end_s = begin_s
-    while 0.0 < end_s < _LARGEST_S and abs(end_s - begin_s) < _COARSE_S:
+    while 0.0 < end_s < MEMORY_S and abs(end_s - begin_s) < _COARSE_S:
         end_s += step_s
         if is_worse(end_s):
             break

@@ -30,7 +30,8 @@ from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import RobotModel
 from turtlelog.run import Run
 
-_SHORTEST_STAND_S: Final = 1.0  # shortest rest that is used [s]: 30 poses of a usual robot
+RESTED_S: Final = 1.0
+"""Shortest rest that shows noise or a drift [s]: thirty poses of a usual robot."""
 
 _SETTLED_S: Final = 0.5
 """Time until a robot is at rest, after dead time and five time constants of the last command
@@ -224,7 +225,7 @@ def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
     for begin_s, end_s in stretches:
         first, last = np.searchsorted(time_s, [begin_s, end_s]).tolist()
         rows = slice(first, last)
-        is_long = last - first > 2 and time_s[last - 1] - time_s[first] >= _SHORTEST_STAND_S
+        is_long = last - first > 2 and time_s[last - 1] - time_s[first] >= RESTED_S
         if is_long and _stands(model, run, rows):
             yield rows
 

@@ -17,7 +17,8 @@ from turtlelog.identify import axis_fit
 from turtlelog.identify.axis_fit import EXTRA, GAIN, LAG, AxisFit
 from turtlelog.identify.axis_motion import AxisMotion, Parts, find_rests, split_motions
 from turtlelog.identify.held_response import COUPLED, LIMITED_WHEELS, Order, Structure, Values
-from turtlelog.identify.robot_noise import LEAST_STEP, Whitening
+from turtlelog.identify.robot_noise import LEAST_STEP, RESTED_S, Whitening
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 _ASKS: Final = 8.0
 """Possible decrease of the sum of squares from which a further parameter is tried, in variances;
@@ -27,8 +28,8 @@ _CLEARLY: Final = 15.0
 """Required decrease of twice the negative log-likelihood; chance reaches it in 1 of 10,000
 robots."""
 
-_MATTERS: Final = 0.02
-"""Required change of some step between poses, as a share of the largest rate: 2 % is settled."""
+_MATTERS: Final = SETTLING_BAND
+"""Required change of some step between poses, as a share of the largest rate."""
 
 _DRIFTS: Final = 0.002
 """The same share for a drift. A drift also acts at rest: in ten seconds it moves a robot as far as
@@ -37,9 +38,6 @@ a change of 2 % does in one second."""
 _AT_REST: Final = 0.5
 """Smallest share of a drift that the mean rate at rest must have, to be nearer to it than to rest.
 A robot that only veers while it drives does not drift."""
-
-RESTED_S: Final = 1.0
-"""Shortest total rest that shows a drift [s]: thirty poses of a usual robot."""
 
 _SURELY: Final = 4.0
 """Standard deviations from which steps without the other axis show a drift: by chance in 1 of

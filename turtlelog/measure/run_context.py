@@ -23,9 +23,9 @@ from turtlelog.measure.references import (
 )
 from turtlelog.measure.response import Response, find_response
 from turtlelog.measure.signals import Signal, find_signal
-from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.run import Run
 from turtlelog.run.loops import ControlLoop, Declaration
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 if TYPE_CHECKING:
     from turtlelog.measure.pose_quality import WhiteNoise

@@ -49,9 +49,11 @@ from turtlelog.measure.reductions import (
     find_rise_behind_peak,
     find_swing_ends,
 )
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 
-SETTLING_BAND: Final = 0.02
-"""Default half-width of the settling band, as a fraction of the step."""
+RISE_BEGIN: Final = 0.1
+RISE_END: Final = 0.9
+"""Levels at which the rise of a response begins and ends, as fractions of the step."""
 
 SHORTEST_HOLD_S: Final = 1.0
 """Time that a cut response must have stayed in the band to count as settled [s].
@@ -89,8 +91,8 @@ def find_rise(
     The difference is the rise time: ln 9 tau for an exponential. A level that is never reached
     gives NaN. Precondition: the step is not 0, and the response begins below 10 % of the step.
     """
-    start_s = find_level_time(time_s, values, 0.1, initial, reference)
-    return start_s, find_level_time(time_s, values, 0.9, initial, reference)
+    start_s = find_level_time(time_s, values, RISE_BEGIN, initial, reference)
+    return start_s, find_level_time(time_s, values, RISE_END, initial, reference)
 
 
 def find_peak_row(values: Values, initial: float, reference: float) -> int:
@@ -320,10 +322,9 @@ _LARGE: Final = 0.1
 """Share of the largest error from which swings are large, if no limit is known. Noise of a loop at
 rest is smaller, unless the log is mostly noise."""
 
-_NEAR: Final = 0.02
-"""Share of the largest error within which a response without swings is near its end: the usual
-settling band. If the error grows by more without a crossing, the response oscillates around another
-value."""
+_NEAR: Final = SETTLING_BAND
+"""Share of the largest error within which a response without swings is near its end. If the
+error grows by more without a crossing, the response oscillates around another value."""
 
 _SLOWED: Final = 0.5
 """Ratio of the last to the largest step below which a response came to rest. An unstable loop

@@ -21,7 +21,6 @@ from turtlelog.measure.loop_segment import GOAL_REFERENCES, SIGNALS, Aim, LoopNu
 from turtlelog.measure.metric import FOUND, Status
 from turtlelog.measure.metric_kinds import LOOP_METRICS, RUN_METRICS, refuse_curve
 from turtlelog.measure.response import list_corners
-from turtlelog.measure.step_response import SETTLING_BAND
 from turtlelog.parts import Plant, PlantPart
 from turtlelog.plants import PLANTS
 from turtlelog.run import CUT_SHORT
@@ -37,6 +36,7 @@ from turtlelog.simulate.many import find_loop
 from turtlelog.sweep import batch_kernel
 from turtlelog.sweep.batch_kernel import USES_OF_PATH, USES_OF_ROW, Memory, PathMemory, Row
 from turtlelog.sweep.sweep_plan import build_row_scenario
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 
 CURVES: Final = {name: kind for name, kind in LOOP_METRICS.items() if kind.numbers is not None}
 """Metrics of a loop's curve by name, in column order."""

@@ -181,9 +181,7 @@ def _model(results: SweptResults, rows: NDArray[np.int64], name: str) -> LoopMod
             return f"theory draws no line: {model.reason}"
         if hides_stability(parameters):
             hidden = [
-                text
-                for text, key in ((text, text.partition(" = ")[0]) for text in model.left_out)
-                if hides_stability({key: parameters[key]})
+                one.describe() for one in model.left_out if hides_stability({one.key: one.value})
             ]
             return f"theory draws no line, as it leaves out {', '.join(hidden)}"
         return model

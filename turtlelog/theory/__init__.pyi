@@ -16,10 +16,12 @@ from .continuous_loop import (
     find_plant_final_value as find_plant_final_value,
     judge_bibo as judge_bibo,
 )
+from .loop_design import find_lasting_gains as find_lasting_gains
 from .loop_models import (
     LoopModel as LoopModel,
     LoopTiming as LoopTiming,
     MeasuredTiming as MeasuredTiming,
+    NeglectedSetting as NeglectedSetting,
     find_timing as find_timing,
     hides_stability as hides_stability,
     list_known as list_known,
@@ -42,6 +44,7 @@ from .pid_loop import (
 from .pid_stability import Margins as Margins, PidGains as PidGains
 from .process import INTEGRATOR as INTEGRATOR, Process as Process
 from .recommended_gains import (
+    EQUAL_PERCENT as EQUAL_PERCENT,
     OVERSHOOT_PERCENT as OVERSHOOT_PERCENT,
     PHASE_MARGIN_RAD as PHASE_MARGIN_RAD,
     Recommendation as Recommendation,

@@ -31,6 +31,13 @@ PLANT: Final = ((1.0,), (1.0, 0.0))
 PLANT_INPUTS: Final = ("impulse", "step", "ramp")
 """Inputs of the paper's figure 2: a unit impulse, 1 and t, with the transforms 1, 1/s and 1/s^2."""
 
+SETTLING_BAND: Final = 0.02
+"""Half-width of the settling band, as a share of the step: the textbooks' 2 %, which an exponential
+reaches after 3.91 time constants."""
+
+SETTLING_TIME_CONSTANTS: Final = 4.0
+"""Time constants in which an exponential settles, by the textbooks' rule: exp(-4) is 1.8 %."""
+
 _DECAYED: Final = 750.0
 """Exponent from which exp(-x) counts as 0: exp(-750) is 0 in double precision, and no later product
 overflows."""
@@ -180,7 +187,7 @@ def compute_settling_time(kp: float) -> float:
     Raises:
         TheoryError: If the gain is not a positive number.
     """
-    return 4.0 * compute_time_constant(kp)
+    return SETTLING_TIME_CONSTANTS * compute_time_constant(kp)
 
 
 def compute_exact_settling_time(kp: float) -> float:
@@ -189,7 +196,7 @@ def compute_exact_settling_time(kp: float) -> float:
     Raises:
         TheoryError: If the gain is not a positive number.
     """
-    return math.log(50.0) * compute_time_constant(kp)
+    return math.log(1.0 / SETTLING_BAND) * compute_time_constant(kp)
 
 
 def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> float:
@@ -212,9 +219,9 @@ def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> 
     unclipped = limit * tau_s
     if unclipped >= step:
         return compute_exact_settling_time(kp)
-    if unclipped <= 0.02 * step:
-        return 0.98 * step / limit
-    return (step - unclipped) / limit + tau_s * math.log(unclipped / (0.02 * step))
+    if unclipped <= SETTLING_BAND * step:
+        return (1.0 - SETTLING_BAND) * step / limit
+    return (step - unclipped) / limit + tau_s * math.log(unclipped / (SETTLING_BAND * step))
 
 
 def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.float64]:

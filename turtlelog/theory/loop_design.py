@@ -7,13 +7,14 @@ P has no overshoot up to the Kp at which its two slowest poles meet on the real 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import TheoryError
+from turtlelog.theory.continuous_loop import SETTLING_TIME_CONSTANTS
 from turtlelog.theory.pid_loop import find_stable_gains
 from turtlelog.theory.pid_stability import (
     LoopShape,
@@ -33,8 +34,7 @@ from turtlelog.theory.step_motion import (
 )
 
 _Array = NDArray[np.float64]
-
-_SETTLES: Final = 4.0  # time constants to the band of 2 %
+_Ranges = tuple[tuple[float, float], ...]
 
 _MOST_SAMPLES: Final = 2000
 """Largest sum of lag, low-pass, dead time and a step's duration under limits [samples] for which
@@ -227,7 +227,7 @@ def find_p_without_any_overshoot(design: LoopDesign) -> float:
     high = find_p_without_overshoot(design)
     if design.limits is None or not design.overshoots(PidGains(kp=high)):
         return high
-    low, slowest = 0.5 * high, _SETTLES * design.unit_gain / LONGEST_MOTION
+    low, slowest = 0.5 * high, SETTLING_TIME_CONSTANTS * design.unit_gain / LONGEST_MOTION
     while design.overshoots(PidGains(kp=low)):
         if low < slowest:
             raise TheoryError("no P without overshoot comes to rest while a step is simulated")
@@ -279,3 +279,32 @@ def solve_between(
             at, value = other, far
         other, far = middle, found
     return middle
+
+
+def find_lasting_gains(
+    gains: PidGains, *, period_s: float, process: Process, least_dead_time_s: float
+) -> _Ranges:
+    """Return the ranges of Kp [1/s] that are stable at all dead times up to that of the process.
+
+    Between two samples, a longer dead time may be stable with a larger Kp.
+
+    Args:
+        gains: Gains of the controller; Ki and Kd keep their values.
+        period_s: Sampling period T [s].
+        process: Plant that the command drives, with the largest dead time.
+        least_dead_time_s: Smallest dead time [s].
+    """
+    found = [
+        find_stable_gains(gains, period_s=period_s, process=replace(process, dead_time_s=late_s))
+        for late_s in np.linspace(least_dead_time_s, process.dead_time_s, _DEAD_TIMES).tolist()
+    ]
+    return reduce(_intersect, found)
+
+
+_DEAD_TIMES: Final = 5
+"""Number of dead times, from the least to the most, at which stability is examined."""
+
+
+def _intersect(first: _Ranges, second: _Ranges) -> _Ranges:
+    common = [(max(a, c), min(b, d)) for a, b in first for c, d in second]
+    return tuple((low, high) for low, high in common if low < high)

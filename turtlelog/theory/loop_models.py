@@ -59,6 +59,24 @@ class MeasuredTiming:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class NeglectedSetting:
+    """A setting of a scenario that theory's linear loop leaves out.
+
+    Attributes:
+        key: Dotted key.
+        value: Value in the scenario.
+    """
+
+    key: str
+    value: Parameter
+
+    def describe(self) -> str:
+        """Return key and value as text: `loop.jitter_s = 0.01`."""
+        value = f"{self.value:g}" if isinstance(self.value, float) else self.value
+        return f"{self.key} = {value}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LoopModel:
     """Model of a declared loop for theory.
 
@@ -78,7 +96,7 @@ class LoopModel:
         oscillates: Whether the robot oscillates, for which the model has a longer dead time.
         reason: Reason why theory has no model of the loop; empty if there is a model.
         sources: Sources of the values, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
-        left_out: Parts of the scenario that the linear loop leaves out, as `key = value`.
+        left_out: Settings of the scenario that the linear loop leaves out.
     """
 
     loop: ControlLoop
@@ -93,7 +111,7 @@ class LoopModel:
     oscillates: bool = False
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[NeglectedSetting, ...] = ()
 
     def analyse(self) -> PidLoop:
         """Return the properties of the loop."""
@@ -380,14 +398,14 @@ def _spread_jitter(jitter_s: float, period_s: float) -> tuple[_Array, _Array]:
     return 0.5 * (x_s[1:] + x_s[:-1]), np.diff(arrived)
 
 
-def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[str, ...]:
-    """Return the settings that theory's linear loop leaves out, as `key = value`."""
+def _list_neglected(loop: ControlLoop, parameters: _Parameters) -> tuple[NeglectedSetting, ...]:
+    """Return the settings that theory's linear loop leaves out."""
     found = []
     for key, value in parameters.items():
         if key in _MODELLED or key.startswith(_BESIDE) or value == float("inf"):
             continue
         if key == loop.limit_key or (key not in LIMIT_KEYS.values() and _is_of(loop.command, key)):
-            found.append(f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}")
+            found.append(NeglectedSetting(key=key, value=value))
     return tuple(found)
 
 

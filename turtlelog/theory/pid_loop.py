@@ -96,6 +96,12 @@ class PidLoop:
         """Magnitude of the slowest pole; 1 or more if the loop is unstable."""
         return float(abs(self.poles[0]))
 
+    @property
+    def moves_between(self) -> bool:
+        """Whether the signal may reach its peak between samples; an integrator's turns at them."""
+        sampled = sample_process(self.process, self.period_s)
+        return self.process.lag_s > 0.0 or sampled.part > 0.0
+
     def to_control(self) -> Any:
         """Return the open loop as a `control.TransferFunction` in z, without approximation.
 

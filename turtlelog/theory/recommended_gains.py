@@ -208,14 +208,14 @@ def is_no_worse(given: Recommendation, best: Recommendation) -> bool:
     if settles_s is None or (best_settles_s is not None and settles_s > best_settles_s + _EQUAL_S):
         return False
     if best.rule == "overshoot":
-        return given.motion.overshoot_percent <= best.motion.overshoot_percent + _EQUAL_PERCENT
+        return given.motion.overshoot_percent <= best.motion.overshoot_percent + EQUAL_PERCENT
     margin_rad = given.margins.phase_margin_rad
     least_rad = None if best.margins is None else best.margins.phase_margin_rad
     return margin_rad is None or (least_rad is not None and margin_rad >= least_rad - _EQUAL_RAD)
 
 
 _EQUAL_S: Final = 1e-9  # rounding of a settling time, which is a whole number of periods [s]
-_EQUAL_PERCENT: Final = 0.005  # half of the last printed digit of an overshoot [% of the step]
+EQUAL_PERCENT: Final = 0.005  # half of the last printed digit of an overshoot [% of the step]
 _EQUAL_RAD: Final = math.radians(0.05)  # half of the last printed digit of a phase margin [rad]
 
 _SAME_GAIN: Final = 0.005

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.libraries import load_library
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 from turtlelog.theory.process import (
     require_count,
     require_dead_time,
@@ -39,9 +40,6 @@ _NEGLIGIBLE_DEVIATION: Final = 1e-20
 1, 2e-16."""
 
 _ROUNDING: Final = 1e-9  # share of a response that is larger than any rounding error of an addition
-
-BAND: Final = 0.02
-"""Settling band as a share of the step."""
 
 _LONGEST: Final = 2_000_000
 """Longest response for overshoot and settling time [samples]: 16 MB as doubles, and 8.9 h at
@@ -254,7 +252,7 @@ def measure_step(
     error = 1.0 - respond(10 * (dead_time + 1) + math.ceil(12.0 / decay))
     if np.abs(error).max() >= LARGEST_DEVIATION:
         return None, None
-    outside = np.flatnonzero(np.abs(error) > BAND)
+    outside = np.flatnonzero(np.abs(error) > SETTLING_BAND)
     return max(0.0, -100.0 * float(error.min())), int(outside[-1]) + 1
 
 

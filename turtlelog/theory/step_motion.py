@@ -19,6 +19,7 @@ from turtlelog.arithmetic import clip
 from turtlelog.effects.acceleration import Follower, follow_with_acceleration, follow_with_jerk
 from turtlelog.run import Parameter
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, read_number
+from turtlelog.theory.continuous_loop import SETTLING_BAND
 from turtlelog.theory.pid_stability import PidGains
 from turtlelog.theory.process import (
     INTEGRATOR,
@@ -27,7 +28,7 @@ from turtlelog.theory.process import (
     require_period,
     sample_process,
 )
-from turtlelog.theory.sampled_loop import BAND, LARGEST_DEVIATION
+from turtlelog.theory.sampled_loop import LARGEST_DEVIATION
 
 _Array = NDArray[np.float64]
 
@@ -256,7 +257,7 @@ def measure_step_motion(
     furthest_at, turns, is_below = -1, 0, True
     for k in range(LONGEST_MOTION):
         error = 1.0 - motion.y
-        outside = k if abs(error) > BAND else outside
+        outside = k if abs(error) > SETTLING_BAND else outside
         derivative = keep * derivative - slope * (motion.y - last)
         command = kp * error + integral + derivative
         if filter_gap is not None:

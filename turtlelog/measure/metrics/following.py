@@ -24,7 +24,12 @@ from turtlelog.measure.rates import AXES, NEAR, SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours, sum_products
 from turtlelog.measure.run_context import RunContext
 from turtlelog.measure.signals import find_no_commands
-from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
+from turtlelog.measure.step_response import (
+    RISE_BEGIN,
+    find_overshoot,
+    find_rise,
+    find_settling_time,
+)
 
 EARLIEST_S: Final = -0.5
 LATEST_S: Final = 2.0
@@ -222,9 +227,9 @@ and 90 %."""
 _LONGEST_GAP_S: Final = 1.5 / _FEWEST_RATES
 """Longest time without a measured rate in the second after a step [s]: 1.5 times the usual time."""
 
-_MARK: Final = 0.1
+_MARK: Final = RISE_BEGIN
 """Largest quantisation step of a rate, as a share of the response, at which the rise is visible:
-the rise begins at 10 %. For settling, the quantisation step must be within the band."""
+the level at which the rise begins. For settling, the quantisation step must be within the band."""
 
 _ROUNDING: Final = 1e-6
 """Share of a response below which two values are equal, because differences of positions are

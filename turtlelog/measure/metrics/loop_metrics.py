@@ -23,6 +23,7 @@ from turtlelog.measure.response import Response, Track
 from turtlelog.measure.step_response import (
     IRREGULAR_SWINGS,
     RESTS,
+    RISE_BEGIN,
     SHORTEST_HOLD_S,
     TURN_RAD,
     compute_rms,
@@ -85,7 +86,7 @@ def _find_delay_time(curve: Response) -> Outcome:
 def _find_rise_time(curve: Response) -> Outcome:
     """Time from first reaching 10 % of the step to first reaching 90 %."""
     # The time of the metric is the end.
-    if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > 0.1:
+    if (curve.values[0] - curve.initial) / (curve.reference - curve.initial) > RISE_BEGIN:
         return math.nan, math.nan, _BEGINS_BEYOND
     begin_s, end_s = find_rise(curve.time_s, curve.values, curve.initial, curve.reference)
     if math.isnan(end_s):
