@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_short
 from turtlelog.errors import LogError
 from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
@@ -422,17 +421,3 @@ def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assu
     read = " (assumed in rad)" if is_assumed else ""
     course = "; --column heading=course takes the travel instead" if column else ""
     return f"{found}: the robot drives sideways, or the headings{read} are wrong{course}"
-
-
-_CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
-
-
-def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
-    """Return a note on poses that are too close in time for a sensor, if they are."""
-    steps_ns = np.diff(time_ns)
-    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
-        return {}
-    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
-    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
-    return {"crowded": text}

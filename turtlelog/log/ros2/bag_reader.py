@@ -20,7 +20,6 @@ from turtlelog.log.planar_poses import (
     TRANSFORMS,
     lift_poses,
     note_changes,
-    note_crowded,
     separate_times,
     wrap_far_headings,
 )
@@ -65,7 +64,7 @@ from turtlelog.log.ros2.set_clocks import (
     describe_clock_steps,
     describe_silence,
 )
-from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.log.ros2.stamps import TimesNs, note_crowded
 from turtlelog.run import (
     Clock,
     CommandColumns,
