@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.display import format_short
 from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describe_level
 from turtlelog.log.ros2.bag_rows import OrderedRows, describe_leaps, describe_small_leaps
-from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.log.ros2.stamps import CROWDED_NS, TimesNs
 from turtlelog.log.table_columns import UNITS
 
 _APART: Final = 0.2
@@ -312,39 +312,6 @@ def describe_turning(
     return f"{found}{_propose('turn_rate', column, ratio)}"
 
 
-_LONGEST_STEP_S: Final = 5.0
-"""Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
-every few seconds. In milliseconds, this is 200 Hz."""
-
-_FASTEST_M_S: Final = 100.0
-"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
-
-
-def describe_units(
-    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
-) -> str:
-    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
-
-    The metres of a bag are doubted without columns.
-    """
-    step_s = np.diff(time_ns) / 1e9
-    if not len(step_s):
-        return ""
-    usual_s = float(np.median(step_s))
-    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
-        step = format_short(usual_s, "s")
-        option = f"--column t='{columns['t']} [ms]'"
-        return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
-    usual_m_s = float(np.median(np.hypot(*np.diff(xy_m, axis=0).T) / step_s))
-    speed = format_short(usual_m_s, "m/s")
-    if columns is None and usual_m_s > _FASTEST_M_S:
-        return f"x and y are read in m, so {speed} is usual; they may be in mm"
-    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
-        option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
-        return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
-    return ""
-
-
 def _find_median_ratio(values: Values, others: Values) -> float:
     """Return the median ratio of values to others, weighted by the others' magnitudes."""
     rows = np.flatnonzero(others)
@@ -391,6 +358,43 @@ def _propose_lengths(columns: Mapping[str, str], ratio: float) -> Iterator[str]:
         if unit != "m" and abs(ratio / metres - 1.0) <= _OFF:
             options = " ".join(f"--column {axis}='{columns[axis]} [{unit}]'" for axis in "xy")
             yield f", which fits positions in {unit}: {options}"
+
+
+_LONGEST_STEP_S: Final = 5.0
+"""Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
+every few seconds. In milliseconds, this is 200 Hz."""
+
+_FASTEST_M_S: Final = 100.0
+"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
+
+
+def describe_units(
+    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
+) -> str:
+    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
+
+    The metres of a bag are doubted without columns.
+    """
+    step_s = np.diff(time_ns) / 1e9
+    if not len(step_s):
+        return ""
+    usual_s = float(np.median(step_s))
+    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
+        step = format_short(usual_s, "s")
+        option = f"--column t='{columns['t']} [ms]'"
+        return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
+    is_apart = np.diff(time_ns) >= CROWDED_NS  # poses of one time tell no speed
+    if not is_apart.any():
+        return ""
+    way_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    usual_m_s = float(np.median(way_m[is_apart] / step_s[is_apart]))
+    speed = format_short(usual_m_s, "m/s")
+    if columns is None and usual_m_s > _FASTEST_M_S:
+        return f"x and y are read in m, so {speed} is usual; they may be in mm"
+    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
+        option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
+        return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
+    return ""
 
 
 def note_motion(

@@ -385,8 +385,9 @@ def describe_stamp_clock(found: StampClock, used: Literal["log", "stamp"]) -> st
     else:
         sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
         offset = f"{offset_s:.3f}" if offset_s < 1000.0 else f"{offset_s:.0f}"  # decades
+        shift = "" if offset == "0.000" else f" {sign} {offset} s"
         texts.append(
-            f" {sign} {offset} s, mapped to the recorder's clock by the fastest message,"
+            f"{shift}, mapped to the recorder's clock by the fastest message,"
             f" whose transport is unknown; usually others take {jitter_ns / 1e6:.1f} ms more"
         )
         if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
@@ -403,14 +404,14 @@ def describe_stamp_clock(found: StampClock, used: Literal["log", "stamp"]) -> st
     return "".join(texts)
 
 
-_CROWDED_NS: Final = 10_000
+CROWDED_NS: Final = 10_000
 """Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
 
 
 def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
     """Return a note on poses that are too close in time for a sensor, if they are."""
     steps_ns = np.diff(time_ns)
-    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
+    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < CROWDED_NS) <= len(steps_ns):
         return {}
     span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
     text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
