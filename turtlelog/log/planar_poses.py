@@ -23,6 +23,7 @@ FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
 TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
 FIX: Final = "sensor_msgs/msg/NavSatFix"
 JOINTS: Final = "sensor_msgs/msg/JointState"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +49,7 @@ _TRANSFORM: Final = PoseShape(position="transform.translation.", orientation="tr
 POSE_TYPES: Final[Mapping[str, tuple[int, PoseShape | None]]] = {
     "turtlesim/msg/Pose": (0, None),
     "turtlesim_msgs/msg/Pose": (0, None),
-    "nav_msgs/msg/Odometry": (1, _COVARIANT),
+    ODOMETRY: (1, _COVARIANT),
     "geometry_msgs/msg/PoseStamped": (2, _STAMPED),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (2, _COVARIANT),
     "geometry_msgs/msg/Pose": (3, PoseShape(position="position.", orientation="orientation.")),
@@ -101,7 +102,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     for name in ("measured_speed", "measured_turn_rate"):
         if kind == JOINTS and name in fields:
             columns[name] = widen(fields[name])
-    if kind == "nav_msgs/msg/Odometry":
+    if kind == ODOMETRY:
         rates = read_twist(fields, "twist.twist.")
         columns |= {f"measured_{name}": values for name, values in rates.items()}
     return columns

@@ -16,6 +16,7 @@ from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     FIX,
     JOINTS,
+    ODOMETRY,
     POSITIONS,
     TRANSFORM_TYPES,
     Fields,
@@ -206,6 +207,23 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> bag_tr
         found = (file[name] for name in own for file in files if name in file)
         links.update(bag_transforms.collect_links(found, is_static=is_static))
     return links
+
+
+def reports_sideways(bag: Bag, topics: Collection[TopicInfo], source: PoseSource) -> bool:
+    """Return whether other odometry of the robot reports speeds to its side."""
+    names = (
+        topic.topic
+        for topic in topics
+        if (topic.type, topic.reason) == (ODOMETRY, "") and topic.topic != source.topic.topic
+    )
+    for name in names:
+        if bag_topics.is_another_robots(name, source.home):
+            continue
+        with suppress(LogError):  # it was not requested
+            aside = (found.fields["twist.twist.linear.y"] for found in bag.read_topic(name))
+            if any(np.nan_to_num(column).any() for column in aside):
+                return True
+    return False
 
 
 def _is_static(topic: str) -> bool:

@@ -1,8 +1,9 @@
 """Reading of a bag as a run: choice of topics, and their contents."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Unpack
 
@@ -42,6 +43,7 @@ from turtlelog.log.ros2.bag_poses import (
     match_sensed,
     note_pick,
     order_poses,
+    reports_sideways,
 )
 from turtlelog.log.ros2.bag_rows import (
     Bag,
@@ -113,7 +115,10 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
         source = replace(source, found=[])
         bag = bag.find_steps(found, source.topic.topic)
-        run, track = _build_run(bag.path, bag.undo_steps(found), source, commands, choice)
+        moves_aside = partial(reports_sideways, bag, distinct, source)
+        run, track = _build_run(
+            bag.path, bag.undo_steps(found), source, commands, choice, moves_aside
+        )
         run = _note_steps(run, bag)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         run = bag_inputs.add_references(run, bag, source, track, choice)
@@ -197,7 +202,12 @@ _MORE: Final = {
 
 
 def _build_run(
-    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
+    path: Path,
+    found: Held,
+    source: PoseSource,
+    command_pick: Pick | None,
+    choice: ReadChoice,
+    moves_aside: Callable[[], bool],
 ) -> tuple[Run, bag_inputs.RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
     poses, dropped, unturned, vertical = order_poses(found, source.topic)
@@ -218,7 +228,7 @@ def _build_run(
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
-    poses, heading_notes, has_courses = judge_headings(poses, commands)
+    poses, heading_notes, has_courses = judge_headings(poses, commands, moves_aside)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)

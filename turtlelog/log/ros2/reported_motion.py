@@ -29,7 +29,7 @@ larger."""
 _LONGEST_NS: Final = 1_000_000_000
 """Longest step in time that counts [ns]: the motion during longer steps is unknown."""
 
-_STRIDE_NS: Final = 200_000_000
+STRIDE_NS: Final = 200_000_000
 """Time over which poses are differenced [ns]; in this time, 1 mm of noise is 7 mm/s."""
 
 _JUMP_M: Final = 0.05
@@ -77,10 +77,10 @@ def measure_paths(
     step_ns = np.diff(time_ns)
     is_known = step_ns <= _LONGEST_NS
     way_m = np.hypot(*np.diff(xy_m, axis=0).T)[is_known]
-    rows = thin_rows(time_ns, _STRIDE_NS)
+    rows = thin_rows(time_ns, STRIDE_NS)
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
     # Poses with one common time give no rate: their times are wrong, not their path.
-    lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
+    lasts = int(time_ns[-1] - time_ns[0]) >= STRIDE_NS
     driven_m, jumps_m = None, np.zeros(0)
     if lasts and (speed := columns.get(SPEED)) is not None:
         lateral = columns.get(LATERAL)
@@ -250,7 +250,7 @@ def _measure_range(values: Values) -> float:
 
 def _turn_twists(time_ns: TimesNs, columns: Mapping[str, Values], lateral: Values) -> Values | None:
     """Return the forward speed of twists along the world's axes; None for other twists."""
-    rows = thin_rows(time_ns, _STRIDE_NS)
+    rows = thin_rows(time_ns, STRIDE_NS)
     if len(rows) < 3:
         return None
     step_s = np.diff(time_ns[rows]) / 1e9
