@@ -1,7 +1,6 @@
 """Reading of a bag as a run: choice of topics, and their contents."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,6 @@ from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
@@ -24,7 +22,7 @@ from turtlelog.log.planar_poses import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -62,10 +60,7 @@ from turtlelog.log.ros2.bag_topics import (
 )
 from turtlelog.log.ros2.computed_poses import judge_headings
 from turtlelog.log.ros2.reported_motion import judge_rates, note_contradictions, note_motion
-from turtlelog.log.ros2.set_clocks import (
-    describe_clock_steps,
-    describe_silence,
-)
+from turtlelog.log.ros2.set_clocks import note_steps
 from turtlelog.log.ros2.stamps import TimesNs, note_crowded
 from turtlelog.run import (
     Clock,
@@ -99,7 +94,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             line with the file and the place.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
-    with _name_once(bag):
+    with bag.name_errors():
         is_asked = choice.pose_topic is not None and choice.robot is None
         distinct, robots = (bag.topics, ()) if is_asked else select_robot(bag.topics, choice.robot)
         try:
@@ -119,7 +114,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run, track = _build_run(
             bag.path, bag.undo_steps(found), source, commands, choice, moves_aside
         )
-        run = _note_steps(run, bag)
+        run = note_steps(run, bag.steps)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         run = bag_inputs.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
@@ -129,15 +124,6 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     asked = None if has_frames else choice.robot
     named = describe_robots(robots, source.topic.topic, asked)
     return _note_rest(run, bag, distinct, choice, named)
-
-
-def _note_steps(run: Run, bag: Bag) -> Run:
-    """Return a run with notes on the steps of the recorder's clock, or on a long silence."""
-    if bag.steps:
-        notes = {**run.notes, CLOCK_SET: describe_clock_steps(bag.steps)}
-        return replace(run, notes=notes, origin=replace(run.origin, was_clock_set=True))
-    silence = describe_silence(run.poses.time_ns, run.commands.time_ns)
-    return replace(run, notes={**run.notes, "silence": silence}) if silence else run
 
 
 def _note_rest(
@@ -171,19 +157,6 @@ def _note_rest(
     line += f", commands from {commands.describe()}" if commands else ", no commands"
     more = [f"; {text.format(notes[name])}" for name, text in _MORE.items() if name in notes]
     return replace(run, notes={**notes, CHOSEN: "".join([line, *more])}, origin=origin)
-
-
-@contextmanager
-def _name_once(bag: Bag) -> Iterator[None]:
-    """Add the bag's name to errors, unless an error names one of its files."""
-    try:
-        with name_file(bag.path, expected="a bag"):
-            yield
-    except LogError as err:
-        text = str(err).removeprefix(f"{bag.path}: ")
-        if not any(text.startswith(f"{file}: ") for file in bag.infos):
-            raise
-        raise LogError(text) from err
 
 
 _MORE: Final = {
@@ -366,7 +339,7 @@ def _read_commands_alone(
     }
     commands = bag_inputs.build_bag_commands(rows, start_ns)
     run = _join_run(bag.path, poses, commands, times.clock, origin, notes)
-    return _note_steps(run, bag), pick.topic.topic
+    return note_steps(run, bag.steps), pick.topic.topic
 
 
 def _add_samples(run: Run, bag: Bag, start_ns: int) -> Run:

@@ -8,6 +8,7 @@ all pose times are late by it.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -20,7 +21,7 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.topic_columns import TopicColumns, iterate_heads, read_some_columns
-from turtlelog.log.file_access import name_place
+from turtlelog.log.file_access import name_file, name_place
 from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.planar_poses import Fields, Values
 from turtlelog.log.read_choice import TimeSource
@@ -77,6 +78,18 @@ class Bag:
         )
         found = tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
         return tuple(self.undo_steps(found))
+
+    @contextmanager
+    def name_errors(self) -> Iterator[None]:
+        """Add the bag's name to errors, unless an error names one of its files."""
+        try:
+            with name_file(self.path, expected="a bag"):
+                yield
+        except LogError as err:
+            text = str(err).removeprefix(f"{self.path}: ")
+            if not any(text.startswith(f"{file}: ") for file in self.infos):
+                raise
+            raise LogError(text) from err
 
     def find_steps(self, found: Sequence[Mapping[str, TopicColumns]], name: str) -> "Bag":
         """Return the bag with the steps of its recorder's clock that a topic in `found` shows."""
