@@ -64,6 +64,29 @@ The lowest priority number is first: odometry, because it has rates, then types 
 satellite fixes last, because they give no heading. Types without fields have a reader of their
 own."""
 
+POSES_IN_SHORT: Final = (
+    "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
+)
+
+_OF_MODELS: Final = "poses of several models in each message; record the robot's own odometry"
+OTHER_PLACES: Final[Mapping[str, str]] = {
+    "foxglove.LocationFix": f"latitude and longitude, which are read from {FIX} only",
+    "gazebo_msgs/msg/ModelStates": _OF_MODELS,
+    "gazebo_msgs/msg/LinkStates": _OF_MODELS,
+}
+"""Message types of places that are not read as poses, with the reason."""
+
+TWIST_TYPES: Final[Mapping[str, str]] = {
+    "geometry_msgs/msg/Twist": "",
+    "geometry_msgs/msg/TwistStamped": "twist.",
+}
+ACKERMANN_TYPES: Final[Mapping[str, str]] = {
+    "ackermann_msgs/msg/AckermannDrive": "",
+    "ackermann_msgs/msg/AckermannDriveStamped": "drive.",
+}
+COMMAND_TYPES: Final[Mapping[str, str]] = {**TWIST_TYPES, **ACKERMANN_TYPES}
+"""The message types of commands, with the prefix of their fields."""
+
 POSITIONS: Final = {kind: shape.position for kind, (_, shape) in POSE_TYPES.items() if shape}
 """Prefix of x and y in the fields of each pose type."""
 

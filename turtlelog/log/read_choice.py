@@ -158,6 +158,10 @@ def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], flo
     return (x_m, y_m), heading_rad[0] if heading_rad else None
 
 
+NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
+NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
+
+
 def parse_joints(text: str) -> tuple[str, str]:
     """Return the names of the left and the right wheel."""
     names = [name.strip() for name in text.split(",")]
@@ -245,6 +249,7 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
         "path_by_speed": _OF_SOURCE,
         "still": _OF_SOURCE,
         "other_pose_topics": _IN_INFO,
+        "not_poses": _IN_INFO,
         "other_frames": _IN_INFO,
         RESTARTS: _OF_SOURCE,
         "unlikely_units": replace(_OF_SOURCE, doubt=", in units that are unlikely"),

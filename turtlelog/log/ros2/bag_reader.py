@@ -37,6 +37,7 @@ from turtlelog.log.recording.topics import (
 from turtlelog.log.ros2 import bag_inputs
 from turtlelog.log.ros2.bag_poses import (
     PoseSource,
+    RobotTrack,
     find_poses,
     match_sensed,
     note_pick,
@@ -53,6 +54,7 @@ from turtlelog.log.ros2.bag_rows import (
 from turtlelog.log.ros2.bag_topics import (
     NoPosesError,
     Pick,
+    describe_other_places,
     describe_other_poses,
     describe_robots,
     describe_unread_topics,
@@ -140,7 +142,7 @@ def _note_rest(
         if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
     ]
     unread = ", ".join(f"{topic.count} of {topic.topic}" for topic in rest)
-    found = {"robots": robots, "not_read": unread}
+    found = {"robots": robots, "not_read": unread, "not_poses": describe_other_places(topics)}
     notes = {**run.notes, **{name: text for name, text in found.items() if text}}
     for info in bag.infos.values():
         notes |= info.notes
@@ -181,13 +183,13 @@ def _build_run(
     command_pick: Pick | None,
     choice: ReadChoice,
     moves_aside: Callable[[], bool],
-) -> tuple[Run, bag_inputs.RobotTrack]:
+) -> tuple[Run, RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
     poses, dropped, unturned, vertical = order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
         commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
-    track = bag_inputs.RobotTrack(
+    track = RobotTrack(
         time_ns=poses.time_ns,
         received_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
