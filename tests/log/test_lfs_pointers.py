@@ -1,4 +1,4 @@
-"""What Git LFS leaves where a file was not fetched is called that, whoever reads it."""
+"""Files without content, a pointer of Git LFS or zeros, are called that, whoever reads them."""
 
 from pathlib import Path
 
@@ -100,3 +100,20 @@ def test_a_folder_of_recordings_names_its_pointers(call: Call, tmp_path: Path) -
     answer = call("metrics", tmp_path, "-o", tmp_path / "table.parquet")
     assert answer.code == 2
     assert answer.err.count(TOLD) == 2
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag", "a.csv", "a.json", "a.parquet", "a"])
+@pytest.mark.parametrize("size", [1, 2**20 + 17])
+def test_a_file_of_zeros_is_told_plainly(tmp_path: Path, name: str, size: int) -> None:
+    path = tmp_path / name
+    path.write_bytes(bytes(size))
+    with pytest.raises(LogError) as caught:
+        tl.read_run(path)
+    assert str(caught.value) == f"{path}: only zero bytes; copy the file again from its source"
+
+
+def test_a_file_that_begins_with_zeros_is_told_without_their_digits(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(bytes(2**20) + b"1")
+    with pytest.raises(LogError, match=r"not an MCAP file: it begins with zero bytes$"):
+        tl.read_run(path)

@@ -44,3 +44,11 @@ def test_notes_on_a_source_follow_only_its_own_run(tmp_path: Path) -> None:
     found = tl.read_run(tmp_path / "tb3.mcap")
     assert {*run.notes} - {*found.notes} == {"chosen", "unused"}
     assert not [*list_notes_after(found.notes)]
+
+
+def test_rows_of_a_table_without_a_pose_are_told_after_an_answer(tmp_path: Path) -> None:
+    file = tmp_path / "drive.csv"
+    file.write_text(f"{TABLE}3.0,,,,\n")
+    assert "rows without pose: 1 of 31" in [*list_notes_after(tl.read_run(file).notes)]
+    file.write_text(TABLE)
+    assert not any("rows" in note for note in list_notes_after(tl.read_run(file).notes))

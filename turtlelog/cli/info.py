@@ -238,7 +238,7 @@ def _list_absent(recording: "tl.log.RecordingInfo", summary: Summary) -> tuple[s
     more += [] if run is None or run.commands else ["commands"]
     if summary.run is None and recording.format_version is None:
         held = {topic.type for topic in recording.topics if topic.count}
-        kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.ros2.COMMAND_TYPES}
+        kinds = {"poses": tl.log.POSE_TYPES, "commands": tl.log.COMMAND_TYPES}
         more += [name for name, types in kinds.items() if not held.intersection(types)]
     return tuple(dict.fromkeys([*more, *recording.absent]))
 

@@ -137,7 +137,12 @@ def summarise(
         if replace(choice, allow_partial=False) != tl.log.ReadChoice():
             raise  # the requested data do not exist
         reason = str(err).removeprefix(f"{path}: ")
-        return Summary(text=_summarise_topics(info, reason), needs=_list_needs(info))
+        others = tl.log.ros2.describe_other_places(info.topics)
+        return Summary(
+            text=_summarise_topics(info, reason),
+            needs=_list_needs(info),
+            notes={"not_poses": others} if others else {},
+        )
     return _summarise_run(run, info)
 
 
@@ -299,9 +304,9 @@ def _list_needs(info: "tl.log.RecordingInfo") -> tuple[str, ...]:
             needed = "nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf"
             held = {topic.type for topic in info.topics if topic.count}
             # Options that derive poses and commands from other messages.
-            wheels = [tl.log.ros2.NEEDS_WHEELS] if tl.log.JOINTS in held else []
-            is_car = not held.isdisjoint(tl.log.ros2.ACKERMANN_TYPES)
-            base = [tl.log.ros2.NEEDS_WHEELBASE] if is_car else []
+            wheels = [tl.log.NEEDS_WHEELS] if tl.log.JOINTS in held else []
+            is_car = not held.isdisjoint(tl.log.ACKERMANN_TYPES)
+            base = [tl.log.NEEDS_WHEELBASE] if is_car else []
             return (f"to be measured it needs {needed}", *wheels, *base)
     except LogError:
         pass  # there are several

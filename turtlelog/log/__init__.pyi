@@ -36,12 +36,16 @@ from .plain_tables import (
     import_plain_table as import_plain_table,
 )
 from .planar_poses import (
+    ACKERMANN_TYPES as ACKERMANN_TYPES,
+    COMMAND_TYPES as COMMAND_TYPES,
     JOINTS as JOINTS,
     POSE_TYPES as POSE_TYPES,
 )
 from .read_choice import (
     CHOSEN as CHOSEN,
     CLOCK_SET as CLOCK_SET,
+    NEEDS_WHEELBASE as NEEDS_WHEELBASE,
+    NEEDS_WHEELS as NEEDS_WHEELS,
     NOTES as NOTES,
     UNUSED as UNUSED,
     ReadChoice as ReadChoice,

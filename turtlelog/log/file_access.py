@@ -1,4 +1,4 @@
-"""Access to files: errors of one line, files that appear when complete."""
+"""Access to files: their kinds by first bytes, errors of one line, files that appear complete."""
 
 import os
 import stat
@@ -67,7 +67,7 @@ def open_file(path: str | Path) -> BinaryIO:
     """Open a file for reading. Pipes, which may block, and devices, which may not end, are refused.
 
     Raises:
-        LogError: If the path is a pipe, a device or a Git LFS pointer.
+        LogError: If the path is a pipe, a device, a Git LFS pointer or a file of zero bytes.
         OSError: If the file cannot be read.
     """
     path = make_path(path)
@@ -81,7 +81,76 @@ def open_file(path: str | Path) -> BinaryIO:
             stream.close()
             raise LogError("this is a Git LFS pointer, not the file: git lfs pull")
         stream.seek(0)
+    # Behind a URL all bytes would be fetched.
+    if not isinstance(path, RemotePath) and _has_only_zeros(stream):
+        stream.close()
+        raise LogError("only zero bytes; copy the file again from its source")
     return stream
+
+
+def _has_only_zeros(stream: BinaryIO) -> bool:
+    """Return whether a file has bytes and all are 0, as after a power cut or a cut copy."""
+    has_bytes, size = False, START_SIZE
+    while block := stream.read(size):
+        if block.count(0) != len(block):
+            has_bytes = False
+            break
+        has_bytes, size = True, _BLOCK_BYTES
+    stream.seek(0)
+    return has_bytes
+
+
+MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
+"""Magic bytes at the start and end of a file; importing them from mcap.writer takes 20 ms."""
+
+SQLITE_MAGIC: Final = b"SQLite format 3\0"
+_RERUN: Final = b"RRF2"
+_BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
+_BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
+_LETTERS: Final = frozenset((*b"\t\n\r", *range(0x20, 0x7F)))
+START_SIZE: Final = len(SQLITE_MAGIC)
+"""Number of bytes at the start of a file that determine its kind."""
+
+_BLOCK_BYTES: Final = 2**20
+
+_OTHERS: Final = {
+    b"\x89PNG": "a picture",
+    b"%PDF": "a PDF",
+    b"PK\x03\x04": "a ZIP archive, to be unpacked first",
+    b"\x1f\x8b": "compressed by gzip, to be unpacked first",
+}
+"""Files that are often taken for logs, by their first bytes, with advice."""
+
+
+def check_start(stream: BinaryIO) -> None:
+    """Check the magic bytes at the start."""
+    stream.seek(0)
+    reason = find_wrong_start(stream.read(START_SIZE))
+    if reason is not None:
+        raise LogError(f"byte 0: {reason}")
+
+
+def find_wrong_start(start: bytes) -> str | None:
+    """Return why a file does not start like MCAP, with advice; None if it does start so."""
+    if start.startswith(MCAP0_MAGIC):
+        return None
+    found = f"it begins with {name_start(start)}" if start else "it is empty"
+    if start.startswith(SQLITE_MAGIC):
+        found = "it is a bag in SQLite"
+    elif start.startswith(_RERUN):
+        found = "it is a Rerun recording, which turtlelog view shows"
+    elif start.startswith(_BAG_DESCRIPTION):
+        found = "it is the metadata.yaml of a bag: name the folder that it is in"
+    elif kind := next((kind for magic, kind in _OTHERS.items() if start.startswith(magic)), None):
+        found = f"it is {kind}"
+    elif start and set(start.removeprefix(_BYTE_ORDER_MARK)) <= _LETTERS:
+        found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
+    return f"not an MCAP file: {found}"
+
+
+def name_start(start: bytes) -> str:
+    """Return the first bytes of a file for an error."""
+    return f"0x{start[: len(MCAP0_MAGIC)].hex()}" if any(start) else "zero bytes"
 
 
 def name_write_error(path: str | Path, err: Exception) -> LogError:

@@ -39,10 +39,14 @@ from turtlelog.errors import LogError
 from turtlelog.libraries import __version__
 from turtlelog.log.engine.cdr import encode_alike, encode_fixed, encode_varied, fit_numbers
 from turtlelog.log.engine.message_types import Field, lay_out_alike, name_parts, read_type
-from turtlelog.log.engine.records import MCAP0_MAGIC
 from turtlelog.log.engine.source import map_ahead
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_place, name_write_error, replace_when_complete
+from turtlelog.log.file_access import (
+    MCAP0_MAGIC,
+    name_place,
+    name_write_error,
+    replace_when_complete,
+)
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 
 LIBRARY: Final = f"turtlelog/{__version__}"

@@ -18,8 +18,9 @@ from turtlelog.log.file_access import name_file
 from turtlelog.log.planar_poses import Values
 from turtlelog.log.read_choice import CHOSEN, RESTARTS
 from turtlelog.log.ros2.computed_poses import take_courses
-from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning
+from turtlelog.log.ros2.reported_motion import describe_speed, describe_turning, describe_units
 from turtlelog.log.ros2.set_clocks import DAY_NS, count_midnights, find_runs
+from turtlelog.log.ros2.stamps import note_crowded
 from turtlelog.log.table_columns import EPOCHS, QUANTITIES, Choice, offer_robots, show_column
 from turtlelog.log.table_files import KITTI_COLUMNS, PlainTable, read_plain_table
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns, SourceKind
@@ -201,7 +202,7 @@ def _list_contradictions(
     used += [whole[name] for name in ("speed", "turn_rate") if name in whole]
     if max(float(np.abs(column).max()) for column in used) > _LARGEST:
         return {}
-    if notes := planar_poses.note_crowded(time_ns):
+    if notes := note_crowded(time_ns):
         same = int(np.count_nonzero(np.diff(time_ns) == 1))
         text = (
             f"{same} of {len(time_ns)} poses have the time of the pose before, and all rates are"
@@ -209,7 +210,7 @@ def _list_contradictions(
         )
         return dict.fromkeys(notes, text) if 2 * same > len(time_ns) else notes
     xy_m, heading_rad = np.column_stack([poses["x"], poses["y"]]), poses["heading"]
-    if doubt := table_columns.describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
+    if doubt := describe_units(time_ns, xy_m, cells.find_assumed("t", "x", "y")):
         return {"unlikely_units": doubt}
     column = cells.chosen["heading"].name if "heading" in cells.chosen else ""
     is_assumed = bool(cells.find_assumed("heading"))

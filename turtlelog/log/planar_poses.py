@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_short
 from turtlelog.errors import LogError
 from turtlelog.run import Origin
 from turtlelog.run.angles import wrap_angle
@@ -24,6 +23,7 @@ FRAME_TRANSFORM: Final = "foxglove.FrameTransform"
 TRANSFORM_TYPES: Final = (TRANSFORMS, FRAME_TRANSFORM)
 FIX: Final = "sensor_msgs/msg/NavSatFix"
 JOINTS: Final = "sensor_msgs/msg/JointState"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ _TRANSFORM: Final = PoseShape(position="transform.translation.", orientation="tr
 POSE_TYPES: Final[Mapping[str, tuple[int, PoseShape | None]]] = {
     "turtlesim/msg/Pose": (0, None),
     "turtlesim_msgs/msg/Pose": (0, None),
-    "nav_msgs/msg/Odometry": (1, _COVARIANT),
+    ODOMETRY: (1, _COVARIANT),
     "geometry_msgs/msg/PoseStamped": (2, _STAMPED),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (2, _COVARIANT),
     "geometry_msgs/msg/Pose": (3, PoseShape(position="position.", orientation="orientation.")),
@@ -63,6 +63,29 @@ POSE_TYPES: Final[Mapping[str, tuple[int, PoseShape | None]]] = {
 The lowest priority number is first: odometry, because it has rates, then types with stamps, and
 satellite fixes last, because they give no heading. Types without fields have a reader of their
 own."""
+
+POSES_IN_SHORT: Final = (
+    "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
+)
+
+_OF_MODELS: Final = "poses of several models in each message; record the robot's own odometry"
+OTHER_PLACES: Final[Mapping[str, str]] = {
+    "foxglove.LocationFix": f"latitude and longitude, which are read from {FIX} only",
+    "gazebo_msgs/msg/ModelStates": _OF_MODELS,
+    "gazebo_msgs/msg/LinkStates": _OF_MODELS,
+}
+"""Message types of places that are not read as poses, with the reason."""
+
+TWIST_TYPES: Final[Mapping[str, str]] = {
+    "geometry_msgs/msg/Twist": "",
+    "geometry_msgs/msg/TwistStamped": "twist.",
+}
+ACKERMANN_TYPES: Final[Mapping[str, str]] = {
+    "ackermann_msgs/msg/AckermannDrive": "",
+    "ackermann_msgs/msg/AckermannDriveStamped": "drive.",
+}
+COMMAND_TYPES: Final[Mapping[str, str]] = {**TWIST_TYPES, **ACKERMANN_TYPES}
+"""The message types of commands, with the prefix of their fields."""
 
 POSITIONS: Final = {kind: shape.position for kind, (_, shape) in POSE_TYPES.items() if shape}
 """Prefix of x and y in the fields of each pose type."""
@@ -102,7 +125,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     for name in ("measured_speed", "measured_turn_rate"):
         if kind == JOINTS and name in fields:
             columns[name] = widen(fields[name])
-    if kind == "nav_msgs/msg/Odometry":
+    if kind == ODOMETRY:
         rates = read_twist(fields, "twist.twist.")
         columns |= {f"measured_{name}": values for name, values in rates.items()}
     return columns
@@ -422,17 +445,3 @@ def describe_headings(xy_m: Values, heading_rad: Values, *, column: str, is_assu
     read = " (assumed in rad)" if is_assumed else ""
     course = "; --column heading=course takes the travel instead" if column else ""
     return f"{found}: the robot drives sideways, or the headings{read} are wrong{course}"
-
-
-_CROWDED_NS: Final = 10_000
-"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
-
-
-def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
-    """Return a note on poses that are too close in time for a sensor, if they are."""
-    steps_ns = np.diff(time_ns)
-    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < _CROWDED_NS) <= len(steps_ns):
-        return {}
-    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
-    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
-    return {"crowded": text}

@@ -158,6 +158,10 @@ def parse_goal_option(goal: tuple[float, ...]) -> tuple[tuple[float, float], flo
     return (x_m, y_m), heading_rad[0] if heading_rad else None
 
 
+NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
+NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
+
+
 def parse_joints(text: str) -> tuple[str, str]:
     """Return the names of the left and the right wheel."""
     names = [name.strip() for name in text.split(",")]
@@ -233,6 +237,7 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
         "plane": replace(_OF_SOURCE, has_label=False),
         "quaternion_order": NoteKind(after="source"),
         "dropped_nan": _OF_SOURCE,
+        "rows_without_pose": NoteKind(after="source"),
         "held_transforms": _OF_SOURCE,
         "dropped_before_transforms": _OF_SOURCE,
         "robots": _IN_INFO,
@@ -244,6 +249,7 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
         "path_by_speed": _OF_SOURCE,
         "still": _OF_SOURCE,
         "other_pose_topics": _IN_INFO,
+        "not_poses": _IN_INFO,
         "other_frames": _IN_INFO,
         RESTARTS: _OF_SOURCE,
         "unlikely_units": replace(_OF_SOURCE, doubt=", in units that are unlikely"),
@@ -260,7 +266,7 @@ NOTES: Final[Mapping[str, NoteKind]] = MappingProxyType(
                 *("goal_set_ns", "path_set_ns", "other_path_topics", "robot", "columns"),
                 *("poses", "commands", "samples", "not_read", "not_understood", "bag_files"),
                 *("sorted_rows", "dropped_duplicates", "moved_rows", "wrapped_headings"),
-                *("close_rows", "height", "rows_without_pose", "rows_without_command"),
+                *("close_rows", "height", "rows_without_command"),
                 *("measured_speed", "measured_turn_rate", "pose_times", "scenario", "slice"),
             ),
             NoteKind(),

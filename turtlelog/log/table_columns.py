@@ -12,7 +12,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import format_short, join_words
+from turtlelog.display import join_words
 from turtlelog.errors import LogError
 
 Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
@@ -364,39 +364,6 @@ def is_row_of_units(cells: Sequence[str]) -> bool:
     if any(DATE.match(cell) or read_time(cell, 0) is not None for cell in cells):
         return False
     return any(cell.strip("[]() ").lower() in _SPELLINGS for cell in cells)
-
-
-_LONGEST_STEP_S: Final = 5.0
-"""Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
-every few seconds. In milliseconds, this is 200 Hz."""
-
-_FASTEST_M_S: Final = 100.0
-"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
-
-
-def describe_units(
-    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
-) -> str:
-    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
-
-    The metres of a bag are doubted without columns.
-    """
-    step_s = np.diff(time_ns) / 1e9
-    if not len(step_s):
-        return ""
-    usual_s = float(np.median(step_s))
-    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
-        step = format_short(usual_s, "s")
-        option = f"--column t='{columns['t']} [ms]'"
-        return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
-    usual_m_s = float(np.median(np.hypot(*np.diff(xy_m, axis=0).T) / step_s))
-    speed = format_short(usual_m_s, "m/s")
-    if columns is None and usual_m_s > _FASTEST_M_S:
-        return f"x and y are read in m, so {speed} is usual; they may be in mm"
-    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
-        option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
-        return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
-    return ""
 
 
 _LATEST_NS: Final = 2**62

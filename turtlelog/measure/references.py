@@ -123,11 +123,12 @@ def find_last_heading_error(phase: Any, loops: Any, aim: Any, last: Any) -> floa
             known |= 1 << number
     acting = find_last_acting(phase, loops, known)
     is_arbitrary = acting < 0 or loops[acting].reference == BEARING_NOW
+    error_rad: float = math.nan
     if is_arbitrary and not math.isnan(aim.goal_heading_rad):
-        return wrap_angle(aim.goal_heading_rad - last.heading_rad)
-    if acting < 0 or len(phase) == 0:
-        return math.nan
-    return wrap_angle(_read_last(loops[acting].reference, aim, last) - last.unwrapped_rad)
+        error_rad = wrap_angle(aim.goal_heading_rad - last.heading_rad)
+    elif acting >= 0 and len(phase) > 0:
+        error_rad = wrap_angle(_read_last(loops[acting].reference, aim, last) - last.unwrapped_rad)
+    return error_rad
 
 
 def _read_last(reference: int, aim: Any, last: Any) -> float:

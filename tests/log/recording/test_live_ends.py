@@ -17,7 +17,7 @@ from tests.log.recording.ticks import POSE, make_scenario, record, record_ticks
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import read_recording, replace_when_complete, write_recording
-from turtlelog.log.engine.records import MCAP0_MAGIC
+from turtlelog.log.file_access import MCAP0_MAGIC
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.simulate import iterate_ticks, simulate_run

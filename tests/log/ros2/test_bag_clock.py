@@ -54,6 +54,14 @@ def test_what_was_done_is_said_in_words() -> None:
     assert (times.commands.time_ns == poses.log_ns[::4]).all()
 
 
+@pytest.mark.parametrize(("offset_s", "shift"), [(0.0, ""), (0.0004, ""), (0.0006, " - 0.001 s")])
+def test_a_shift_that_rounds_to_0_is_not_told(offset_s: float, shift: str) -> None:
+    true_ns = make_times()
+    stamps = Stamps(log_ns=true_ns, stamp_ns=true_ns + round(offset_s * 1e9))
+    text = time_poses(stamps).notes[CLOCK]
+    assert text.startswith(f"poses are timed by their stamps{shift}, mapped to the recorder's")
+
+
 @pytest.mark.parametrize(
     ("first_s", "words"),
     [(999_999_000.0, "whose seconds are a simulation's: "), (1e9, "whose seconds are of another")],

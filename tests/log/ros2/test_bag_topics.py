@@ -30,8 +30,8 @@ from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
 from turtlelog.log.read_choice import ReadChoice
 from turtlelog.log.ros2.bag_inputs import choose_command_topic, choose_commands
+from turtlelog.log.ros2.bag_rows import describe_leaps
 from turtlelog.log.ros2.bag_topics import choose_pose_topic
-from turtlelog.log.ros2.reported_motion import describe_leaps
 
 
 def list_topics(*pairs: tuple[str, str], count: int = 9) -> list[TopicInfo]:

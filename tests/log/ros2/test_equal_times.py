@@ -70,6 +70,19 @@ def test_times_that_no_sensor_has_are_told(tmp_path: Path, step_ns: int, *, is_t
         assert run.notes["crowded"].startswith("all 50 poses lie within ")
 
 
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_messages_of_one_time_give_no_doubt_about_units(tmp_path: Path, count: int) -> None:
+    said = [
+        replace(one, sequence=row, values={**one.values, "x": 0.01 * row})
+        for row, one in enumerate(make_poses(count))
+    ]
+    for row in range(1, count, 2):
+        said[row] = replace(said[row], time_ns=said[row - 1].time_ns)
+    run = read_bag(write_mcap(tmp_path / "bag.mcap", said))
+    assert len(run.poses) == count
+    assert "unlikely_units" not in run.notes
+
+
 @pytest.mark.parametrize(("value", "kept"), [(0.9e30, 3), (1.1e30, 2), (-1e308, 2)])
 def test_values_of_unset_memory_are_dropped(tmp_path: Path, value: float, kept: int) -> None:
     said = [*make_poses(3, kind="geometry_msgs/msg/Pose2D", x=1.0, y=2.0, theta=0.5)]

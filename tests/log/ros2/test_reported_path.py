@@ -1,5 +1,7 @@
 """What a bag's poses contradict: reported speeds and turn rates, units, constant orientations."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +14,11 @@ from tests.cli.test_commands_alone import say_twist
 from tests.log.ros2.bags import START_NS, Said, make_vector
 from tests.log.ros2.robots import describe_head, describe_place, turn, write_robot
 from tests.log.runs import find_shared
+from turtlelog.log.ros2.bag_rows import describe_small_leaps
 from turtlelog.log.ros2.reported_motion import (
     LATERAL,
     SPEED,
     describe_paths,
-    describe_small_leaps,
     measure_paths,
 )
 
@@ -259,6 +261,53 @@ def test_a_robot_that_moves_to_the_side_keeps_its_orientation(tmp_path: Path) ->
     run = tl.read_run(write_robot(tmp_path, said))
     assert not run.poses.heading_rad.any()
     assert not run.origin.has_courses
+
+
+def say_staircase(ahead_share: float = 1.0, topic: str = "/odom") -> list[Said]:
+    """Return odometry ahead and to the left in turns, at 0.5 m/s and a constant orientation.
+
+    The reported speed is between the way along the path (a share of 0) and that ahead (1).
+    """
+    ways = [(0.5, 0.0) if row // 60 % 2 == 0 else (0.0, 0.5) for row in range(COUNT)]
+    xy_m = np.cumsum(np.array(ways), axis=0) / HZ
+    said = say_odometry(xy_m, speed=0.0, topic=topic)
+    for one, (ahead, _) in zip(said, ways, strict=True):
+        speed = ahead_share * ahead + (1.0 - ahead_share) * 0.5
+        one.values["twist"]["twist"] = {"linear": make_vector(speed), "angular": make_vector()}
+    return said
+
+
+@pytest.mark.parametrize(("ahead_share", "is_course"), [(1.0, False), (0.8, False), (0.7, True)])
+def test_a_speed_reported_along_the_orientation_keeps_it(
+    ahead_share: float, tmp_path: Path, *, is_course: bool
+) -> None:
+    run = tl.read_run(write_robot(tmp_path, say_staircase(ahead_share)))
+    assert run.origin.has_courses == is_course
+    assert run.poses.heading_rad.any() == is_course
+
+
+@pytest.mark.parametrize(
+    ("topic", "aside", "is_course"),
+    [
+        ("/odom", 0.5, False),
+        ("/odom", 0.0, True),
+        ("/odom", math.nan, True),
+        ("/robot2/odom", 0.5, True),
+    ],
+)
+def test_other_odometry_that_reports_a_speed_to_the_side_keeps_the_orientation(
+    topic: str, aside: float, tmp_path: Path, *, is_course: bool
+) -> None:
+    odometry = say_staircase(topic=topic)
+    places = [one.values["pose"]["pose"]["position"] for one in odometry]
+    poses = [
+        replace(say_pose([at["x"], at["y"]], 0.0, row), topic="/robot1/pose")
+        for row, at in enumerate(places)
+    ]
+    for one in odometry:
+        one.values["twist"]["twist"]["linear"] = make_vector(0.0, aside)
+    run = tl.read_run(write_robot(tmp_path, poses, odometry), pose_topic="/robot1/pose")
+    assert run.origin.has_courses == is_course
 
 
 def say_pose(xy_m: list[float], theta: float, row: int) -> Said:

@@ -21,7 +21,7 @@ from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.records import RECORD, Place, parse_record
 from turtlelog.log.engine.walk import CHUNK_HEAD, Loss, Section, walk_sections
-from turtlelog.log.file_access import DamageError, LimitError
+from turtlelog.log.file_access import DamageError, LimitError, check_start
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -176,7 +176,7 @@ def walk_through(
     stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Loss] | None = None
 ) -> Iterator[T]:
     """Yield the result of `work` for every section of a file, in file order."""
-    records.check_start(stream)
+    check_start(stream)
     allowance = limits.Allowance(limits.measure_stored(stream))
     for section in walk_sections(stream):
         if isinstance(section, Loss):

@@ -12,10 +12,18 @@ import zstandard
 from turtlelog.errors import LogError
 from turtlelog.files.urls import RemotePath, make_path
 from turtlelog.log.engine.limits import FRAMES, UNPACKED_FILE, ZSTD_MAGIC, Allowance, measure_stored
-from turtlelog.log.engine.records import MCAP0_MAGIC, SQLITE_MAGIC, START_SIZE, find_wrong_start
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
-from turtlelog.log.file_access import DamageError, name_file, open_file
+from turtlelog.log.file_access import (
+    MCAP0_MAGIC,
+    SQLITE_MAGIC,
+    START_SIZE,
+    DamageError,
+    find_wrong_start,
+    name_file,
+    name_start,
+    open_file,
+)
 
 _ROS1_MAGIC: Final = b"#ROSBAG V"
 _MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC, _ROS1_MAGIC)
@@ -208,7 +216,7 @@ def _require_start(path: Path, stream: BinaryIO) -> None:
     """Refuse a file that has the suffix of a SQLite bag but another content."""
     head = _read_head(stream)
     if ".db3" in path.suffixes and find_wrong_start(head) is not None:
-        raise LogError(f"byte 0: not a bag in SQLite: it begins with 0x{head[:8].hex()}")
+        raise LogError(f"byte 0: not a bag in SQLite: it begins with {name_start(head)}")
 
 
 def _read_head(stream: BinaryIO) -> bytes:

@@ -50,8 +50,6 @@ _RARE: Final[dict[int, Any]] = {
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
 }
 
-MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
-"""Magic bytes at the start and end of a file; importing them from mcap.writer takes 20 ms."""
 
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, and length of the body [bytes]."""
@@ -419,50 +417,6 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
 def gather_heads(data: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
     """Return the `HEADING` fields of the messages that start at given places."""
     return gather_bytes(data, starts, MESSAGE_HEAD).view(HEADING)
-
-
-SQLITE_MAGIC: Final = b"SQLite format 3\0"
-_RERUN: Final = b"RRF2"
-_BAG_DESCRIPTION: Final = b"rosbag2_bagfile_"
-_BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
-_LETTERS: Final = frozenset((*b"\t\n\r", *range(0x20, 0x7F)))
-START_SIZE: Final = len(SQLITE_MAGIC)
-"""Number of bytes at the start of a file that determine its kind."""
-
-
-_OTHERS: Final = {
-    b"\x89PNG": "a picture",
-    b"%PDF": "a PDF",
-    b"PK\x03\x04": "a ZIP archive, to be unpacked first",
-    b"\x1f\x8b": "compressed by gzip, to be unpacked first",
-}
-"""Files that are often taken for logs, by their first bytes, with advice."""
-
-
-def check_start(stream: BinaryIO) -> None:
-    """Check the magic bytes at the start."""
-    stream.seek(0)
-    reason = find_wrong_start(stream.read(START_SIZE))
-    if reason is not None:
-        raise LogError(f"byte 0: {reason}")
-
-
-def find_wrong_start(start: bytes) -> str | None:
-    """Return why a file does not start like MCAP, with advice; None if it does start so."""
-    if start.startswith(MCAP0_MAGIC):
-        return None
-    found = f"it begins with 0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "it is empty"
-    if start.startswith(SQLITE_MAGIC):
-        found = "it is a bag in SQLite"
-    elif start.startswith(_RERUN):
-        found = "it is a Rerun recording, which turtlelog view shows"
-    elif start.startswith(_BAG_DESCRIPTION):
-        found = "it is the metadata.yaml of a bag: name the folder that it is in"
-    elif kind := next((kind for magic, kind in _OTHERS.items() if start.startswith(magic)), None):
-        found = f"it is {kind}"
-    elif start and set(start.removeprefix(_BYTE_ORDER_MARK)) <= _LETTERS:
-        found = "it is text; names of logs and tables end in .csv, .json, .tsv, .tum or .txt"
-    return f"not an MCAP file: {found}"
 
 
 def _find_turn(steps: list[int]) -> int:

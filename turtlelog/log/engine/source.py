@@ -28,8 +28,8 @@ from turtlelog.log.engine.blocks import (
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.decode import EVER
 from turtlelog.log.engine.limits import CHUNKS, DESCRIPTIONS, NOTES, Allowance, measure_stored
-from turtlelog.log.engine.records import MCAP0_MAGIC, RECORD, Place
-from turtlelog.log.file_access import DamageError, UnfinishedError
+from turtlelog.log.engine.records import RECORD, Place
+from turtlelog.log.file_access import MCAP0_MAGIC, DamageError, UnfinishedError, check_start
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -109,7 +109,7 @@ class Source:
             LogError: If the file is not MCAP.
             DamageError: If the file is truncated, or its summary is damaged.
         """
-        records.check_start(stream)
+        check_start(stream)
         self._stream = stream
         footer, self.summary_start, checksum = _read_footer(stream)
         self._data_end, self._data_crc = _read_data_end(stream, self.summary_start)

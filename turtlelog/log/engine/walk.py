@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine import limits, records
 from turtlelog.log.engine.limits import FileWindow
-from turtlelog.log.engine.records import MCAP0_MAGIC, RECORD
+from turtlelog.log.engine.records import RECORD
+from turtlelog.log.file_access import MCAP0_MAGIC, START_SIZE, find_wrong_start
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start and end time, unpacked size, checksum, and length of the compression's name."""
@@ -159,7 +160,7 @@ def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None,
 
 def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
     place: int | None = len(MCAP0_MAGIC)
-    reason = records.find_wrong_start(window.read(0, records.START_SIZE))
+    reason = find_wrong_start(window.read(0, START_SIZE))
     if reason is not None:
         yield Loss(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
     kind = 0  # first kind found: chunks, single messages, or 0 for records that precede both

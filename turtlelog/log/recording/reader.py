@@ -19,10 +19,17 @@ from turtlelog.log.engine.decode import Rows, Selection, read_piece
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
-from turtlelog.log.engine.records import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.file_access import DamageError, UnfinishedError, is_live, name_file, open_file
+from turtlelog.log.file_access import (
+    MCAP0_MAGIC,
+    DamageError,
+    UnfinishedError,
+    check_start,
+    is_live,
+    name_file,
+    open_file,
+)
 from turtlelog.log.file_info import survey_file
 from turtlelog.log.recording import topics
 from turtlelog.log.recording.head import (

@@ -20,13 +20,10 @@ from .bag_surroundings import (
     read_surroundings as read_surroundings,
 )
 from .bag_topics import (
-    ACKERMANN_TYPES as ACKERMANN_TYPES,
-    COMMAND_TYPES as COMMAND_TYPES,
-    NEEDS_WHEELBASE as NEEDS_WHEELBASE,
-    NEEDS_WHEELS as NEEDS_WHEELS,
     BagRobot as BagRobot,
     NoPosesError as NoPosesError,
     choose_pose_topic as choose_pose_topic,
+    describe_other_places as describe_other_places,
     find_robots as find_robots,
     select_robot as select_robot,
 )

@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -13,14 +13,26 @@ import numpy as np
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.planar_poses import Fields, Values, read_twist, widen
-from turtlelog.log.read_choice import ReadChoice, parse_goal_option, parse_wheelbase
+from turtlelog.log.planar_poses import (
+    ACKERMANN_TYPES,
+    COMMAND_TYPES,
+    TWIST_TYPES,
+    Fields,
+    Values,
+    read_twist,
+    widen,
+)
+from turtlelog.log.read_choice import (
+    NEEDS_WHEELBASE,
+    ReadChoice,
+    parse_goal_option,
+    parse_wheelbase,
+)
 from turtlelog.log.recording.topics import MEASURED, SHAPED, VELOCITY64
 from turtlelog.log.ros2 import bag_topics
-from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
+from turtlelog.log.ros2.bag_poses import PoseSource, RobotTrack, read_tree
 from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
-from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, name_frame
-from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.log.ros2.bag_transforms import locate_frame, name_frame
 from turtlelog.run import CommandColumns, Run
 from turtlelog.run.angles import rotate_vectors
 from turtlelog.run.paths import LEAST_M, MOST_POINTS, Path
@@ -74,7 +86,7 @@ def choose_commands(
 
     Ackermann commands need a wheelbase, and have priority if one is given.
     """
-    asked, steering = choice.command_topic, bag_topics.ACKERMANN_TYPES
+    asked, steering = choice.command_topic, ACKERMANN_TYPES
     choose = partial(choose_command_topic, topics, pose_topic=pose_topic)
     if choice.wheelbase is not None:
         parse_wheelbase(choice.wheelbase)
@@ -82,20 +94,20 @@ def choose_commands(
             return pick, ""
         if asked is None and pose_topic == "":
             raise LogError(f"wheelbase: expected commands of {' or '.join(steering)}")
-    types = bag_topics.COMMAND_TYPES if asked is not None else bag_topics.TWIST_TYPES
+    types = COMMAND_TYPES if asked is not None else TWIST_TYPES
     pick = choose(asked, types=types)
     if pick is not None and pick.topic.type in steering:
-        raise LogError(f"command_topic {pick.source.describe()}: {bag_topics.NEEDS_WHEELBASE}")
+        raise LogError(f"command_topic {pick.source.describe()}: {NEEDS_WHEELBASE}")
     if pick is not None or (steered := choose(None, types=steering)) is None:
         return pick, _describe_unread(topics) if pose_topic and pick is None else ""
-    return None, f"commands on {steered.source.describe()}: {bag_topics.NEEDS_WHEELBASE}"
+    return None, f"commands on {steered.source.describe()}: {NEEDS_WHEELBASE}"
 
 
 def _describe_unread(topics: Iterable[TopicInfo]) -> str:
     """Return the first topic that is named as commands and has another type; may be empty."""
     for one in topics:
         is_named = bag_topics.rank_name(one.topic, _COMMAND_NAMES) < len(_COMMAND_NAMES)
-        if is_named and one.count and not one.reason and one.type not in bag_topics.COMMAND_TYPES:
+        if is_named and one.count and not one.reason and one.type not in COMMAND_TYPES:
             return f"commands on {one.topic}: {one.type} is not read, Twist and AckermannDrive are"
     return ""
 
@@ -105,7 +117,7 @@ def choose_command_topic(
     asked: str | None,
     *,
     pose_topic: str,
-    types: Collection[str] = bag_topics.COMMAND_TYPES,
+    types: Collection[str] = COMMAND_TYPES,
 ) -> bag_topics.Pick | None:
     """Return the requested topic, or else the most likely one; None if there is none.
 
@@ -116,7 +128,7 @@ def choose_command_topic(
     held = [topic for topic in topics if topic.count]
     if asked is not None:
         return bag_topics.Pick(
-            topic=bag_topics.find_asked(held, asked, bag_topics.COMMAND_TYPES, "command_topic")
+            topic=bag_topics.find_asked(held, asked, (*COMMAND_TYPES,), "command_topic")
         )
     present, home = bag_topics.drop_unread(held), bag_topics.take_home(pose_topic)
     known = bag_topics.drop_two_types([topic for topic in present if topic.type in types], present)
@@ -169,8 +181,8 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
 
     A car turns with speed * tan(steering angle) / wheelbase; NaN from 90 deg on.
     """
-    if kind in bag_topics.ACKERMANN_TYPES and wheelbase_m is not None:
-        drive = "drive." if kind.endswith("Stamped") else ""
+    if kind in ACKERMANN_TYPES and wheelbase_m is not None:
+        drive = COMMAND_TYPES[kind]
         speed_m_s = widen(fields[f"{drive}speed"])
         steering_rad = widen(fields[f"{drive}steering_angle"])
         is_aside = np.abs(steering_rad) >= np.pi / 2.0  # No car turns with a wheel at 90 deg.
@@ -180,7 +192,7 @@ def _extract_commands(kind: str, fields: Fields, *, wheelbase_m: float | None) -
             "lateral_speed": np.zeros_like(speed_m_s),
             "turn_rate": speed_m_s * np.tan(steering_rad) / wheelbase_m,
         }
-    return read_twist(fields, "twist." if kind == "geometry_msgs/msg/TwistStamped" else "")
+    return read_twist(fields, COMMAND_TYPES[kind])
 
 
 def build_bag_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
@@ -193,30 +205,6 @@ def build_bag_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumn
         lateral_speed_m_s=rows.columns["lateral_speed"],
         turn_rate_rad_s=rows.columns["turn_rate"],
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RobotTrack:
-    """Positions of the robot, in the frame of its poses.
-
-    Attributes:
-        time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
-        received_ns: The same time of each pose of the run, shape (m,), nearly in order.
-        xy_m: Position [m], shape (n, 2).
-        frame: Frame of the poses; empty if unknown.
-        tree: Transforms between frames; empty without transforms.
-    """
-
-    time_ns: TimesNs
-    received_ns: TimesNs
-    xy_m: Values
-    frame: str
-    tree: Tree
-
-    def locate_time(self, run: Run, time_ns: int) -> int:
-        """Return a time on the recorder's clock on the run's clock, as of the next pose [ns]."""
-        row = min(int((self.received_ns < time_ns).sum()), len(run.poses) - 1)
-        return int(run.poses.time_ns[row])
 
 
 def add_references(

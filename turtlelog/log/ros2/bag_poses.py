@@ -16,6 +16,7 @@ from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     FIX,
     JOINTS,
+    ODOMETRY,
     POSITIONS,
     TRANSFORM_TYPES,
     Fields,
@@ -24,7 +25,7 @@ from turtlelog.log.planar_poses import (
     extract_poses,
     find_pose_shape,
 )
-from turtlelog.log.read_choice import CHOSEN, ReadChoice, parse_joints, parse_wheels
+from turtlelog.log.read_choice import CHOSEN, NEEDS_WHEELS, ReadChoice, parse_joints, parse_wheels
 from turtlelog.log.recording.topics import SENSED
 from turtlelog.log.ros2 import bag_topics, bag_transforms
 from turtlelog.log.ros2.bag_rows import Bag, Held, OrderedRows, drop_not_finite, order_topic
@@ -32,7 +33,7 @@ from turtlelog.log.ros2.computed_poses import integrate_wheels, locate_fixes
 from turtlelog.log.ros2.reported_motion import LATERAL
 from turtlelog.log.ros2.set_clocks import undo_clock_steps
 from turtlelog.log.ros2.stamps import Stamps, TimesNs, join_arrays, join_stamps, read_stamp_clock
-from turtlelog.run import Origin, Trajectory, build_trajectory, turn_headings
+from turtlelog.run import Origin, Run, Trajectory, build_trajectory, turn_headings
 
 Found = list[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
@@ -57,6 +58,30 @@ class PoseSource:
     origin: Origin
     tree: bag_transforms.Tree = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotTrack:
+    """Positions of the robot, in the frame of its poses.
+
+    Attributes:
+        time_ns: Time on the recorder's clock [ns], shape (n,), not decreasing.
+        received_ns: The same time of each pose of the run, shape (m,), nearly in order.
+        xy_m: Position [m], shape (n, 2).
+        frame: Frame of the poses; empty if unknown.
+        tree: Transforms between frames; empty without transforms.
+    """
+
+    time_ns: TimesNs
+    received_ns: TimesNs
+    xy_m: Values
+    frame: str
+    tree: bag_transforms.Tree
+
+    def locate_time(self, run: Run, time_ns: int) -> int:
+        """Return a time on the recorder's clock on the run's clock, as of the next pose [ns]."""
+        row = min(int((self.received_ns < time_ns).sum()), len(run.poses) - 1)
+        return int(run.poses.time_ns[row])
 
 
 def find_poses(bag: Bag, topics: Collection[TopicInfo], choice: ReadChoice) -> PoseSource:
@@ -89,7 +114,7 @@ def _read_poses(bag: Bag, pick: bag_topics.Pick, found: Found | None) -> PoseSou
     """Return the messages of a topic of poses; `found` contains them if they were read before."""
     name = pick.topic.topic
     if pick.topic.type == JOINTS:
-        raise LogError(f"pose_topic {pick.source.describe()}: {bag_topics.NEEDS_WHEELS}")
+        raise LogError(f"pose_topic {pick.source.describe()}: {NEEDS_WHEELS}")
     found = [*bag.read({name})] if found is None else found
     messages = [file[name] for file in found if name in file]
     notes, origin = note_pick("pose_topic", pick), Origin(poses=pick.source)
@@ -118,7 +143,7 @@ def _integrate_wheels(
     """Return the odometry of two wheels as messages of a separate topic."""
     if choice.wheel_joints is None or choice.wheels is None:
         needs = "wheels: needs wheel_joints" if choice.wheels else "wheel_joints: needs wheels"
-        raise LogError(f"{needs}, too: {bag_topics.NEEDS_WHEELS}")
+        raise LogError(f"{needs}, too: {NEEDS_WHEELS}")
     if frames:
         raise LogError(f"{frames[0]}: expected poses from transforms, found wheel_joints")
     joints, wheels_m = parse_joints(choice.wheel_joints), parse_wheels(choice.wheels)
@@ -206,6 +231,23 @@ def read_tree(bag: Bag, topics: Collection[TopicInfo], home: str = "") -> bag_tr
         found = (file[name] for name in own for file in files if name in file)
         links.update(bag_transforms.collect_links(found, is_static=is_static))
     return links
+
+
+def reports_sideways(bag: Bag, topics: Collection[TopicInfo], source: PoseSource) -> bool:
+    """Return whether other odometry of the robot reports speeds to its side."""
+    names = (
+        topic.topic
+        for topic in topics
+        if (topic.type, topic.reason) == (ODOMETRY, "") and topic.topic != source.topic.topic
+    )
+    for name in names:
+        if bag_topics.is_another_robots(name, source.home):
+            continue
+        with suppress(LogError):  # it was not requested
+            aside = (found.fields["twist.twist.linear.y"] for found in bag.read_topic(name))
+            if any(np.nan_to_num(column).any() for column in aside):
+                return True
+    return False
 
 
 def _is_static(topic: str) -> bool:

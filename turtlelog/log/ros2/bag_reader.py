@@ -1,8 +1,8 @@
 """Reading of a bag as a run: choice of topics, and their contents."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Unpack
 
@@ -14,17 +14,15 @@ from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.file_access import name_file
 from turtlelog.log.file_info import TopicInfo
 from turtlelog.log.planar_poses import (
     TRANSFORMS,
     lift_poses,
     note_changes,
-    note_crowded,
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.read_choice import CHOSEN, CLOCK_SET, ReadChoice, ReadOptions
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.head import MAY_BE_ABSENT, lacks_values
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -39,10 +37,12 @@ from turtlelog.log.recording.topics import (
 from turtlelog.log.ros2 import bag_inputs
 from turtlelog.log.ros2.bag_poses import (
     PoseSource,
+    RobotTrack,
     find_poses,
     match_sensed,
     note_pick,
     order_poses,
+    reports_sideways,
 )
 from turtlelog.log.ros2.bag_rows import (
     Bag,
@@ -54,6 +54,7 @@ from turtlelog.log.ros2.bag_rows import (
 from turtlelog.log.ros2.bag_topics import (
     NoPosesError,
     Pick,
+    describe_other_places,
     describe_other_poses,
     describe_robots,
     describe_unread_topics,
@@ -61,11 +62,8 @@ from turtlelog.log.ros2.bag_topics import (
 )
 from turtlelog.log.ros2.computed_poses import judge_headings
 from turtlelog.log.ros2.reported_motion import judge_rates, note_contradictions, note_motion
-from turtlelog.log.ros2.set_clocks import (
-    describe_clock_steps,
-    describe_silence,
-)
-from turtlelog.log.ros2.stamps import TimesNs
+from turtlelog.log.ros2.set_clocks import note_steps
+from turtlelog.log.ros2.stamps import TimesNs, note_crowded
 from turtlelog.run import (
     Clock,
     CommandColumns,
@@ -98,7 +96,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             line with the file and the place.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
-    with _name_once(bag):
+    with bag.name_errors():
         is_asked = choice.pose_topic is not None and choice.robot is None
         distinct, robots = (bag.topics, ()) if is_asked else select_robot(bag.topics, choice.robot)
         try:
@@ -114,8 +112,11 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         found: Held = [dict(of_file) for of_file in (*source.found, *bag.read(names))]
         source = replace(source, found=[])
         bag = bag.find_steps(found, source.topic.topic)
-        run, track = _build_run(bag.path, bag.undo_steps(found), source, commands, choice)
-        run = _note_steps(run, bag)
+        moves_aside = partial(reports_sideways, bag, distinct, source)
+        run, track = _build_run(
+            bag.path, bag.undo_steps(found), source, commands, choice, moves_aside
+        )
+        run = note_steps(run, bag.steps)
         run = replace(run, notes={**run.notes, "commands": lack}) if lack else run
         run = bag_inputs.add_references(run, bag, source, track, choice)
         if source.topic.topic == POSE.name:
@@ -125,15 +126,6 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     asked = None if has_frames else choice.robot
     named = describe_robots(robots, source.topic.topic, asked)
     return _note_rest(run, bag, distinct, choice, named)
-
-
-def _note_steps(run: Run, bag: Bag) -> Run:
-    """Return a run with notes on the steps of the recorder's clock, or on a long silence."""
-    if bag.steps:
-        notes = {**run.notes, CLOCK_SET: describe_clock_steps(bag.steps)}
-        return replace(run, notes=notes, origin=replace(run.origin, was_clock_set=True))
-    silence = describe_silence(run.poses.time_ns, run.commands.time_ns)
-    return replace(run, notes={**run.notes, "silence": silence}) if silence else run
 
 
 def _note_rest(
@@ -150,7 +142,7 @@ def _note_rest(
         if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
     ]
     unread = ", ".join(f"{topic.count} of {topic.topic}" for topic in rest)
-    found = {"robots": robots, "not_read": unread}
+    found = {"robots": robots, "not_read": unread, "not_poses": describe_other_places(topics)}
     notes = {**run.notes, **{name: text for name, text in found.items() if text}}
     for info in bag.infos.values():
         notes |= info.notes
@@ -169,19 +161,6 @@ def _note_rest(
     return replace(run, notes={**notes, CHOSEN: "".join([line, *more])}, origin=origin)
 
 
-@contextmanager
-def _name_once(bag: Bag) -> Iterator[None]:
-    """Add the bag's name to errors, unless an error names one of its files."""
-    try:
-        with name_file(bag.path, expected="a bag"):
-            yield
-    except LogError as err:
-        text = str(err).removeprefix(f"{bag.path}: ")
-        if not any(text.startswith(f"{file}: ") for file in bag.infos):
-            raise
-        raise LogError(text) from err
-
-
 _MORE: Final = {
     "poses": "{}",
     "commands": "{}",
@@ -198,14 +177,19 @@ _MORE: Final = {
 
 
 def _build_run(
-    path: Path, found: Held, source: PoseSource, command_pick: Pick | None, choice: ReadChoice
-) -> tuple[Run, bag_inputs.RobotTrack]:
+    path: Path,
+    found: Held,
+    source: PoseSource,
+    command_pick: Pick | None,
+    choice: ReadChoice,
+    moves_aside: Callable[[], bool],
+) -> tuple[Run, RobotTrack]:
     """Return the run, and the positions of the robot on the recorder's clock."""
     poses, dropped, unturned, vertical = order_poses(found, source.topic)
     commands, lost = None, 0
     if command_pick is not None:
         commands, lost = bag_inputs.order_commands(found, command_pick.topic, choice)
-    track = bag_inputs.RobotTrack(
+    track = RobotTrack(
         time_ns=poses.time_ns,
         received_ns=poses.time_ns,
         xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
@@ -219,7 +203,7 @@ def _build_run(
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
-    poses, heading_notes, has_courses = judge_headings(poses, commands)
+    poses, heading_notes, has_courses = judge_headings(poses, commands, moves_aside)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
@@ -357,7 +341,7 @@ def _read_commands_alone(
     }
     commands = bag_inputs.build_bag_commands(rows, start_ns)
     run = _join_run(bag.path, poses, commands, times.clock, origin, notes)
-    return _note_steps(run, bag), pick.topic.topic
+    return note_steps(run, bag.steps), pick.topic.topic
 
 
 def _add_samples(run: Run, bag: Bag, start_ns: int) -> Run:

@@ -1,4 +1,4 @@
-"""The rows of a bag's topics: sorted, without duplicates, with finite numbers, and on one clock.
+"""The rows of a bag's topics: sorted, without duplicates, finite, of one program, on one clock.
 
 A message has its stamp, set by the publisher, and its log time, when the recorder received it. They
 differ by the offset of two clocks and the transport delay. Stamps have less jitter, but commands
@@ -8,6 +8,7 @@ all pose times are late by it.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -20,17 +21,17 @@ from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.files.urls import make_path
 from turtlelog.log.engine.topic_columns import TopicColumns, iterate_heads, read_some_columns
-from turtlelog.log.file_access import name_place
+from turtlelog.log.file_access import name_file, name_place
 from turtlelog.log.file_info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.planar_poses import Fields, Values
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.bag_files import find_bag_files
 from turtlelog.log.ros2.set_clocks import ClockStep, find_clock_steps, undo_clock_steps
 from turtlelog.log.ros2.stamps import (
-    FIRST_WALL_NS,
     StampClock,
     Stamps,
     TimesNs,
+    describe_stamp_clock,
     join_arrays,
     join_stamps,
     place_log_times,
@@ -77,6 +78,18 @@ class Bag:
         )
         found = tuple(read_some_columns(file, some, is_flat=is_flat) for file, some in held)
         return tuple(self.undo_steps(found))
+
+    @contextmanager
+    def name_errors(self) -> Iterator[None]:
+        """Add the bag's name to errors, unless an error names one of its files."""
+        try:
+            with name_file(self.path, expected="a bag"):
+                yield
+        except LogError as err:
+            text = str(err).removeprefix(f"{self.path}: ")
+            if not any(text.startswith(f"{file}: ") for file in self.infos):
+                raise
+            raise LogError(text) from err
 
     def find_steps(self, found: Sequence[Mapping[str, TopicColumns]], name: str) -> "Bag":
         """Return the bag with the steps of its recorder's clock that a topic in `found` shows."""
@@ -223,6 +236,82 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     return rows.take(kept), int((~kept).sum())
 
 
+_LEAP_M: Final = 0.1
+"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
+
+_LEAP_BACK: Final = 0.2
+"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
+
+_LEAP_SHARE: Final = 0.2
+"""Smallest share of poses, or steps, that leap if two programs publish poses. One program may
+publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
+
+_LEAP_ROWS: Final = 4
+
+
+def describe_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses, as received, that alternate between two places; else None."""
+    rows = len(xy_m) - _LEAP_ROWS
+    if rows < _LEAP_ROWS:
+        return None
+    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
+    least_m = np.full(rows, np.inf)
+    for later in range(2, _LEAP_ROWS + 1):
+        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
+    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
+    if leaps.mean() <= _LEAP_SHARE:
+        return None
+    size_m = float(np.median(far_m[leaps]))
+    return (
+        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
+        " programs seem to publish them, and no motion can be told"
+    )
+
+
+_LEAST_LEAP_M: Final = 0.01
+"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
+
+_ROWS: Final = 4
+"""Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
+
+_OPPOSITE: Final = 0.9
+"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
+
+_MOST_LEAPS: Final = 0.8
+"""Smallest share of leaps that the next leap reverses; for noise in any direction it is below
+0.5."""
+
+_FAR: Final = 5.0
+"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
+
+
+def describe_small_leaps(xy_m: Values) -> str | None:
+    """Return a sentence on poses of two programs that are a few centimetres apart; else None."""
+    # Messages that were recorded twice add steps of 0.
+    xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
+    if len(xy_m) <= 4 * _ROWS:
+        return None
+    drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)
+    steps_m = np.diff(xy_m, axis=0)[_ROWS - 1 : _ROWS - 1 + len(drive_m)]
+    beyond_m = steps_m - drive_m
+    size_m = np.hypot(*beyond_m.T)
+    least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
+    leaps = np.flatnonzero(size_m > least_m)
+    if len(leaps) < max(_LEAP_SHARE * len(size_m), 2):
+        return None
+    unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
+    is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE
+    leap_m = float(np.median(size_m[leaps]))
+    driven_m = float(np.hypot(*np.diff(xy_m[:: 2 * _ROWS], axis=0).T).sum())
+    if is_back.mean() <= _MOST_LEAPS or driven_m < _FAR * leap_m:
+        return None
+    return (
+        f"poses go to and fro by {leap_m:.3g} m, {describe_count(len(leaps), 'time')}, beside the"
+        " way: two programs seem to publish them; a reported speed is more likely right than"
+        " differences of poses"
+    )
+
+
 def _find_duplicates(time_ns: TimesNs, contents: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
     """Return which rows repeat an earlier row. Only rows of equal time are compared."""
     repeated = np.zeros(len(time_ns), dtype=bool)
@@ -252,9 +341,6 @@ kHz."""
 _SAME_CLOCK_NS: Final = 1_000_000_000
 """Largest time between a stamp of a command and its reception [ns] for stamps of the poses'
 simulation. Stamps of another simulation, or of a wall clock, differ by more."""
-
-_SHOWN_DRIFT_NS: Final = 1_000_000
-"""Smallest total drift that is mentioned [ns]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -315,7 +401,7 @@ def time_rows(
     commands_ns, how = commands.log_ns, ""
     if used == "stamp" and noun == "poses":
         commands_ns, how = _time_commands(commands, poses, found)
-    notes = {CLOCK: f"{noun} are timed by {_describe(found, used)}{how}"}
+    notes = {CLOCK: f"{noun} are timed by {describe_stamp_clock(found, used)}{how}"}
     if noun == "poses":
         kept = _find_apart(rows.time_ns)
         if close := int(len(kept) - kept.sum()):
@@ -344,44 +430,6 @@ def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[
         if np.abs(stamped_ns - placed_ns).max() < _SAME_CLOCK_NS:
             return stamped_ns, "; commands by their stamps of the same clock"
     return placed_ns, "; commands are mapped to it by the poses that were received with them"
-
-
-def _describe(found: StampClock, used: Literal["log", "stamp"]) -> str:
-    """Return the clock that is used, and its relation to the other one."""
-    if used == "log":
-        text = f"the recorder's clock, as {found.reason or 'given'}"
-        if found.reason or not found.is_other_pace:
-            return text
-        return f"{text}: rates are those of the motion times {found.pace:.3g}, the stamps' pace"
-    texts = ["their stamps"]
-    pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
-    is_wall = int(found.time_ns[found.known[0]]) - offset_ns >= FIRST_WALL_NS
-    if found.is_other_pace:
-        why = "of another pace" if is_wall else "a simulation's"
-        ratio = f"{pace:.3g}" if abs(pace - 1.0) > 0.01 else f"{pace:.5g}"  # differs from 1
-        texts.append(
-            f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
-            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {ratio}"
-        )
-    else:
-        sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
-        offset = f"{offset_s:.3f}" if offset_s < 1000.0 else f"{offset_s:.0f}"  # decades
-        texts.append(
-            f" {sign} {offset} s, mapped to the recorder's clock by the fastest message,"
-            f" whose transport is unknown; usually others take {jitter_ns / 1e6:.1f} ms more"
-        )
-        if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
-            drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
-            whose = "clock" if is_wall else "clock, which was never set or is a simulation's,"
-            texts.append(f"; their {whose} drifts by {drift}, taken out")
-    if found.jumps:
-        texts.append(f"; their clock was set {describe_count(found.jumps, 'time')}")
-    if found.odd:
-        texts.append(f"; {found.odd} without a usable stamp by when they were received")
-    if found.disordered:
-        verb = "is" if found.disordered == 1 else "are"
-        texts.append(f"; {found.disordered} received out of order {verb} sorted")
-    return "".join(texts)
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:

@@ -8,27 +8,20 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.file_info import TopicInfo
-from turtlelog.log.planar_poses import FIX, JOINTS, POSE_TYPES, TRANSFORM_TYPES
-from turtlelog.log.read_choice import match_topic
+from turtlelog.log.planar_poses import (
+    COMMAND_TYPES,
+    FIX,
+    JOINTS,
+    OTHER_PLACES,
+    POSE_TYPES,
+    POSES_IN_SHORT,
+    TRANSFORM_TYPES,
+)
+from turtlelog.log.read_choice import NEEDS_WHEELS, match_topic
 from turtlelog.log.recording.topics import POSE64
 from turtlelog.run import SourceTopic
 
 PATH: Final = "nav_msgs/msg/Path"
-
-_POSES_IN_SHORT: Final = (
-    "turtlesim/msg/Pose, Odometry, Pose with or without stamp, Pose2D, /tf, and NavSatFix"
-)
-
-TWIST_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-
-ACKERMANN_TYPES: Final = (
-    "ackermann_msgs/msg/AckermannDrive",
-    "ackermann_msgs/msg/AckermannDriveStamped",
-)
-
-COMMAND_TYPES: Final = (*TWIST_TYPES, *ACKERMANN_TYPES)
-NEEDS_WHEELS: Final = "joints give poses with --wheel-joints LEFT,RIGHT --wheels RADIUS,TRACK, in m"
-NEEDS_WHEELBASE: Final = "steering gives turn rates with --wheelbase L, in m"
 
 _MOST_UNREAD: Final = 3
 """Largest number of unread topics that one line lists with their reasons."""
@@ -163,6 +156,13 @@ def describe_other_poses(topics: Iterable[TopicInfo]) -> dict[str, str]:
     return {"poses": f"poses: {'; '.join(parts)}"} if parts else {}
 
 
+def describe_other_places(topics: Iterable[TopicInfo]) -> str:
+    """Return the topics of places that are not read as poses, with reasons; may be empty."""
+    held = [topic for topic in topics if topic.count and topic.type in OTHER_PLACES]
+    parts = [f"{topic.topic} ({topic.type}): {OTHER_PLACES[topic.type]}" for topic in held]
+    return "; ".join(parts[:_MOST_UNREAD])
+
+
 def describe_unread_topics(topics: Iterable[TopicInfo]) -> str:
     """Return the unread topics of poses, commands, goals or paths with reasons; may be empty."""
     unread = [topic for topic in topics if topic.count and topic.reason]
@@ -173,7 +173,7 @@ def _deny_poses(held: Sequence[TopicInfo], present: Sequence[TopicInfo]) -> NoPo
     unread = [topic for topic in held if topic not in present]
     if reasons := _join_reasons(filter(_is_of_a_run, unread)):
         return NoPosesError(reasons, is_unread=True)
-    found = f"no poses; it contains {_describe(held)}; poses are read from {_POSES_IN_SHORT}"
+    found = f"no poses; it contains {_describe(held)}; poses are read from {POSES_IN_SHORT}"
     has_joints = any(topic.type == JOINTS for topic in present)
     parts = [found, NEEDS_WHEELS if has_joints else "", _join_reasons(unread)]
     return NoPosesError("; ".join(filter(None, parts)))

@@ -1,7 +1,7 @@
 """Computation of poses from other messages: satellite fixes, or rotations of two wheels."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Final
@@ -15,6 +15,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import CURVED_RAD, Values, fits_degrees
 from turtlelog.log.ros2.bag_rows import OrderedRows
+from turtlelog.log.ros2.reported_motion import STRIDE_NS, thin_rows
 from turtlelog.log.ros2.stamps import TimesNs, join_arrays, join_stamps, read_stamps
 from turtlelog.run.angles import wrap_angle
 
@@ -215,13 +216,14 @@ def take_courses(time_ns: TimesNs, xy_m: Values, reason: str) -> tuple[Values, s
 
 
 def judge_headings(
-    poses: OrderedRows, commands: OrderedRows | None
+    poses: OrderedRows, commands: OrderedRows | None, reports_sideways: Callable[[], bool]
 ) -> tuple[OrderedRows, dict[str, str], bool]:
     """Return poses with headings that fit the path, a note, and whether they are courses.
 
     Angles are in degrees if the direction of travel shows it. If the orientation never changes
     though the path turns, as in positions of a satellite receiver, courses stand for it, unless the
-    robot moves to the side or publishes the applied speeds.
+    robot publishes the applied speeds, moves to the side by its commands, its poses or (asked last)
+    its other odometry, or reports the speed along this orientation.
     """
     columns = poses.columns
     heading_rad, xy_m = columns["heading"], np.column_stack([columns["x"], columns["y"]])
@@ -239,7 +241,29 @@ def judge_headings(
     # Reversing is no turn. Unknown courses are NaN, which exceeds no limit.
     if not float(np.ptp(np.unwrap(courses_rad, period=math.pi))) > CURVED_RAD:
         return poses, {}, False
+    if _reports_ahead(poses.time_ns, columns) or reports_sideways():
+        return poses, {}, False
     return replace(poses, columns={**columns, "heading": courses_rad}), {"heading": told}, True
+
+
+_FITS_BETTER: Final = 3.0
+"""Ratio of misfits from which reported speeds are those along the orientation, not the path: a
+wheel that slips by a tenth, and noise, make both misfits alike."""
+
+
+def _reports_ahead(time_ns: TimesNs, columns: Mapping[str, Values]) -> bool:
+    """Return whether the reported speed is that along a constant heading: a robot drives aside."""
+    speed_m_s, rows = columns.get("measured_speed"), thin_rows(time_ns, STRIDE_NS)
+    if speed_m_s is None or not speed_m_s.any() or len(rows) < 2:
+        return False
+    step_s = np.diff(time_ns[rows]) / 1e9
+    x_m_s, y_m_s = (np.diff(columns[axis][rows]) / step_s for axis in "xy")
+    heading_rad = columns["heading"][0]
+    ahead_m_s = x_m_s * np.cos(heading_rad) + y_m_s * np.sin(heading_rad)
+    reported_m_s = np.add.reduceat(speed_m_s, rows)[:-1] / np.diff(rows)
+    by_heading = np.abs(reported_m_s - ahead_m_s).mean()
+    by_path = np.abs(np.abs(reported_m_s) - np.hypot(x_m_s, y_m_s)).mean()
+    return bool(by_path > _FITS_BETTER * by_heading)
 
 
 def _find_far(offsets_m: Values, least_m: float) -> int | None:

@@ -1,4 +1,4 @@
-"""Comparison of the path length and rates that odometry or a table reports with its poses."""
+"""Comparison of the path, rates and units that odometry or a table reports with its poses."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -8,11 +8,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count, format_short
+from turtlelog.display import format_short
 from turtlelog.log.planar_poses import MOVED_M, Values, describe_height, describe_level
-from turtlelog.log.ros2.bag_rows import OrderedRows
-from turtlelog.log.ros2.stamps import TimesNs
-from turtlelog.log.table_columns import UNITS, describe_units
+from turtlelog.log.ros2.bag_rows import OrderedRows, describe_leaps, describe_small_leaps
+from turtlelog.log.ros2.stamps import CROWDED_NS, TimesNs
+from turtlelog.log.table_columns import UNITS
 
 _APART: Final = 0.2
 """Share by which two path lengths must differ. Wheel odometry integrates its own speed and is
@@ -29,7 +29,7 @@ larger."""
 _LONGEST_NS: Final = 1_000_000_000
 """Longest step in time that counts [ns]: the motion during longer steps is unknown."""
 
-_STRIDE_NS: Final = 200_000_000
+STRIDE_NS: Final = 200_000_000
 """Time over which poses are differenced [ns]; in this time, 1 mm of noise is 7 mm/s."""
 
 _JUMP_M: Final = 0.05
@@ -77,10 +77,10 @@ def measure_paths(
     step_ns = np.diff(time_ns)
     is_known = step_ns <= _LONGEST_NS
     way_m = np.hypot(*np.diff(xy_m, axis=0).T)[is_known]
-    rows = thin_rows(time_ns, _STRIDE_NS)
+    rows = thin_rows(time_ns, STRIDE_NS)
     strides_m = np.hypot(*np.diff(xy_m[rows], axis=0).T)
     # Poses with one common time give no rate: their times are wrong, not their path.
-    lasts = int(time_ns[-1] - time_ns[0]) >= _STRIDE_NS
+    lasts = int(time_ns[-1] - time_ns[0]) >= STRIDE_NS
     driven_m, jumps_m = None, np.zeros(0)
     if lasts and (speed := columns.get(SPEED)) is not None:
         lateral = columns.get(LATERAL)
@@ -170,82 +170,6 @@ def _differ(one_m: float, other_m: float) -> bool:
     return abs(one_m - other_m) > _APART * max(one_m, other_m)
 
 
-_LEAP_M: Final = 0.1
-"""Smallest step of a leap [m]; the noise of a filter between two poses is smaller."""
-
-_LEAP_BACK: Final = 0.2
-"""Largest distance of a later pose from the start of the leap, as a share of the leap."""
-
-_LEAP_SHARE: Final = 0.2
-"""Smallest share of poses, or steps, that leap if two programs publish poses. One program may
-publish only every fourth pose; a tenth of the poses of pure noise leap and return."""
-
-_LEAP_ROWS: Final = 4
-
-
-def describe_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses, as received, that alternate between two places; else None."""
-    rows = len(xy_m) - _LEAP_ROWS
-    if rows < _LEAP_ROWS:
-        return None
-    far_m = np.hypot(*(xy_m[1 : 1 + rows] - xy_m[:rows]).T)
-    least_m = np.full(rows, np.inf)
-    for later in range(2, _LEAP_ROWS + 1):
-        np.minimum(least_m, np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T), out=least_m)
-    leaps = (far_m > _LEAP_M) & (least_m < _LEAP_BACK * far_m)
-    if leaps.mean() <= _LEAP_SHARE:
-        return None
-    size_m = float(np.median(far_m[leaps]))
-    return (
-        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
-        " programs seem to publish them, and no motion can be told"
-    )
-
-
-_LEAST_LEAP_M: Final = 0.01
-"""Smallest leap of a driving robot [m]; a filter's noise, and rounding, are smaller."""
-
-_ROWS: Final = 4
-"""Number of poses on either side that give the robot's motion. Leaps cancel out in them."""
-
-_OPPOSITE: Final = 0.9
-"""Cosine of the angle between a leap and the reverse of the next (26 deg) from which they agree."""
-
-_MOST_LEAPS: Final = 0.8
-"""Smallest share of leaps that the next leap reverses; for noise in any direction it is below
-0.5."""
-
-_FAR: Final = 5.0
-"""Smallest motion in leaps: a robot at rest may alternate between two rounded positions."""
-
-
-def describe_small_leaps(xy_m: Values) -> str | None:
-    """Return a sentence on poses of two programs that are a few centimetres apart; else None."""
-    # Messages that were recorded twice add steps of 0.
-    xy_m = xy_m[np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))]
-    if len(xy_m) <= 4 * _ROWS:
-        return None
-    drive_m = (xy_m[2 * _ROWS :] - xy_m[: -2 * _ROWS]) / (2 * _ROWS)
-    steps_m = np.diff(xy_m, axis=0)[_ROWS - 1 : _ROWS - 1 + len(drive_m)]
-    beyond_m = steps_m - drive_m
-    size_m = np.hypot(*beyond_m.T)
-    least_m = max(_LEAST_LEAP_M, 0.5 * float(np.quantile(size_m, 0.9)))
-    leaps = np.flatnonzero(size_m > least_m)
-    if len(leaps) < max(_LEAP_SHARE * len(size_m), 2):
-        return None
-    unit = beyond_m[leaps] / size_m[leaps, np.newaxis]
-    is_back = -(unit[1:] * unit[:-1]).sum(axis=1) >= _OPPOSITE
-    leap_m = float(np.median(size_m[leaps]))
-    driven_m = float(np.hypot(*np.diff(xy_m[:: 2 * _ROWS], axis=0).T).sum())
-    if is_back.mean() <= _MOST_LEAPS or driven_m < _FAR * leap_m:
-        return None
-    return (
-        f"poses go to and fro by {leap_m:.3g} m, {describe_count(len(leaps), 'time')}, beside the"
-        " way: two programs seem to publish them; a reported speed is more likely right than"
-        " differences of poses"
-    )
-
-
 SPEED: Final = "measured_speed"
 LATERAL: Final = "measured_lateral_speed"
 TURN_RATE: Final = "measured_turn_rate"
@@ -326,7 +250,7 @@ def _measure_range(values: Values) -> float:
 
 def _turn_twists(time_ns: TimesNs, columns: Mapping[str, Values], lateral: Values) -> Values | None:
     """Return the forward speed of twists along the world's axes; None for other twists."""
-    rows = thin_rows(time_ns, _STRIDE_NS)
+    rows = thin_rows(time_ns, STRIDE_NS)
     if len(rows) < 3:
         return None
     step_s = np.diff(time_ns[rows]) / 1e9
@@ -442,6 +366,43 @@ class MotionFaults(NamedTuple):
     notes: dict[str, str]
     leaves_plane: bool  # whether headings and speeds are not those in the plane
     has_leaps: bool  # whether the poses alternate between two places
+
+
+_LONGEST_STEP_S: Final = 5.0
+"""Largest usual step that is not doubted if seconds are assumed [s]: satellite loggers save a pose
+every few seconds. In milliseconds, this is 200 Hz."""
+
+_FASTEST_M_S: Final = 100.0
+"""Largest usual speed that is not doubted in metres [m/s]: a racing car's, or 0.1 m/s in mm."""
+
+
+def describe_units(
+    time_ns: NDArray[np.int64], xy_m: NDArray[np.float64], columns: Mapping[str, str] | None
+) -> str:
+    """Return a sentence on doubtful units of `columns` in assumed s and m; empty without doubt.
+
+    The metres of a bag are doubted without columns.
+    """
+    step_s = np.diff(time_ns) / 1e9
+    if not len(step_s):
+        return ""
+    usual_s = float(np.median(step_s))
+    if columns and "t" in columns and usual_s > _LONGEST_STEP_S:
+        step = format_short(usual_s, "s")
+        option = f"--column t='{columns['t']} [ms]'"
+        return f"times are assumed to be in s, so poses are {step} apart; if they are ms: {option}"
+    is_apart = np.diff(time_ns) >= CROWDED_NS  # poses of one time tell no speed
+    if not is_apart.any():
+        return ""
+    way_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    usual_m_s = float(np.median(way_m[is_apart] / step_s[is_apart]))
+    speed = format_short(usual_m_s, "m/s")
+    if columns is None and usual_m_s > _FASTEST_M_S:
+        return f"x and y are read in m, so {speed} is usual; they may be in mm"
+    if columns and {"x", "y"} <= {*columns} and usual_m_s > _FASTEST_M_S:
+        option = " ".join(f"--column {axis}='{columns[axis]} [mm]'" for axis in "xy")
+        return f"x and y are assumed to be in m, so {speed} is usual; if they are mm: {option}"
+    return ""
 
 
 def note_motion(

@@ -17,6 +17,7 @@ from turtlelog.display import join_words
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import Values, extract_poses
+from turtlelog.log.read_choice import CLOCK_SET
 from turtlelog.log.ros2.stamps import (
     FIRST_WALL_NS,
     JUMP_ROWS,
@@ -27,6 +28,7 @@ from turtlelog.log.ros2.stamps import (
     join_arrays,
     join_stamps,
 )
+from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
 
 _RIM_M: Final = 0.2
@@ -177,7 +179,16 @@ def undo_clock_steps(
     return found
 
 
-def describe_silence(*times: TimesNs) -> str:
+def note_steps(run: Run, steps: Sequence[ClockStep]) -> Run:
+    """Return a run with notes on the steps of the recorder's clock, or on a long silence."""
+    if steps:
+        notes = {**run.notes, CLOCK_SET: _describe_steps(steps)}
+        return replace(run, notes=notes, origin=replace(run.origin, was_clock_set=True))
+    silence = _describe_silence(run.poses.time_ns, run.commands.time_ns)
+    return replace(run, notes={**run.notes, "silence": silence}) if silence else run
+
+
+def _describe_silence(*times: TimesNs) -> str:
     """Return a remark on a silence longer than the rest of a bag; empty without one."""
     time_ns = np.sort(np.concatenate(times))
     if len(time_ns) < 2:
@@ -193,7 +204,7 @@ def describe_silence(*times: TimesNs) -> str:
     )
 
 
-def describe_clock_steps(steps: Sequence[ClockStep]) -> str:
+def _describe_steps(steps: Sequence[ClockStep]) -> str:
     """Return when and by how much the recorder's clock was set, and how this shows."""
     said, passed_ns = list[str](), 0
     for step in steps[:_MOST_TOLD]:

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, format_short
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar_poses import ROWS_AT_ONCE, Values
 
@@ -359,3 +359,60 @@ def _count_backward(stamp_ns: TimesNs) -> int:
         return 0
     back_ns = np.maximum.accumulate(stamp_ns) - stamp_ns
     return int((back_ns > _LATE_NS + find_least_jump(np.sort(stamp_ns))).sum())
+
+
+_SHOWN_DRIFT_NS: Final = 1_000_000
+"""Smallest total drift that is mentioned [ns]."""
+
+
+def describe_stamp_clock(found: StampClock, used: Literal["log", "stamp"]) -> str:
+    """Return the clock that is used, and its relation to the other one."""
+    if used == "log":
+        text = f"the recorder's clock, as {found.reason or 'given'}"
+        if found.reason or not found.is_other_pace:
+            return text
+        return f"{text}: rates are those of the motion times {found.pace:.3g}, the stamps' pace"
+    texts = ["their stamps"]
+    pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
+    is_wall = int(found.time_ns[found.known[0]]) - offset_ns >= FIRST_WALL_NS
+    if found.is_other_pace:
+        why = "of another pace" if is_wall else "a simulation's"
+        ratio = f"{pace:.3g}" if abs(pace - 1.0) > 0.01 else f"{pace:.5g}"  # differs from 1
+        texts.append(
+            f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
+            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {ratio}"
+        )
+    else:
+        sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
+        offset = f"{offset_s:.3f}" if offset_s < 1000.0 else f"{offset_s:.0f}"  # decades
+        shift = "" if offset == "0.000" else f" {sign} {offset} s"
+        texts.append(
+            f"{shift}, mapped to the recorder's clock by the fastest message,"
+            f" whose transport is unknown; usually others take {jitter_ns / 1e6:.1f} ms more"
+        )
+        if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
+            drift = f"{(pace - 1.0) * 1e6:+.0f} ppm"
+            whose = "clock" if is_wall else "clock, which was never set or is a simulation's,"
+            texts.append(f"; their {whose} drifts by {drift}, taken out")
+    if found.jumps:
+        texts.append(f"; their clock was set {describe_count(found.jumps, 'time')}")
+    if found.odd:
+        texts.append(f"; {found.odd} without a usable stamp by when they were received")
+    if found.disordered:
+        verb = "is" if found.disordered == 1 else "are"
+        texts.append(f"; {found.disordered} received out of order {verb} sorted")
+    return "".join(texts)
+
+
+CROWDED_NS: Final = 10_000
+"""Usual time between poses below which the times are wrong [ns]; motion capture takes 100 us."""
+
+
+def note_crowded(time_ns: NDArray[np.int64]) -> dict[str, str]:
+    """Return a note on poses that are too close in time for a sensor, if they are."""
+    steps_ns = np.diff(time_ns)
+    if len(time_ns) < 3 or 2 * np.count_nonzero(steps_ns < CROWDED_NS) <= len(steps_ns):
+        return {}
+    span = format_short(float(time_ns[-1] - time_ns[0]) / 1e9, "s")
+    text = f"all {len(time_ns)} poses lie within {span}: their times, and all rates, are wrong"
+    return {"crowded": text}
