@@ -116,18 +116,18 @@ def test_the_loop_that_acted_last_is_found_among_the_known_ones() -> None:
     assert find_last_acting(phase[3:], loops, 0b110) == 1
 
 
-TURNED: Final = LastPose(1.0, 1.0, -3.0, 2.0 * math.pi - 3.0, 0.5)
+TURNED: Final = LastPose(1.0, 1.0, -3.1, 2.0 * math.pi - 3.1, 0.5)
 """A last pose whose heading passed half a turn."""
 
 
 @pytest.mark.parametrize(
     ("reference", "goal_heading_rad", "wanted_rad"),
     [
-        ("zero", 1.0, -(2.0 * math.pi - 3.0)),
-        ("goal_bearing", 1.0, 0.25 - (2.0 * math.pi - 3.0)),
-        ("bearing_now", 1.0, 1.0 + 3.0 - 2.0 * math.pi),
-        ("bearing_now", math.nan, math.pi / 2.0 - (2.0 * math.pi - 3.0)),
-        ("recorded", 1.0, 0.5 - (2.0 * math.pi - 3.0)),
+        ("zero", 1.0, -(2.0 * math.pi - 3.1)),
+        ("goal_bearing", 1.0, 0.25 - (2.0 * math.pi - 3.1)),
+        ("bearing_now", 1.0, 1.0 + 3.1),
+        ("bearing_now", math.nan, math.pi / 2.0 - (2.0 * math.pi - 3.1)),
+        ("recorded", 1.0, 0.5 - (2.0 * math.pi - 3.1)),
     ],
 )
 def test_the_heading_at_the_end_is_held_to_the_reference_of_the_last_loop(

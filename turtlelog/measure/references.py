@@ -30,6 +30,7 @@ from turtlelog.measure.loop_segment import (
     BEARING_NOW,
     HEADING,
     REFERENCES,
+    Aim,
     aim_at,
     find_bearing,
     find_last_acting,
@@ -103,7 +104,7 @@ class LastPose(NamedTuple):
     reference_rad: float
 
 
-def find_last_heading_error(phase: Any, loops: Any, aim: Any, last: Any) -> float:
+def find_last_heading_error(phase: Any, loops: Any, aim: Aim, last: LastPose) -> float:
     """Return the reference heading minus the heading at the end of a run [rad]; NaN if unknown.
 
     The reference is that of the heading loop that acted last. It is the heading of the goal if no
@@ -131,7 +132,7 @@ def find_last_heading_error(phase: Any, loops: Any, aim: Any, last: Any) -> floa
     return error_rad
 
 
-def _read_last(reference: int, aim: Any, last: Any) -> float:
+def _read_last(reference: int, aim: Aim, last: LastPose) -> float:
     """Return a reference of headings at the end of a run [rad]; NaN if it is unknown."""
     if reference == BEARING_NOW:
         return find_bearing(last.x_m, last.y_m, aim.goal_x_m, aim.goal_y_m)
