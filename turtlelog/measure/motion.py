@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from turtlelog.measure.rates import GAP_STEPS
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
-from turtlelog.plants import LAGGED, Plant, find_plant
+from turtlelog.plants import Plant, find_plant
 from turtlelog.plants.lagged import rub, want_rate
-from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, find_disturbance, read_number
@@ -153,7 +152,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     else:
         is_kept &= ((xy_m[1:] > plant.low_m) & (xy_m[1:] < plant.high_m)).all(axis=1)  # no wall
         half = _find_half_steps(poses.xy_m)[ends]
-        moved, rounding = _measure_moves(xy_m, heading_rad, half, is_arc=plant.name == LAGGED)
+        moved, rounding = _measure_moves(xy_m, heading_rad, half, is_arc=not plant.turns_first)
         command = samples.speed_m_s
     rows = first + np.flatnonzero(is_kept)
     usual_ticks = compute_median(subtract_neighbours(sample_tick)) if len(sample_tick) > 1 else 1.0
@@ -182,10 +181,10 @@ def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Val
         return np.zeros(len(rows))
     from_ns, to_ns = window_ns
     start_ns, end_ns = run.poses.time_ns[rows], run.poses.time_ns[rows + 1]
-    if find_plant(run).name == LAGGED:
-        pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
-    else:  # turtlesim applies the value at the end of a step to the whole step
+    if find_plant(run).acts_in_steps:  # the value at the end of a step acts on the whole step
         pushed_ns = np.where((end_ns >= from_ns) & (end_ns < to_ns), end_ns - start_ns, 0)
+    else:
+        pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
     return np.asarray(rate * np.maximum(pushed_ns, 0.0) / 1e9)
 
 
@@ -302,34 +301,33 @@ def _sort_different(values: Values) -> Values:
 
 
 def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float:
-    if find_plant(run).name != LAGGED:
+    if find_plant(run).dynamics != "first-order":
         return default
     return read_number(run.parameters, f"{PLANT_KEYS[loop.command]}{name}", default)
 
 
 def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.int64], int, float]:
     """Return the tick of each pose, the usual ticks in a step, and the tick length [s]."""
-    step_ns = subtract_neighbours(time_ns)
-    if plant.name == LAGGED:
-        return (time_ns - time_ns[0]) // plant.period_ns, 1, plant.period_s
+    step_ns, tick_ns, tick_s = subtract_neighbours(time_ns), plant.period_ns, plant.period_s
+    if not plant.has_live_logs:
+        return (time_ns - time_ns[0]) // tick_ns, 1, tick_s
     if not len(step_ns):
-        return np.zeros(len(time_ns), dtype=np.int64), 1, TICK_S
+        return np.zeros(len(time_ns), dtype=np.int64), 1, tick_s
     usual_ns = compute_median(step_ns)
-    if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
-        return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
+    if not (step_ns % tick_ns).any() and usual_ns == tick_ns:
+        return (time_ns - time_ns[0]) // tick_ns, 1, tick_s
     # A wall clock jitters, and a late callback is not a lost pose.
     steps = np.where(step_ns > GAP_STEPS * usual_ns, _LOST_ROWS, 1)
-    ticks = min(max(round(usual_ns / TICK_NS), 1), _MOST_STEP_TICKS)
-    if abs(usual_ns / TICK_NS / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
-        return np.r_[0, np.cumsum(steps * ticks)], ticks, TICK_S
+    ticks = min(max(round(usual_ns / tick_ns), 1), _MOST_STEP_TICKS)
+    if abs(usual_ns / tick_ns / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
+        return np.r_[0, np.cumsum(steps * ticks)], ticks, tick_s
     return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
 
 
 def _measure_moves(
     xy_m: Values, heading_rad: Values, half: Values, *, is_arc: bool
 ) -> tuple[Values, Values]:
-    # turtlesim turns first, then moves along the new heading. Other robots turn while they move
-    # along an arc, whose chord has the mean heading.
+    # A step that turns first moves along the new heading. The chord of an arc has the mean heading.
     half_rad = 0.5 * subtract_headings(heading_rad[1:], heading_rad[:-1])
     along_rad = heading_rad[:-1] + half_rad if is_arc else heading_rad[1:]
     x, y = np.cos(along_rad), np.sin(along_rad)

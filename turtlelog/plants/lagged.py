@@ -132,8 +132,16 @@ class LaggedKeys:
 
 def find_facts(keys: Any) -> Plant:
     """Return the facts of a robot model from its keys."""
-    period_ns = round(keys.period_s * 1e9)
-    return Plant(name=LAGGED, period_ns=period_ns, low_m=-LARGEST_M, high_m=LARGEST_M)
+    return Plant(
+        name=LAGGED,
+        period_ns=round(keys.period_s * 1e9),
+        low_m=-LARGEST_M,
+        high_m=LARGEST_M,
+        acts_in_steps=False,
+        turns_first=False,
+        holds_rates=False,
+        dynamics="first-order",
+    )
 
 
 @dataclass(slots=True)
@@ -450,7 +458,6 @@ PART: Final = PlantPart(
     push=push,
     move=move,
     read=read,
-    acts_in_steps=False,
     Waiting=Waiting,
     delays=("speed_dead_time_s", "turn_dead_time_s"),
     causes=(

@@ -24,7 +24,7 @@ from turtlelog.draw.figures.gain_figure import draw_gains
 from turtlelog.draw.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.draw.figures.robot_figures import draw_rates, lacks_commands
 from turtlelog.draw.figures.strip_figure import draw_strips
-from turtlelog.plants import LAGGED, find_plant
+from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
 SAMPLES: Final = "the controller's samples"
@@ -155,10 +155,10 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 def _find_lack_of_locus(run: Run) -> str:
     """Return what a root locus lacks of an ideal or a sampled loop, or why theory has no model."""
     lack = find_lack_of_gain([run])
-    if lack == PYTHON_CONTROL:
+    if lack == PYTHON_CONTROL or (not lack and find_plant(run).dynamics == "integrator"):
         return lack
     unknown = theory_figures.find_lack_of_theory(run)
-    return unknown if lack == _PROPORTIONAL or not unknown else lack
+    return unknown if lack in ("", _PROPORTIONAL) or not unknown else lack
 
 
 OF_THEORY: Final = ("gain", "integrator", "locus")  # data that theory provides without a run
@@ -178,7 +178,7 @@ _LACKS: Final[Mapping[str, Callable[[Run], str]]] = {
     "gain": lambda run: find_lack_of_gain([run]),
     "locus": _find_lack_of_locus,
     "integrator": _has(
-        "a plant that is 1/s", lambda run: find_plant(run).name != LAGGED, first="gain"
+        "a plant that is 1/s", lambda run: find_plant(run).dynamics == "integrator", first="gain"
     ),
     "known_gain": _has(
         _GAIN,
