@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.arithmetic import rub, want_rate
 from turtlelog.measure.rates import GAP_STEPS
 from turtlelog.measure.reductions import Values, compute_median, subtract_neighbours
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import Plant, find_plant
-from turtlelog.plants.lagged import rub, want_rate
 from turtlelog.run import PoseColumns, Run
 from turtlelog.run.angles import find_heading_steps, subtract_headings
 from turtlelog.run.loops import PLANT_KEYS, ControlLoop, find_disturbance, read_number

@@ -22,7 +22,18 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from turtlelog.arithmetic import begin_row, called, clip, least, most, to_float32, to_ns, wrap_angle
+from turtlelog.arithmetic import (
+    GAUSS_LEGENDRE,
+    begin_row,
+    called,
+    least,
+    most,
+    rub,
+    to_float32,
+    to_ns,
+    want_rate,
+    wrap_angle,
+)
 from turtlelog.parts import (
     LARGEST_FLOAT,
     LARGEST_M,
@@ -57,18 +68,6 @@ MOST_TURN_RAD: Final = 1000.0
 _MOST_PIECES: Final = 2.0**62
 
 _SHORTEST_S: Final = 1e-18  # shortest piece [s]: a huge acceleration may end a ramp at once
-
-_GAUSS: Final = (
-    (0.019855071751231912, 0.05061426814518853),
-    (0.10166676129318664, 0.11119051722668721),
-    (0.2372337950418355, 0.15685332293894344),
-    (0.4082826787521751, 0.18134189168918083),
-    (0.5917173212478248, 0.18134189168918083),
-    (0.7627662049581645, 0.15685332293894344),
-    (0.8983332387068134, 0.11119051722668721),
-    (0.9801449282487681, 0.05061426814518853),
-)
-"""Nodes and weights of Gauss-Legendre quadrature on [0, 1]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,20 +274,6 @@ def _switch_turn(keys: Any, state: Any, rows: Any) -> None:
         axis.next_ns = _find_next(axis, state, rows, keys.turn_dead_time_s)
 
 
-def rub(command: float, deadband: float, friction: float) -> float:
-    """Return what deadband and friction leave of a command."""
-    if abs(command) <= deadband:
-        return 0.0
-    return command - clip(command, friction)
-
-
-def want_rate(command: float, gain: float, reverse_gain: float, bound: float) -> float:
-    """Return the rate that a command leads to; a reverse gain of NaN means the normal gain."""
-    if command < 0.0 and not math.isnan(reverse_gain):
-        gain = reverse_gain
-    return clip(gain * command, bound)
-
-
 def _follow(axis: Any, wanted: float, lag_s: float, acceleration: float) -> None:
     if lag_s != 0.0 or not math.isinf(acceleration):
         axis.transient += axis.target - wanted
@@ -369,7 +354,7 @@ def _move_along_arc(keys: Any, state: Any, duration_s: float) -> None:
 def _move_by_quadrature(keys: Any, state: Any, duration_s: float) -> None:
     speed, turn = state.speed, state.turn
     x_m = y_m = 0.0
-    for node, weight in _GAUSS:
+    for node, weight in GAUSS_LEGENDRE:
         time_s = node * duration_s
         turned_rad = _integrate(turn, keys.turn_lag_s, keys.turn_acceleration, time_s)
         heading_rad = state.heading_rad + turned_rad
