@@ -32,9 +32,6 @@ from turtlelog.run.loops import ControlLoop, read_number
 if TYPE_CHECKING:
     from turtlelog.theory import LoopModel, MeasuredTiming, PidGains
 
-MOST_TICKS: Final = 1000
-"""Largest dead time for which the delayed ideal loop is computed [ticks]."""
-
 LARGEST_TICKS: Final = 40
 """Largest dead time that is searched [ticks]."""
 

@@ -50,9 +50,6 @@ from turtlelog.parts import (
 )
 from turtlelog.run.loops import Cause
 
-LAGGED: Final = "lagged"
-"""Kind of this plant in scenarios."""
-
 LONGEST_PIECE: Final = 2.0
 """Largest turn of a piece of the quadrature [rad], plus its length in time constants. With 8 nodes
 the result is then exact up to rounding: at 4, to 3e-13 of the distance; at 8, the error exceeds
@@ -73,9 +70,6 @@ _SHORTEST_S: Final = 1e-18  # shortest piece [s]: a huge acceleration may end a 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaggedKeys:
     """Parameters of a robot model without walls.
-
-    The rate of each axis is the held command times a gain, after a dead time and a first-order
-    low-pass filter.
 
     Attributes:
         period_s: Time between two poses [s]. Default: 0.05.
@@ -132,7 +126,7 @@ class LaggedKeys:
 def find_facts(keys: Any) -> Plant:
     """Return the facts of a robot model from its keys."""
     return Plant(
-        name=LAGGED,
+        name="lagged",
         period_ns=round(keys.period_s * 1e9),
         low_m=-LARGEST_M,
         high_m=LARGEST_M,
@@ -433,7 +427,7 @@ def _build_cause(name: str, meaning: str) -> Cause:
 
 
 PART: Final = PlantPart(
-    name=LAGGED,
+    name="lagged",
     meaning="a robot whose rates follow commands after a dead time and with a time constant",
     Keys=LaggedKeys,
     find_facts=find_facts,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
-from turtlelog.measure.motion import find_coarse_step, find_common_step, find_spacing
+from turtlelog.measure.pose_noise import find_coarse_step, find_common_step, find_spacing
 from turtlelog.plants import find_plant
 from turtlelog.run import Run
 from turtlelog.run.angles import subtract_headings
