@@ -58,8 +58,7 @@ class RecordedMotion:
 def moves_as_turtlesim(run: Run) -> bool:
     """Return whether poses with applied velocities move like turtlesim's, at turtlesim's rate.
 
-    Another robot may publish the same message type at another rate, or with velocities that do not
-    lead from one pose to the next. If a run names its scenario, the scenario's plant decides.
+    Another robot may publish the same message type. If a run names its scenario, the plant decides.
     """
     try:
         motion = read_motion(run)
@@ -121,11 +120,10 @@ def require_whole(run: Run) -> None:
         why = "it tells when each command reaches the robot"
         raise ReplayError(f"{run.name}: expected a whole scenario {expected}, found a part: {why}")
     if not has_ticks(run) or run.poses.time_ns[0] != 0:
-        period_ms, first_s = plant.period_ns / 1e6, run.poses.time_ns[0] / 1e9
         raise ReplayError(
-            f"{run.name}: expected a pose per tick of exactly {period_ms:g} ms from 0 s on"
-            f" {expected}, found the first at {first_s:g} s: a robot's rates before that are not"
-            " recorded"
+            f"{run.name}: expected a pose per tick of exactly {plant.period_ns / 1e6:g} ms from 0 s"
+            f" on {expected}, found the first at {run.poses.time_ns[0] / 1e9:g} s: a robot's rates"
+            " before that are not recorded"
         )
     if not len(run.commands) or not has_all_commands(run):
         count = int(run.samples.sequence[-1]) + 1 if len(run.samples) else 0
