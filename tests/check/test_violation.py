@@ -5,7 +5,7 @@ import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
-from turtlelog.charts.violated_signal import ViolatedSignal
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.check import CheckResult, match_run
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.violation import find_violated_signal

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.check.formula_trace import (
     FormulaTrace,
     Signals,

@@ -15,7 +15,7 @@ from turtlelog.display import format_number
 from turtlelog.errors import ExplainError, TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog.charts.violated_signal import ViolatedSignal
+    from turtlelog.charts.curve_marks import ViolatedSignal
     from turtlelog.check import CheckResult
 
 

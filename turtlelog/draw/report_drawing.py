@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from turtlelog.charts import many_runs, plane_scene
 from turtlelog.charts.close_up import CloseUp, format_length
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Values, choose_rows
 from turtlelog.charts.palette import ALLOWED, MAIN, VIOLATION, Color, choose_turtle_size, to_hex
 from turtlelog.charts.plane_scene import find_break_rows, part_path
 from turtlelog.charts.plotted_curves import CurveKind
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import describe_count
 from turtlelog.libraries import load_library
 from turtlelog.plants.turtlesim import WORLD_SIZE_M

@@ -8,9 +8,9 @@ from typing import Final
 
 from turtlelog.charts.attribution_steps import draw_up_attribution
 from turtlelog.charts.close_up import format_length
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.many_runs import group_equal
 from turtlelog.charts.palette import to_hex
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.compare import Table, format_cell, judge_runs, summarise_run
 from turtlelog.compare.ranking import name_few
 from turtlelog.compare.run_selection import describe_runs, list_differing

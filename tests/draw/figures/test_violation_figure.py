@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import Curve
-from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.check.spec import build_spec
 from turtlelog.check.violation import find_judged_signal
 from turtlelog.draw.figures.time_panels import draw_violation

@@ -16,8 +16,8 @@ from tests.draw.rerun.rrds import (
     simulate_preset,
     verify,
 )
+from turtlelog.charts.curve_marks import ViolatedSignal, ViolationMoment
 from turtlelog.charts.curves import read_curve
-from turtlelog.charts.violated_signal import ViolatedSignal, ViolationMoment
 from turtlelog.draw import write_run_rrd, write_violation_rrd
 from turtlelog.measure import read_signal
 

@@ -12,10 +12,10 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.charts import palette
+from turtlelog.charts.curve_marks import ViolatedSignal
 from turtlelog.charts.curves import Curve, Values, select_curve_rows
 from turtlelog.charts.plane_scene import move_near
 from turtlelog.charts.time_plots import TIMELINE
-from turtlelog.charts.violated_signal import ViolatedSignal
 from turtlelog.display import cut_name
 from turtlelog.draw.rerun import entities, plane, plots, recording_stream, turtles
 from turtlelog.draw.rerun.content import Content, describe_content, find_corners, name_legends
